@@ -23,10 +23,10 @@ DOCS_READY = $(DOCS_VENV)/.ready
 LOWEST_READY = $(LOWEST_VENV)/.ready
 SPHINX = $(DOCS_VENV)/bin/python -m sphinx -W --keep-going --quiet $(SPHINX_OPTIONS)
 # The tests that need nothing but the development environment.
-HERE = --ignore tests/browser --ignore tests/cluster --ignore tests/install --ignore tests/integrations
+HERE = --ignore tests/browser --ignore tests/cluster --ignore tests/cuda --ignore tests/install --ignore tests/integrations
 
 .PHONY: install train test tests test-fast test-processes test-ray test-peers test-integrations test-cluster test-browser \
-	test-install test-lowest mutants lint benchmark docs linkcheck clean
+	test-cuda test-gpu test-install test-lowest mutants lint benchmark docs linkcheck clean
 
 install: $(READY)
 
@@ -124,6 +124,15 @@ test-cluster: $(READY)
 # The explorer of fronts in an installed Chromium (Debian's chromium and chromium-driver); skipped where there is none.
 test-browser: $(READY)
 	$(VENV)/bin/python -m pytest tests/browser
+
+# Compiles the kernels for a GPU, on a machine that may have none.
+test-cuda: $(READY)
+	$(VENV)/bin/python -m pytest tests/cuda --numprocesses 2 --dist worksteal
+
+# What needs a GPU: the trajectories of its worlds are those of the CPU, and what is trained there.
+test-gpu: $(READY)
+	$(VENV)/bin/python -c "import sys, torch; torch.cuda.is_available() or sys.exit('PyTorch finds no CUDA device')"
+	$(VENV)/bin/python -m pytest tests/mo_deepdrive tests/algorithms -m gpu
 
 # Builds sdist and wheel, installs the wheel in a new environment, and runs every command there, outside the checkout.
 test-install: $(READY)

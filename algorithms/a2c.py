@@ -32,11 +32,11 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Loss, squared_error, weighted_sum
-from algorithms.networks.modules import centralised_inputs, make_network
+from algorithms.networks.losses import Losses, mean, squared_error
+from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
 from algorithms.rollouts.advantages import generalised_advantages, normalise
-from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
+from algorithms.rollouts.buffers import Samples
 
 if TYPE_CHECKING:
     from algorithms.rollouts.buffers import VehicleRollout
@@ -100,80 +100,57 @@ class A2CLearner(Learner):
         self.input_size = env.observation_size
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
         self.critic = make_network(config, self.input_size + self.others_size, 1, generator).to(device)
+        self.value_scales = torch.tensor([config.value_scale], device=device)
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
-
-    # ------------------------------------------------------------------------------------------- what the networks see
-
-    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
-        """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
-        return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
-
-    def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
-        """v(s) (...), in the units of the return."""
-        outputs: torch.Tensor = self.critic(critic_inputs)
-        return self.config.value_scale * outputs.squeeze(-1)
 
     # ------------------------------------------------------------------------------------------------------ the update
 
-    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+    def update(
+        self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
+    ) -> dict[str, float]:
         """One gradient step of eq. 4 on a rollout of T steps in N environments; the losses by name."""
+        del generator  # nothing is drawn
         if not rollout.acted.any():
             return {}
-        with self.optimiser.recording():
-            losses = self.losses(rollout, entropy_coefficient)
-        total = losses.pop("total")
-        self.optimiser.minimise(total, learning_rate, self.config.max_grad_norm, losses)
-        return {name: float(loss) for name, loss in losses.items()}
-
-    def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
-        """L of eq. 4 as "total", and its parts, over the samples in which the vehicle acted."""
-        config = self.config
-        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
-        critic_inputs = self.critic_inputs(inputs, rollout.others)
-        outputs: torch.Tensor = self.critic(critic_inputs[:-1].flatten(0, 1))  # v(s_t) / scale
-        values = config.value_scale * outputs.detach().view(rollout.acted.shape)
-        next_values = self.next_values(rollout, critic_inputs, values)
-        advantages, targets = self.advantages(rollout, values, next_values)
-
-        weights = rollout.acted.to(advantages.dtype)
-        weights = weights / weights.sum().clamp(min=1.0)
-        if config.normalise_advantages:
-            advantages = normalise(advantages, weights)
-
-        log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1].flatten(0, 1), rollout.actions.flatten(0, 1))
-        weights, advantages, targets = (each.flatten(0, 1) for each in (weights, advantages, targets))
-        policy_loss = -weighted_sum(weights * advantages, log_prob)
-        value_loss = squared_error(outputs, (targets / config.value_scale).unsqueeze(-1), weights)
-        entropy = weighted_sum(weights, entropies)
-        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy, "total": total}
+        losses = self.loss(self.samples(rollout), entropy_coefficient)
+        self.optimiser.param_groups[0]["lr"] = learning_rate
+        self.optimiser.zero_grad()
+        losses.total.backward()
+        self.optimiser.clip(self.config.max_grad_norm, losses.parts)
+        self.optimiser.step()
+        return losses.parts()
 
     @torch.no_grad()
-    def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-        """v(s_{t+1}) (T, N): 0 after termination, the value of the true final state after truncation.
-
-        Args:
-            rollout: T steps of this vehicle.
-            critic_inputs: (T + 1, N, ...) of s_0 to s_T.
-            values: (T, N) v(s_t).
-        """
-        next_values = torch.cat([values[1:], self.values(critic_inputs[-1:])])
-        next_values[rollout.terminated] = 0.0
-        truncated = rollout.truncated & ~rollout.terminated
-        if truncated.any():
-            final = self.inputs(*rollout.final_states(truncated, self.config.gamma))
-            next_values[truncated] = self.values(self.critic_inputs(final, rollout.final_others[truncated]))
-        return next_values
+    def samples(self, rollout: VehicleRollout) -> Samples:
+        """What is learnt from a rollout, (T N, ...): A_t, y_t of the networks as they are now."""
+        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
+        values = self.values(self.critic_inputs(inputs, rollout.others))
+        advantages, targets = self.advantages(rollout, values[:-1], self.next_values(rollout, values))
+        weights, states = rollout.acted.to(advantages.dtype), inputs[:-1]
+        if self.config.normalise_advantages:
+            advantages = normalise(advantages, weights)
+        critic_states = self.critic_inputs(states, rollout.others[:-1])
+        targets = targets / self.value_scales
+        return Samples(states, critic_states, rollout.actions, advantages, targets, weights).flat()
 
     def advantages(
         self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """A_t and y_t of eqs. 1 to 3, each (T, N), from v(s_t) and v(s_{t+1}), each (T, N)."""
-        gamma = self.config.gamma
-        not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
-        deltas = self.utility(rollout.rewards) + gamma * next_values - values
-        advantages = generalised_advantages(deltas, not_done, gamma * self.config.gae_lambda)
-        return advantages, advantages + values
+        """A_t (T, N) and y_t (T, N, 1) of eqs. 1 to 3, from v(s_t) and v(s_{t+1}), as y_t."""
+        ended, gamma = (rollout.terminated | rollout.truncated).unsqueeze(-1), self.config.gamma
+        deltas = self.utility(rollout.rewards).unsqueeze(-1) + gamma * next_values - values
+        advantages = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)
+        return advantages.squeeze(-1), advantages + values
+
+    def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
+        """L of eq. 4, a function of tensors that autograd differentiates."""
+        weights = samples.weights
+        log_prob, entropies = self.actor(samples.inputs, samples.actions)
+        policy_loss = -mean(samples.advantages * log_prob, weights)
+        value_loss = squared_error(self.critic(samples.critic_inputs), samples.targets, weights)
+        entropy = mean(entropies, weights)
+        total = policy_loss + self.config.value_coefficient * value_loss - entropy_coefficient * entropy
+        return Losses(total, policy_loss, value_loss, entropy)
 
 
 class A2C(ActorCritic):
@@ -182,3 +159,4 @@ class A2C(ActorCritic):
     name = "a2c"
     Config = A2CConfig
     learner = A2CLearner
+    trains_on_devices = True

@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import torch
 
-from algorithms.agent import Agent
+from algorithms.agent import SHUFFLES, Agent
 from algorithms.files.checkpoints import (
     ACCRUED_GAMMA,
-    GENERATOR,
     GUIDES,
     OBJECTIVE_SCALES,
     PARTNERS,
-    restore_generator,
     strip_prefix,
 )
 from algorithms.hyperparameters import schedules
+from algorithms.networks.modules import centralised_inputs
 from algorithms.networks.optimiser import geometric_schedule, linear_schedule
 from algorithms.networks.trained import TrainedNetworks
+from algorithms.rollouts.advantages import next_values
 from algorithms.rollouts.collector import Collector
 from algorithms.rollouts.compiled_collection import CompiledCollection
 from algorithms.rollouts.guides import Guides
@@ -60,16 +60,21 @@ class Learner(TrainedNetworks, ABC):
         device: of the networks.
 
     Attributes:
+        static_shapes: whether tensors have the same shape in every update, as on a device; else only what is needed is
+            calculated.
         input_size: width of what the actor sees.
         others_size: width of what a centralised critic sees of the other vehicles; 0 without one.
         observes_accrued, observes_discount: whether the actor sees R_t and g^t.
         observation_scales, objective_scales: (o,) and (d,) nominal magnitudes.
+        value_scales: (K,) by which the critic's outputs are multiplied.
 
     Raises:
         ValueError: for hyperparameters that do not fit the environment.
     """
 
+    static_shapes = False
     input_size: int
+    value_scales: torch.Tensor
     observes_accrued = False
     observes_discount = False
 
@@ -91,6 +96,7 @@ class Learner(TrainedNetworks, ABC):
         self.objective_scales = torch.tensor(env.chosen_objective_scales(config.objective_scales), device=device)
         if config.centralised_critic and env.vehicles == 1:
             raise ValueError("centralised_critic = True needs an environment with more than one vehicle")
+        self.accrued_discount = float(getattr(config, "accrued_discount", config.gamma))
         self.others_size = (env.vehicles - 1) * env.observation_size if config.centralised_critic else 0
 
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
@@ -108,9 +114,50 @@ class Learner(TrainedNetworks, ABC):
             parts.append(discounts.unsqueeze(-1))
         return torch.cat(parts, dim=-1)
 
+    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+        """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
+        return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
+
+    def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
+        """v(S) (..., K) in the units of what the critic predicts."""
+        outputs: torch.Tensor = self.critic(critic_inputs)
+        return self.value_scales * outputs
+
+    def next_values(self, rollout: VehicleRollout, values: torch.Tensor) -> torch.Tensor:
+        """v(S_{t+1}) (T, N, K): 0 after termination, the value of the true final state after truncation.
+
+        Args:
+            rollout: T steps of this vehicle.
+            values: (T + 1, N, K) v of S_0 to S_T.
+        """
+        return next_values(values[1:], self.final_values(rollout), rollout.terminated, rollout.truncated)
+
+    def final_values(self, rollout: VehicleRollout) -> torch.Tensor:
+        """V (T, N, K) of the true states after steps that truncated an episode; anything after other steps."""
+
+        def values(where: torch.Tensor | slice) -> torch.Tensor:
+            final = self.inputs(*rollout.final_states(where, self.accrued_discount))
+            return self.values(self.critic_inputs(final, rollout.final_others[where]))
+
+        if self.static_shapes:
+            return values(slice(None))
+        found = torch.zeros((*rollout.truncated.shape, len(self.value_scales)), device=self.device)
+        if rollout.truncated.any():
+            found[rollout.truncated] = values(rollout.truncated)
+        return found
+
     @abstractmethod
-    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
-        """Learn from a rollout of this vehicle; the losses by name."""
+    def update(
+        self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
+    ) -> dict[str, float]:
+        """Learn from a rollout of this vehicle; the losses by name.
+
+        Args:
+            rollout: T steps of N environments.
+            learning_rate: of the gradient steps.
+            entropy_coefficient: c_e.
+            generator: of this update.
+        """
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
         """Called before an update with the discounted returns (E, d) of the episodes that ended; ignored by default."""
@@ -272,8 +319,6 @@ class ActorCritic(Agent):
             self._compiled.collect(self.generator)
             return self.collector.collected()
         self.guides.begin_rollout(progress)
-        for learner in self.learners:
-            learner.actor.keep_passes(self.config.steps * self.env.num_envs)
         rollout, episodes = self.collector.collect(self._explore)
         self.guides.hide(rollout)
         return rollout, episodes
@@ -305,7 +350,8 @@ class ActorCritic(Agent):
         metrics: dict[str, float] = {}
         for learner in self.learners:
             own = rollout.of_vehicle(learner.vehicle, self.device, others=learner.others_size > 0)
-            losses = learner.update(own, learning_rate, entropy_coefficient)
+            generator = self.update_generator(SHUFFLES + learner.vehicle)
+            losses = learner.update(own, learning_rate, entropy_coefficient, generator)
             prefix = vehicle_prefix(learner.vehicle, self.env.vehicles)
             metrics |= {prefix + name: value for name, value in losses.items()}
         return metrics
@@ -336,8 +382,8 @@ class ActorCritic(Agent):
         return units
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Learners, generator, guides, environments and running episodes."""
-        state = {GENERATOR: self.generator.get_state()}
+        """Learners, guides, environments and running episodes."""
+        state: dict[str, torch.Tensor] = {}
         for learner in self.learners:
             state |= {f"vehicle_{learner.vehicle}.{name}": tensor for name, tensor in learner.get_state().items()}
         state |= self.guides.get_state()
@@ -353,7 +399,6 @@ class ActorCritic(Agent):
         for learner in self.learners:
             learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
         self.guides.set_state(state)
-        restore_generator(self.generator, GENERATOR, state[GENERATOR])
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def get_policy(self) -> dict[str, torch.Tensor]:

@@ -20,6 +20,7 @@ from algorithms.files.checkpoints import (
     GUIDES,
     PARTNERS,
     POLICY_ONLY,
+    SEED,
     STEP,
     UPDATES,
     check_tensors,
@@ -62,6 +63,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.utilities import Utility
 
+ACTIONS, DRAWS, SHUFFLES = 0, 1, 2  # streams of random numbers; of the vehicle v, SHUFFLES + v
 EPISODES = "unlogged."  # prefix of the tensors of episodes that have not been logged yet
 
 Log = Callable[[int, dict[str, float]], None]
@@ -112,7 +114,7 @@ class Agent(ABC):
     - :mod:`algorithms.networks.modules`, with :class:`algorithms.hyperparameters.NetworkSettings` for a Config.
     - :mod:`algorithms.rollouts.advantages` and :mod:`algorithms.networks.optimiser`.
 
-    Everything random is drawn from ``initial``, ``generator`` or generators seeded from ``initial``, so that a run can
+    Everything random is drawn from ``initial``, ``generator`` or what :meth:`update_generator` makes, so that a run can
     be repeated and resumed bit for bit.
 
     Args:
@@ -129,6 +131,7 @@ class Agent(ABC):
         known_utility: whether the agent learns for a known utility, or a front for every utility.
         trains_with_partners: whether its constructor takes ``partners``, which drive vehicles that do not learn.
         trains_with_guides: whether it takes ``guides``, which begin episodes of vehicles that learn.
+        trains_on_devices: whether :mod:`algorithms.device` can train it, with several seeds side by side.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
             ``set_state`` and ``set_policy`` check them.
         config: the hyperparameters.
@@ -139,7 +142,7 @@ class Agent(ABC):
         updates: rollouts, or rounds of episodes, that have been collected.
         episodes: those that ended since training metrics were last logged.
         initial: generator of the initial weights.
-        generator: generator of the exploring actions.
+        generator: generator of the exploring actions, seeded anew before every update of :meth:`train`.
         env_seed: of the first reset of the training environment.
 
     Raises:
@@ -151,7 +154,8 @@ class Agent(ABC):
     known_utility: ClassVar[bool] = True
     trains_with_partners: ClassVar[bool] = False
     trains_with_guides: ClassVar[bool] = False
-    varying_shapes: ClassVar[tuple[str, ...]] = ("optimiser.",)
+    trains_on_devices: ClassVar[bool] = False
+    varying_shapes: ClassVar[tuple[str, ...]] = ()
     config: Any
 
     def __init_subclass__(cls, **options: Any):
@@ -176,13 +180,27 @@ class Agent(ABC):
         self.seed = seed
         self.device = torch.device(device)
         self.utilities: list[Utility] = list(vehicle_utilities(utility, self.env))
-        weights_seed, actions_seed, env_seed = np.random.SeedSequence(seed).generate_state(3)
+        weights_seed, env_seed = np.random.SeedSequence(seed).generate_state(2)
         self.initial = torch.Generator().manual_seed(int(weights_seed))
-        self.generator = torch.Generator(self.device).manual_seed(int(actions_seed))
+        self.generator = torch.Generator(self.device)
         self.env_seed = FIRST_TRAINING_SEED + int(env_seed)
         self.step = 0
         self.updates = 0
         self.episodes: list[Episodes] = []
+        self._seed_actions()
+
+    def update_generator(self, stream: int) -> torch.Generator:
+        """The random numbers of an update: a function of the run's seed, a stream and the number of updates so far.
+
+        Nothing of them has to be saved. Stream 0 has the exploring actions.
+        """
+        return torch.Generator().manual_seed(self._seed_of(stream))
+
+    def _seed_of(self, stream: int) -> int:
+        return int(np.random.SeedSequence([self.seed, stream, self.updates]).generate_state(1, np.uint64)[0]) >> 1
+
+    def _seed_actions(self) -> None:
+        self.generator.manual_seed(self._seed_of(ACTIONS))
 
     @classmethod
     def _config_of(cls, config: Settings | None, hyperparameters: dict[str, Any]) -> Settings:
@@ -248,7 +266,7 @@ class Agent(ABC):
 
     @abstractmethod
     def get_state(self) -> dict[str, torch.Tensor]:
-        """What determines the rest of the run, as named tensors: networks, optimisers, generators, running episodes.
+        """What determines the rest of the run, as named tensors: networks, optimisers, running episodes.
 
         Every number must be finite.
         """
@@ -354,6 +372,7 @@ class Agent(ABC):
         while self.step < total_timesteps:
             before = self.step
             with self._located(f"in the update after step {before:,}"):
+                self._seed_actions()
                 metrics = self.update(before / total_timesteps)
                 check_numbers(metrics)
             if self.step <= before:
@@ -431,7 +450,7 @@ class Agent(ABC):
         write_checkpoint(path, self.get_policy(), {**self.identity(), **self._counts(), POLICY_ONLY: True})
 
     def _counts(self) -> dict[str, int]:
-        return {STEP: self.step, UPDATES: self.updates}
+        return {STEP: self.step, UPDATES: self.updates, SEED: self.seed}
 
     def load(self, path: str | Path, *, policy_only: bool = False) -> None:
         """Resume from :meth:`save`; no code is run from the file.
@@ -448,18 +467,18 @@ class Agent(ABC):
         tensors, found = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
         expected = self.get_policy() if policy_only else self.get_state()
         tensors = check_tensors(path, tensors, expected, (EPISODES, *self.varying_shapes), whole=not policy_only)
-        counts = self.step, self.updates
+        counts = self.step, self.updates, self.seed
         before = {name: each.clone() for name, each in {**self.get_state(), **expected}.items()}
         try:
             if policy_only:
                 self.set_policy(tensors)
                 return
-            self.step, self.updates = found[STEP], found[UPDATES]
+            self.step, self.updates, self.seed = found[STEP], found[UPDATES], found[SEED]
             self.set_state(tensors)
             unlogged = {name: tensor.numpy() for name, tensor in strip_prefix(tensors, EPISODES).items()}
             self.episodes = [Episodes.of_arrays(unlogged, len(self.env.objectives))] if unlogged else []
         except (ValueError, RuntimeError) as error:
-            self.step, self.updates = counts
+            self.step, self.updates, self.seed = counts
             self.set_state(before)
             raise ValueError(f"checkpoint {path}: {str(error).splitlines()[0]}") from None
 

@@ -75,15 +75,14 @@ O. Klimov, "Proximal policy optimization algorithms", arXiv:1707.06347, 2017.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
 from pydantic import Field, model_validator
 
-from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.files.checkpoints import GENERATOR, GUIDES, PRICE, RHO, restore_generator, strip_prefix
+from algorithms.agent import DRAWS, SHUFFLES, FrontAgent, PolicyOfFront
+from algorithms.files.checkpoints import GUIDES, PRICE, RHO, strip_prefix
 from algorithms.hyperparameters import (
     Count,
     FinalLearningRate,
@@ -98,24 +97,19 @@ from algorithms.hyperparameters import (
     schedules,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import clipped_surrogate, mean, policy_change, squared_error
+from algorithms.networks.losses import Losses, means, policy_change, proximal_loss
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam, geometric_schedule, linear_schedule
 from algorithms.networks.trained import TrainedNetworks
-from algorithms.rollouts.advantages import generalised_advantages, normalise
+from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
 from algorithms.rollouts.buffers import Samples
 from algorithms.rollouts.collector import Collector
 from algorithms.rollouts.guides import Guides
 from algorithms.rollouts.preferences import CHEBYSHEV, COMFORT_BUDGET, LINEAR, Preferences, PreferenceSettings
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT
 from mo_deepdrive.evaluation.metrics import (
-    APPROX_KL,
-    CLIP_FRACTION,
-    ENTROPY,
     ENTROPY_COEFFICIENT,
     LEARNING_RATE,
-    POLICY_LOSS,
-    VALUE_LOSS,
     vehicle_prefix,
 )
 from mo_deepdrive.evaluation.policy import check_same_task
@@ -191,9 +185,12 @@ class ConditionedLearner(TrainedNetworks):
         config: hyperparameters.
         generator: draws the initial weights.
         device: of the networks.
+
+    Attributes:
+        static_shapes: as of :class:`algorithms.actor_critic.Learner`.
     """
 
-    shuffle: torch.Generator
+    static_shapes = False
 
     def __init__(
         self,
@@ -213,11 +210,9 @@ class ConditionedLearner(TrainedNetworks):
         # Which components X_t has.
         self.has_objectives = config.vector_critic and LINEAR in preferences.used
         self.has_increases = not self.has_objectives or preferences.used != [LINEAR]
-        components = self.has_objectives * len(env.objectives) + self.has_increases
-        self.critic = make_network(config, self.input_size, components, generator).to(device)
+        self.value_size = self.has_objectives * len(env.objectives) + self.has_increases
+        self.critic = make_network(config, self.input_size, self.value_size, generator).to(device)
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
-        # Shuffles the minibatches.
-        self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
 
     def inputs(
         self,
@@ -231,7 +226,12 @@ class ConditionedLearner(TrainedNetworks):
         return torch.cat([observations / self.observation_scales, features], dim=-1)
 
     def update(
-        self, rollout: VehicleRollout, preferences: torch.Tensor, learning_rate: float, entropy_coefficient: float
+        self,
+        rollout: VehicleRollout,
+        preferences: torch.Tensor,
+        learning_rate: float,
+        entropy_coefficient: float,
+        generator: torch.Generator,
     ) -> dict[str, float]:
         """Epochs of minibatch steps of eq. 9 on a rollout of T steps in N environments; mean losses by name.
 
@@ -240,39 +240,41 @@ class ConditionedLearner(TrainedNetworks):
             preferences: (T, N, m) under which it acted.
             learning_rate: of Adam.
             entropy_coefficient: c_e.
+            generator: shuffles the samples.
         """
-        samples = self.samples(rollout, preferences)
+        config, samples, steps = self.config, self.samples(rollout, preferences).acted(), []
         if len(samples.actions) == 0:
             return {}
-        losses, log_ratios = zip(
-            *(
-                self.gradient_step(minibatch, learning_rate, entropy_coefficient)
-                for _ in range(self.config.epochs)
-                for minibatch in samples.shuffled(self.shuffle).split(self.config.minibatches)
-            ),
-            strict=True,
-        )
-        means = {name: fmean(each[name] for each in losses) for name in losses[0]}
-        means[CLIP_FRACTION], means[APPROX_KL] = policy_change(torch.cat(log_ratios), self.config.clip)
-        return means
+        self.optimiser.param_groups[0]["lr"] = learning_rate
+        for minibatch in samples.minibatches(config.epochs, config.minibatches, generator):
+            losses = self.loss(minibatch, entropy_coefficient)
+            self.optimiser.zero_grad()
+            losses.total.backward()
+            self.optimiser.clip(config.max_grad_norm, losses.parts)
+            self.optimiser.step()
+            steps.append(losses)
+        return {**means(steps), **policy_change(steps, config.clip)}
 
     @torch.no_grad()
     def samples(self, rollout: VehicleRollout, preferences: torch.Tensor) -> Samples:
-        """The samples in which the vehicle acted, with B_t, Y_t and log pi_old of the networks as they are now."""
+        """What is learnt from a rollout, (T N, ...): B_t, Y_t and log pi_old of the networks as they are now.
+
+        Args:
+            rollout: of this vehicle.
+            preferences: (T, N, m) under which it acted.
+        """
         # V(S_T) is not used where the episode ends with the rollout, else it is that under the preference so far.
         followed = torch.cat([preferences, preferences[-1:]])
         inputs = self.inputs(rollout.observations, followed, rollout.accrued, rollout.discounts)
-        values = self.critic(inputs)
+        values, states = self.critic(inputs), inputs[:-1]
+        # Where the preference changes within an episode, S_{t+1} has the one of S_t.
         switched = (followed[1:] != followed[:-1]).any(-1) & ~(rollout.terminated | rollout.truncated)
-        next_values = self.next_values(rollout, preferences, values, switched)
-        advantages = self.advantages(rollout, preferences, values[:-1], next_values, switched)
-        targets = advantages + values[:-1]
-        scalars = (self.component_weights(preferences) * advantages).sum(-1)
-        weights = rollout.acted.to(scalars.dtype)
-        normalised = normalise(scalars, weights / weights.sum().clamp(min=1.0))
-        log_prob, _ = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
-        all_samples = Samples(inputs[:-1], inputs[:-1], rollout.actions, log_prob, normalised, targets)
-        return all_samples.at(rollout.acted)
+        following = self.next_values(rollout, preferences, values, switched)
+        advantages = self.advantages(rollout, preferences, values[:-1], following, switched)
+        weights = rollout.acted.to(advantages.dtype)
+        weighed = normalise((self.component_weights(preferences) * advantages).sum(-1), weights)
+        log_prob, _ = self.actor(states, rollout.actions)
+        return Samples(states, states, rollout.actions, weighed, advantages + values[:-1], weights, log_prob).flat()
 
     def next_values(
         self, rollout: VehicleRollout, preferences: torch.Tensor, values: torch.Tensor, switched: torch.Tensor
@@ -285,18 +287,9 @@ class ConditionedLearner(TrainedNetworks):
             values: (T + 1, N, K) V of the states in which it acted.
             switched: (T, N) whether another preference follows in the same episode; S_{t+1} has the one of S_t.
         """
-        next_values = values[1:].clone()
-        next_values[rollout.terminated] = 0.0
-        truncated = rollout.truncated & ~rollout.terminated
-        if truncated.any():
-            observations, accrued, discounts = rollout.final_states(truncated, self.config.gamma)
-            final = self.inputs(observations, preferences[truncated], accrued, discounts)
-            next_values[truncated] = self.critic(final)
-        if switched.any():
-            after = (each[1:][switched] for each in (rollout.accrued, rollout.discounts))
-            states = self.inputs(rollout.observations[1:][switched], preferences[switched], *after)
-            next_values[switched] = self.critic(states)
-        return next_values
+        elsewhere = rollout.truncated | switched
+        final_values = self.final_values(rollout, preferences, elsewhere)
+        return next_values(values[1:], final_values, rollout.terminated, elsewhere)
 
     def advantages(
         self,
@@ -307,10 +300,33 @@ class ConditionedLearner(TrainedNetworks):
         switched: torch.Tensor,
     ) -> torch.Tensor:
         """A_t (T, N, K) of eqs. 7 and 8 from V(S_t) and V(S_{t+1}); the sum ends where the preference switches."""
-        config = self.config
-        not_done = (~(rollout.terminated | rollout.truncated | switched)).to(values.dtype).unsqueeze(-1)
-        deltas = self.components(rollout, preferences) + config.gamma * next_values - values
-        return generalised_advantages(deltas, not_done, config.gamma * config.gae_lambda)
+        ended, gamma = rollout.terminated | rollout.truncated | switched, self.config.gamma
+        deltas = self.components(rollout, preferences) + gamma * next_values - values
+        return generalised_advantages(deltas, ended.unsqueeze(-1), gamma * self.config.gae_lambda)
+
+    def final_values(self, rollout: VehicleRollout, preferences: torch.Tensor, where: torch.Tensor) -> torch.Tensor:
+        """V (T, N, K) of the true states after the steps of a mask, under the preferences (T, N, m) before them.
+
+        Elsewhere it is anything.
+        """
+
+        def values(where: torch.Tensor | slice) -> torch.Tensor:
+            observations, accrued, discounts = rollout.final_states(where, self.config.gamma)
+            found: torch.Tensor = self.critic(self.inputs(observations, preferences[where], accrued, discounts))
+            return found
+
+        if self.static_shapes:
+            return values(slice(None))
+        found = torch.zeros((*where.shape, self.value_size), device=where.device)
+        if where.any():
+            found[where] = values(where)
+        return found
+
+    def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
+        """L of eq. 9, a function of tensors that autograd differentiates."""
+        log_prob, entropies = self.actor(samples.inputs, samples.actions)
+        outputs = self.critic(samples.critic_inputs)
+        return proximal_loss(log_prob, entropies, outputs, samples, self.config, entropy_coefficient)
 
     def components(self, rollout: VehicleRollout, preferences: torch.Tensor) -> torch.Tensor:
         """X_t (T, N, K) of a rollout that acted under preferences (T, N, m)."""
@@ -336,22 +352,6 @@ class ConditionedLearner(TrainedNetworks):
             parts.append((~linear if self.has_objectives else torch.ones_like(linear)).to(preferences.dtype))
         return torch.cat(parts, dim=-1)
 
-    def gradient_step(
-        self, samples: Samples, learning_rate: float, entropy_coefficient: float
-    ) -> tuple[dict[str, float], torch.Tensor]:
-        """One gradient step of eq. 9; its losses, and log f of the samples before it."""
-        config = self.config
-        with self.optimiser.recording():
-            log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)
-            values = self.critic(samples.inputs)
-        policy_loss = -clipped_surrogate(log_prob, samples.log_prob, samples.advantages, config.clip)
-        value_loss = squared_error(values, samples.targets)
-        entropy = mean(entropies)
-        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
-        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm, losses)
-        return losses, log_prob.detach() - samples.log_prob
-
 
 class ConditionedMOPPO(FrontAgent):
     """MO-PPO conditioned on preferences, one independent learner per vehicle, each with a preference of its own.
@@ -372,6 +372,7 @@ class ConditionedMOPPO(FrontAgent):
 
     name = "conditioned_mo_ppo"
     Config = ConditionedMOPPOConfig
+    trains_on_devices = True
     trains_with_guides = True
 
     def __init__(self, env: VectorEnv, *, guides: Sequence[Guide] = (), **options: Any):
@@ -389,8 +390,6 @@ class ConditionedMOPPO(FrontAgent):
             for v in range(self.env.vehicles)
         ]
         self.collector = Collector(self.env, self.accrued_discount, config.steps)
-        # Draws the preferences of episodes.
-        self.draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self.initial)))
         m = len(self.preferences.names)
         self._current = np.zeros((self.env.num_envs, self.env.vehicles, m), dtype=np.float32)
 
@@ -408,7 +407,7 @@ class ConditionedMOPPO(FrontAgent):
     def update(self, progress: float) -> dict[str, float]:
         """Collect one rollout; each learner learns from its vehicle's part."""
         config = self.config
-        rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=self.draws)))
+        rng = np.random.default_rng([self.seed, DRAWS, self.updates])  # of preferences
         preferences: list[NDArray[np.float32]] = []
         cost_share = min(1.0, progress / config.cost_growth) if config.cost_growth else 1.0
 
@@ -435,7 +434,8 @@ class ConditionedMOPPO(FrontAgent):
         followed = torch.from_numpy(np.stack(preferences)).to(self.device)
         for v, learner in enumerate(self.learners):
             own = rollout.of_vehicle(v, self.device, others=False)
-            losses = learner.update(own, followed[:, :, v], learning_rate, entropy_coefficient)
+            generator = self.update_generator(SHUFFLES + v)
+            losses = learner.update(own, followed[:, :, v], learning_rate, entropy_coefficient, generator)
             prefix = vehicle_prefix(v, len(self.learners))
             metrics |= {prefix + name: value for name, value in losses.items()}
         self.preferences.note_episodes(episodes.discounted)
@@ -515,10 +515,8 @@ class ConditionedMOPPO(FrontAgent):
         }
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Learners, generators, the preferences of running episodes, environments and the ideal point."""
+        """Learners, the preferences of running episodes, environments and the ideal point."""
         state = {
-            GENERATOR: self.generator.get_state(),
-            "draws": self.draws.get_state(),
             "preferences": torch.from_numpy(self._current.copy()),
             "seen_any": torch.tensor(self.preferences.seen_any),
             **self._ideal_tensor(),
@@ -543,8 +541,6 @@ class ConditionedMOPPO(FrontAgent):
         self._current[...] = state["preferences"].numpy()
         self.preferences.seen_any = bool(state["seen_any"])
         self.guides.set_state(state)
-        restore_generator(self.generator, GENERATOR, state[GENERATOR])
-        restore_generator(self.draws, "draws", state["draws"])
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def _ideal_tensor(self) -> dict[str, torch.Tensor]:

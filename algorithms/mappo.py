@@ -25,7 +25,6 @@ The actors do not see the accrued rewards R_{v,t}. Where u or J is not linear, a
 
 from __future__ import annotations
 
-from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
 
 import torch
@@ -46,12 +45,11 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import clipped_surrogate, mean, policy_change, squared_error
+from algorithms.networks.losses import Losses, means, policy_change, proximal_loss
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
-from algorithms.rollouts.advantages import generalised_advantages, normalise
+from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
 from algorithms.rollouts.buffers import Samples
-from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -180,21 +178,26 @@ class TeamEpisodes:
         self, env: EnvAdapter, joint: JointUtility, utilities: Sequence[Utility], objective_scales: torch.Tensor
     ):
         self._joint = joint
-        self._utilities = utilities
-        self._observation_scales = torch.from_numpy(env.observation_scales)
-        self._objective_scales = objective_scales.cpu()
-        d = len(env.objectives)
+        self.utilities = utilities
+        device = objective_scales.device
+        self._observation_scales = torch.from_numpy(env.observation_scales).to(device)
+        self._objective_scales = objective_scales
+        self.begin(env.num_envs, env.vehicles)
+
+    def begin(self, *shape: int) -> None:
+        """Begin episodes of vehicles of this shape, (N, V) or with further axes before them."""
+        d, device = len(self._objective_scales), self._objective_scales.device
         # R_{v,t} of the running episodes, and whether the vehicle has ended.
-        self.returns = torch.zeros(env.num_envs, env.vehicles, d)
-        self.ended = torch.zeros(env.num_envs, env.vehicles, dtype=torch.bool)
+        self.returns = torch.zeros(*shape, d, device=device)
+        self.ended = torch.zeros(shape, dtype=torch.bool, device=device)
 
     def follow(self, rollout: Rollout) -> TeamRollout:
         """The team's part of a rollout that continues the last one."""
-        steps, n = rollout.acted.shape[:2]
-        before, after = (torch.empty(steps, *self.returns.shape) for _ in range(2))
-        ended = torch.empty(steps + 1, *self.ended.shape, dtype=torch.bool)
-        finally_ended = torch.empty(steps, *self.ended.shape, dtype=torch.bool)
-        terminated, truncated = (torch.zeros(steps, n, dtype=torch.bool) for _ in range(2))
+        steps = len(rollout.acted)
+        before, after = (self.returns.new_empty(steps, *self.returns.shape) for _ in range(2))
+        ended = self.ended.new_empty(steps + 1, *self.ended.shape)
+        finally_ended = self.ended.new_empty(steps, *self.ended.shape)
+        terminated, truncated = (self.ended.new_zeros(steps, *self.ended.shape[:-1]) for _ in range(2))
         for t in range(steps):
             acted, cut = rollout.acted[t], rollout.truncated[t] & ~rollout.terminated[t]
             before[t], ended[t] = self.returns, self.ended
@@ -205,11 +208,11 @@ class TeamEpisodes:
             over = self.ended.all(dim=-1)
             truncated[t] = over & (acted & cut).any(dim=-1)
             terminated[t] = over & ~truncated[t]
-            self.returns = after[t].masked_fill(over[:, None, None], 0.0)
+            self.returns = after[t].masked_fill(over[..., None, None], 0.0)
             self.ended = self.ended & ~over.unsqueeze(-1)
         ended[steps] = self.ended
         # Equation 1.
-        utilities = [joint_utility(self._joint, self._utilities, returns) for returns in (before, after)]
+        utilities = [joint_utility(self._joint, self.utilities, returns) for returns in (before, after)]
         states = self._states(rollout.observations, torch.cat([before, self.returns.unsqueeze(0)]), ended)
         final_states = self._states(rollout.final, after, finally_ended)
         return TeamRollout(utilities[1] - utilities[0], states, final_states, terminated, truncated)
@@ -224,7 +227,6 @@ class MAPPOLearner(Learner):
     """MAPPO for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: MAPPOConfig
-    shuffle: torch.Generator
 
     def __init__(
         self,
@@ -240,97 +242,69 @@ class MAPPOLearner(Learner):
         state_size = env.vehicles * (env.observation_size + len(env.objectives) + 1)
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
         self.critic = make_network(config, state_size, 1, generator).to(device)
+        self.value_scales = torch.tensor([config.value_scale], device=device)
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
-        # Shuffles the minibatches.
-        self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
         self.team: TeamRollout  # of the rollout that is learnt from
-
-    # ------------------------------------------------------------------------------------------- what the networks see
-
-    def values(self, states: torch.Tensor) -> torch.Tensor:
-        """v(S) (...), in the units of the team's utility."""
-        outputs: torch.Tensor = self.critic(states)
-        return self.config.value_scale * outputs.squeeze(-1)
 
     # ------------------------------------------------------------------------------------------------------ the update
 
-    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+    def update(
+        self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
+    ) -> dict[str, float]:
         """Epochs of minibatch steps of eq. 5 on a rollout of T steps in N environments; mean losses by name."""
-        acted, everything = self.samples(rollout)
-        if len(acted.actions) == 0:
+        config, samples, steps = self.config, self.samples(rollout), []
+        if not rollout.acted.any():
             return {}
-        losses, log_ratios = zip(
-            *(
-                self.gradient_step(own, team, learning_rate, entropy_coefficient)
-                for _ in range(self.config.epochs)
-                # A vehicle that hardly acted has fewer parts; the critic then learns from as many.
-                for own, team in zip(self._minibatches(acted), self._minibatches(everything), strict=False)
-            ),
-            strict=True,
+        self.optimiser.param_groups[0]["lr"] = learning_rate
+        for minibatch in samples.minibatches(config.epochs, config.minibatches, generator):
+            losses = self.loss(minibatch, entropy_coefficient)
+            self.optimiser.zero_grad()
+            losses.total.backward()
+            self.optimiser.clip(config.max_grad_norm, losses.parts)
+            self.optimiser.step()
+            steps.append(losses)
+        return {**means(steps), **policy_change(steps, config.clip)}
+
+    @torch.no_grad()
+    def samples(self, rollout: VehicleRollout) -> Samples:
+        """What is learnt from a rollout, (T N, ...): A_t, y_t and log pi_old of the networks as they are now.
+
+        All count for the critic, and those in which the vehicle acted for the actor.
+        """
+        team, inputs = self.team, self.inputs(rollout.observations[:-1], rollout.accrued[:-1], rollout.discounts[:-1])
+        values = self.values(team.states)
+        following = self.next_values(rollout, values)
+        # Equations 2 and 3.
+        ended, gamma = (team.terminated | team.truncated).unsqueeze(-1), self.config.gamma
+        deltas = team.rewards.unsqueeze(-1) + gamma * following - values[:-1]
+        vector = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)
+        weights = rollout.acted.to(values.dtype)
+        advantages, targets = normalise(vector.squeeze(-1), weights), (vector + values[:-1]) / self.value_scales
+        log_prob, _ = self.actor(inputs, rollout.actions)
+        return Samples(inputs, team.states[:-1], rollout.actions, advantages, targets, weights, log_prob).flat()
+
+    def next_values(self, rollout: VehicleRollout, values: torch.Tensor) -> torch.Tensor:
+        """v(S_{t+1}) (T, N, 1) of the team's states, from those (T + 1, N, 1) of S_0 to S_T."""
+        return next_values(values[1:], self.final_values(rollout), self.team.terminated, self.team.truncated)
+
+    def final_values(self, rollout: VehicleRollout) -> torch.Tensor:
+        """V (T, N, 1) of the true states after steps that truncated a team's episode; anything after other steps."""
+        del rollout  # this vehicle's
+        truncated, states = self.team.truncated, self.team.final_states
+        if self.static_shapes:
+            return self.values(states)
+        found = torch.zeros((*truncated.shape, 1), device=self.device)
+        if truncated.any():
+            found[truncated] = self.values(states[truncated])
+        return found
+
+    def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
+        """L of eq. 5, a function of tensors that autograd differentiates."""
+        log_prob, entropies = self.actor(samples.inputs, samples.actions)
+        outputs = self.critic(samples.critic_inputs)
+        return proximal_loss(
+            log_prob, entropies, outputs, samples, self.config, entropy_coefficient, critic_learns_from_all=True
         )
-        means = {name: fmean(each[name] for each in losses) for name in losses[0]}
-        means[CLIP_FRACTION], means[APPROX_KL] = policy_change(torch.cat(log_ratios), self.config.clip)
-        return means
-
-    def _minibatches(self, samples: Samples) -> list[Samples]:
-        return samples.shuffled(self.shuffle).split(self.config.minibatches)
-
-    @torch.no_grad()
-    def samples(self, rollout: VehicleRollout) -> tuple[Samples, Samples]:
-        """The samples in which the vehicle acted, and all, with A_t, y_t and log pi_old of the networks as they are."""
-        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
-        values = self.values(self.team.states[:-1])
-        advantages = self.advantages(values, self.next_values(values))
-        targets = advantages + values
-        weights = rollout.acted.to(advantages.dtype)
-        advantages = normalise(advantages, weights / weights.sum().clamp(min=1.0))
-        log_prob, _ = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
-        samples = Samples(inputs[:-1], self.team.states[:-1], rollout.actions, log_prob, advantages, targets)
-        return samples.at(rollout.acted), samples.at(torch.ones_like(rollout.acted))
-
-    @torch.no_grad()
-    def next_values(self, values: torch.Tensor) -> torch.Tensor:
-        """v(S_{t+1}) (T, N): 0 after termination, the value of the true final state after truncation.
-
-        Args:
-            values: (T, N) v(S_t).
-        """
-        team = self.team
-        next_values = torch.cat([values[1:], self.values(team.states[-1:])])
-        next_values[team.terminated] = 0.0
-        if team.truncated.any():
-            next_values[team.truncated] = self.values(team.final_states[team.truncated])
-        return next_values
-
-    def advantages(self, values: torch.Tensor, next_values: torch.Tensor) -> torch.Tensor:
-        """A_t of eqs. 2 and 3 (T, N), from v(S_t) and v(S_{t+1}), each (T, N)."""
-        gamma = self.config.gamma
-        not_done = (~(self.team.terminated | self.team.truncated)).to(values.dtype)
-        deltas = self.team.rewards + gamma * next_values - values
-        return generalised_advantages(deltas, not_done, gamma * self.config.gae_lambda)
-
-    def gradient_step(
-        self, own: Samples, team: Samples, learning_rate: float, entropy_coefficient: float
-    ) -> tuple[dict[str, float], torch.Tensor]:
-        """One gradient step of eq. 5; its losses, and log rho of the samples before it.
-
-        Args:
-            own: steps in which the vehicle acted, for the actor.
-            team: steps of the team, for the critic.
-            learning_rate: of the step.
-            entropy_coefficient: c_e.
-        """
-        config = self.config
-        with self.optimiser.recording():
-            log_prob, entropies = self.actor.log_prob_and_entropy(own.inputs, own.actions)
-            values = self.critic(team.critic_inputs)
-        policy_loss = -clipped_surrogate(log_prob, own.log_prob, own.advantages, config.clip)
-        value_loss = squared_error(values, (team.targets / config.value_scale).unsqueeze(-1))
-        entropy = mean(entropies)
-        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
-        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm, losses)
-        return losses, log_prob.detach() - own.log_prob
 
 
 class MAPPO(ActorCritic):
@@ -339,6 +313,7 @@ class MAPPO(ActorCritic):
     name = "mappo"
     Config = MAPPOConfig
     learner = MAPPOLearner
+    trains_on_devices = True
     trains_with_guides = False  # the team's return would go on where the guide's decisions are not learnt from
 
     def __init__(self, env: VectorEnv, utility: UtilityLike | Sequence[UtilityLike], **options: Any):
@@ -351,18 +326,17 @@ class MAPPO(ActorCritic):
     def begin(self) -> None:
         """Reset the environments."""
         super().begin()
-        self.team.returns.zero_()
-        self.team.ended.zero_()
+        self.team.begin(self.env.num_envs, self.env.vehicles)
 
     def learn(self, rollout: Rollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
         """Each learner learns from its vehicle's part of the rollout and from the team's."""
-        team = TeamRollout(*(tensor.to(self.device) for tensor in self.team.follow(rollout)))
+        team = self.team.follow(rollout)
         for learner in self.learners:
             cast("MAPPOLearner", learner).team = team
         return super().learn(rollout, learning_rate, entropy_coefficient)
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Learners, generator, environments and the teams' running episodes."""
+        """Learners, environments and the teams' running episodes."""
         return {**super().get_state(), "team.returns": self.team.returns, "team.ended": self.team.ended}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:

@@ -63,17 +63,17 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Loss, squared_error, weighted_sum
-from algorithms.networks.modules import centralised_inputs, make_network
+from algorithms.networks.losses import Losses, mean, squared_error
+from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
 from algorithms.rollouts.advantages import (
     AdvantageForm,
-    generalised_advantages,
+    check_utility_gradient,
     normalise,
-    utility_gradient,
+    utility_advantages,
 )
+from algorithms.rollouts.buffers import Samples
 from algorithms.rollouts.running_mean import RunningMean
-from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -164,102 +164,58 @@ class MOA2CLearner(Learner):
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
         self.expected_return = RunningMean(d, device)  # E[R], for utility_gradient
 
-    # ------------------------------------------------------------------------------------------- what the networks see
-
-    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
-        """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
-        return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
-
-    def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
-        """v(S) (..., d) in the units of the returns, or (..., 1) in those of the utility."""
-        outputs: torch.Tensor = self.critic(critic_inputs)
-        return self.value_scales * outputs
-
     # ------------------------------------------------------------------------------------------------------ the update
 
-    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+    def update(
+        self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
+    ) -> dict[str, float]:
         """One gradient step of eq. 6 on a rollout of T steps in N environments; the losses by name."""
+        del generator  # nothing is drawn
         if not rollout.acted.any():
             return {}
-        with self.optimiser.recording():
-            losses = self.losses(rollout, entropy_coefficient)
-        total = losses.pop("total")
-        self.optimiser.minimise(total, learning_rate, self.config.max_grad_norm, losses)
-        return {name: float(loss) for name, loss in losses.items()}
-
-    def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
-        """L of eq. 6 as "total", and its parts."""
-        config = self.config
-        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
-        critic_inputs = self.critic_inputs(inputs, rollout.others)
-        outputs: torch.Tensor = self.critic(critic_inputs[:-1].flatten(0, 1))  # v(S_t) / scales
-        values = self.value_scales * outputs.detach().view(*rollout.acted.shape, -1)
-        next_values = self.next_values(rollout, critic_inputs, values)
-        advantages, targets = self.advantages(rollout, values, next_values)
-
-        weights = rollout.acted.to(advantages.dtype)
-        weights = weights / weights.sum().clamp(min=1.0)
-        if config.normalise_advantages:
-            advantages = normalise(advantages, weights)
-
-        log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1].flatten(0, 1), rollout.actions.flatten(0, 1))
-        weights, advantages, targets = (each.flatten(0, 1) for each in (weights, advantages, targets))
-        policy_loss = -weighted_sum(weights * advantages, log_prob)
-        value_loss = squared_error(outputs, targets / self.value_scales, weights)
-        entropy = weighted_sum(weights, entropies)
-        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy, "total": total}
+        losses = self.loss(self.samples(rollout), entropy_coefficient)
+        self.optimiser.param_groups[0]["lr"] = learning_rate
+        self.optimiser.zero_grad()
+        losses.total.backward()
+        self.optimiser.clip(self.config.max_grad_norm, losses.parts)
+        self.optimiser.step()
+        return losses.parts()
 
     @torch.no_grad()
-    def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-        """v(S_{t+1}) (T, N, d or 1): 0 after termination, the value of the true final state after truncation.
-
-        Args:
-            rollout: T steps of this vehicle.
-            critic_inputs: (T + 1, N, ...) of S_0 to S_T.
-            values: (T, N, d or 1) v(S_t).
-        """
-        next_values = torch.cat([values[1:], self.values(critic_inputs[-1:])])
-        next_values[rollout.terminated] = 0.0
-        truncated = rollout.truncated & ~rollout.terminated
-        if truncated.any():
-            final = self.inputs(*rollout.final_states(truncated, self.config.accrued_discount))
-            next_values[truncated] = self.values(self.critic_inputs(final, rollout.final_others[truncated]))
-        return next_values
+    def samples(self, rollout: VehicleRollout) -> Samples:
+        """What is learnt from a rollout, (T N, ...): A_t, y_t of the networks as they are now."""
+        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
+        values = self.values(self.critic_inputs(inputs, rollout.others))
+        advantages, targets = self.advantages(rollout, values[:-1], self.next_values(rollout, values))
+        weights, states = rollout.acted.to(advantages.dtype), inputs[:-1]
+        if self.config.normalise_advantages:
+            advantages = normalise(advantages, weights)
+        critic_states = self.critic_inputs(states, rollout.others[:-1])
+        targets = targets / self.value_scales
+        return Samples(states, critic_states, rollout.actions, advantages, targets, weights).flat()
 
     def advantages(
         self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5 or 7 and 8, from v(S_t) and v(S_{t+1}), as y_t."""
-        u, gamma, g, decay = self.utility, self.config.gamma, self.config.accrued_discount, self.config.gae_lambda
-        not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
-        # R_t and g^t of the accrued reward, and R_{t+1} = R_t + g^t r_t.
-        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)
-        next_accrued = accrued + discounts * rollout.rewards
-        ratio = 1.0 if g == gamma else gamma / g
-        if self.config.advantage == "expected_utility":
-            # Equations 7 and 8.
-            increases = u(next_accrued) - u(accrued)
-            gains = increases + ratio * next_values.squeeze(-1) - values.squeeze(-1)
-            advantages = generalised_advantages(gains, not_done, decay * ratio)
-            return advantages, advantages.unsqueeze(-1) + values
+        """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5, or 7 and 8, from v(S_t) and v(S_{t+1}), as y_t."""
+        expected = self.expected_return.value
+        return utility_advantages(rollout, values, next_values, self.utility, self.config, expected)
 
-        # Equations 2 and 3.
-        deltas = rollout.rewards + gamma * next_values - values
-        vector_advantages = generalised_advantages(deltas, not_done.unsqueeze(-1), gamma * decay)
-        targets = vector_advantages + values
-        if self.config.advantage == "utility_gradient":
-            return vector_advantages @ utility_gradient(u, self.expected_return.value), targets
-
-        # Equation 4.
-        expected_rest = next_values if self.config.advantage == "as_printed" else discounts * gamma * next_values
-        differences: torch.Tensor = u(next_accrued + expected_rest) - u(accrued + discounts * values)
-        # Equation 5.
-        return generalised_advantages(differences, not_done, decay * ratio), targets
+    def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
+        """L of eq. 6, a function of tensors that autograd differentiates."""
+        weights = samples.weights
+        log_prob, entropies = self.actor(samples.inputs, samples.actions)
+        policy_loss = -mean(samples.advantages * log_prob, weights)
+        value_loss = squared_error(self.critic(samples.critic_inputs), samples.targets, weights)
+        entropy = mean(entropies, weights)
+        total = policy_loss + self.config.value_coefficient * value_loss - entropy_coefficient * entropy
+        return Losses(total, policy_loss, value_loss, entropy)
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
         """Update E[R] with the discounted returns (E, d) of episodes that ended, also of those that a guide began."""
         self.expected_return.add(discounted_returns)
+        if self.config.advantage == "utility_gradient":
+            check_utility_gradient(self.utility, self.expected_return.value)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
@@ -279,6 +235,7 @@ class MOA2C(ActorCritic):
     name = "mo_a2c"
     Config = MOA2CConfig
     learner = MOA2CLearner
+    trains_on_devices = True
 
     @property
     def accrued_discount(self) -> float:

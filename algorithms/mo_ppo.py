@@ -31,7 +31,6 @@ rollout, and the utility of the expected return (SER) for what lies beyond it or
 
 from __future__ import annotations
 
-from statistics import fmean
 from typing import TYPE_CHECKING, Annotated
 
 import torch
@@ -52,18 +51,17 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import clipped_surrogate, mean, policy_change, squared_error
-from algorithms.networks.modules import centralised_inputs, make_network
+from algorithms.networks.losses import Losses, means, policy_change, proximal_loss
+from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
 from algorithms.rollouts.advantages import (
     AdvantageForm,
-    generalised_advantages,
+    check_utility_gradient,
     normalise,
-    utility_gradient,
+    utility_advantages,
 )
 from algorithms.rollouts.buffers import Samples
 from algorithms.rollouts.running_mean import RunningMean
-from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -136,7 +134,6 @@ class MOPPOLearner(Learner):
     """MO-PPO for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: MOPPOConfig
-    shuffle: torch.Generator
 
     def __init__(
         self,
@@ -159,121 +156,59 @@ class MOPPOLearner(Learner):
         outputs = len(self.value_scales)
         self.critic = make_network(config, self.input_size + self.others_size, outputs, generator).to(device)
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
-        # Shuffles the minibatches.
-        self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
         self.expected_return = RunningMean(d, device)  # E[R], for utility_gradient
-
-    # ------------------------------------------------------------------------------------------- what the networks see
-
-    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
-        """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
-        return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
-
-    def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
-        """v(S) (..., d) in the units of the returns, or (..., 1) in those of the utility."""
-        outputs: torch.Tensor = self.critic(critic_inputs)
-        return self.value_scales * outputs
 
     # ------------------------------------------------------------------------------------------------------ the update
 
-    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+    def update(
+        self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
+    ) -> dict[str, float]:
         """Epochs of minibatch steps of eq. 7 on a rollout of T steps in N environments; mean losses by name."""
-        samples = self.samples(rollout)
+        config, samples, steps = self.config, self.samples(rollout).acted(), []
         if len(samples.actions) == 0:
             return {}
-        losses, log_ratios = zip(
-            *(
-                self.gradient_step(minibatch, learning_rate, entropy_coefficient)
-                for _ in range(self.config.epochs)
-                for minibatch in samples.shuffled(self.shuffle).split(self.config.minibatches)
-            ),
-            strict=True,
-        )
-        means = {name: fmean(each[name] for each in losses) for name in losses[0]}
-        means[CLIP_FRACTION], means[APPROX_KL] = policy_change(torch.cat(log_ratios), self.config.clip)
-        return means
+        self.optimiser.param_groups[0]["lr"] = learning_rate
+        for minibatch in samples.minibatches(config.epochs, config.minibatches, generator):
+            losses = self.loss(minibatch, entropy_coefficient)
+            self.optimiser.zero_grad()
+            losses.total.backward()
+            self.optimiser.clip(config.max_grad_norm, losses.parts)
+            self.optimiser.step()
+            steps.append(losses)
+        return {**means(steps), **policy_change(steps, config.clip)}
 
     @torch.no_grad()
     def samples(self, rollout: VehicleRollout) -> Samples:
-        """The samples in which the vehicle acted, with A_t, y_t and log pi_old of the networks as they are now."""
+        """What is learnt from a rollout, (T N, ...): A_t, y_t and log pi_old of the networks as they are now."""
         inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
-        critic_inputs = self.critic_inputs(inputs, rollout.others)
-        values = self.values(critic_inputs[:-1])
-        next_values = self.next_values(rollout, critic_inputs, values)
-        advantages, targets = self.advantages(rollout, values, next_values)
+        values = self.values(self.critic_inputs(inputs, rollout.others))
+        advantages, targets = self.advantages(rollout, values[:-1], self.next_values(rollout, values))
+        weights, states = rollout.acted.to(advantages.dtype), inputs[:-1]
         if self.config.normalise_advantages:
-            weights = rollout.acted.to(advantages.dtype)
-            advantages = normalise(advantages, weights / weights.sum().clamp(min=1.0))
-        log_prob, _ = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
-        all_samples = Samples(inputs[:-1], critic_inputs[:-1], rollout.actions, log_prob, advantages, targets)
-        return all_samples.at(rollout.acted)
-
-    @torch.no_grad()
-    def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-        """v(S_{t+1}) (T, N, d or 1): 0 after termination, the value of the true final state after truncation.
-
-        Args:
-            rollout: T steps of this vehicle.
-            critic_inputs: (T + 1, N, ...) of S_0 to S_T.
-            values: (T, N, d or 1) v(S_t).
-        """
-        next_values = torch.cat([values[1:], self.values(critic_inputs[-1:])])
-        next_values[rollout.terminated] = 0.0
-        truncated = rollout.truncated & ~rollout.terminated
-        if truncated.any():
-            final = self.inputs(*rollout.final_states(truncated, self.config.accrued_discount))
-            next_values[truncated] = self.values(self.critic_inputs(final, rollout.final_others[truncated]))
-        return next_values
+            advantages = normalise(advantages, weights)
+        log_prob, _ = self.actor(states, rollout.actions)
+        critic_states = self.critic_inputs(states, rollout.others[:-1])
+        targets = targets / self.value_scales
+        return Samples(states, critic_states, rollout.actions, advantages, targets, weights, log_prob).flat()
 
     def advantages(
         self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5 or 8 and 9, from v(S_t) and v(S_{t+1}), as y_t."""
-        u, gamma, g, decay = self.utility, self.config.gamma, self.config.accrued_discount, self.config.gae_lambda
-        not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
-        # R_t and g^t of the accrued reward, and R_{t+1} = R_t + g^t r_t.
-        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)
-        next_accrued = accrued + discounts * rollout.rewards
-        ratio = 1.0 if g == gamma else gamma / g
-        if self.config.advantage == "expected_utility":
-            # Equations 8 and 9.
-            increases = u(next_accrued) - u(accrued)
-            gains = increases + ratio * next_values.squeeze(-1) - values.squeeze(-1)
-            advantages = generalised_advantages(gains, not_done, decay * ratio)
-            return advantages, advantages.unsqueeze(-1) + values
+        """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5, or 8 and 9, from v(S_t) and v(S_{t+1}), as y_t."""
+        expected = self.expected_return.value
+        return utility_advantages(rollout, values, next_values, self.utility, self.config, expected)
 
-        # Equations 2 and 3.
-        deltas = rollout.rewards + gamma * next_values - values
-        vector_advantages = generalised_advantages(deltas, not_done.unsqueeze(-1), gamma * decay)
-        targets = vector_advantages + values
-        if self.config.advantage == "utility_gradient":
-            return vector_advantages @ utility_gradient(u, self.expected_return.value), targets
-
-        # Equation 4.
-        expected_rest = next_values if self.config.advantage == "as_printed" else discounts * gamma * next_values
-        differences: torch.Tensor = u(next_accrued + expected_rest) - u(accrued + discounts * values)
-        # Equation 5.
-        return generalised_advantages(differences, not_done, decay * ratio), targets
-
-    def gradient_step(
-        self, samples: Samples, learning_rate: float, entropy_coefficient: float
-    ) -> tuple[dict[str, float], torch.Tensor]:
-        """One gradient step of eq. 7; its losses, and log rho of the samples before it."""
-        config = self.config
-        with self.optimiser.recording():
-            log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)
-            values = self.critic(samples.critic_inputs)
-        policy_loss = -clipped_surrogate(log_prob, samples.log_prob, samples.advantages, config.clip)
-        value_loss = squared_error(values, samples.targets / self.value_scales)
-        entropy = mean(entropies)
-        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
-        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm, losses)
-        return losses, log_prob.detach() - samples.log_prob
+    def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
+        """L of eq. 7, a function of tensors that autograd differentiates."""
+        log_prob, entropies = self.actor(samples.inputs, samples.actions)
+        outputs = self.critic(samples.critic_inputs)
+        return proximal_loss(log_prob, entropies, outputs, samples, self.config, entropy_coefficient)
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
         """Update E[R] with the discounted returns (E, d) of episodes that ended, also of those that a guide began."""
         self.expected_return.add(discounted_returns)
+        if self.config.advantage == "utility_gradient":
+            check_utility_gradient(self.utility, self.expected_return.value)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
@@ -293,6 +228,7 @@ class MOPPO(ActorCritic):
     name = "mo_ppo"
     Config = MOPPOConfig
     learner = MOPPOLearner
+    trains_on_devices = True
 
     @property
     def accrued_discount(self) -> float:

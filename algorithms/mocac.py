@@ -65,12 +65,11 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Loss, weighted_sum
-from algorithms.networks.modules import centralised_inputs, make_network
+from algorithms.networks.losses import Losses, mean
+from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
 from algorithms.networks.return_distributions import CategoricalGrid, Particles, ReturnDistribution
 from algorithms.rollouts.advantages import generalised_advantages, normalise
-from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     from algorithms.rollouts.buffers import VehicleRollout
@@ -178,29 +177,28 @@ class MOCACLearner(Learner):
             return Particles(config.particles, self.objective_scales, low, high)
         return CategoricalGrid(low, high, config.atoms, self.device)
 
-    # ------------------------------------------------------------------------------------------- what the networks see
-
-    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
-        """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
-        return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
-
     # ------------------------------------------------------------------------------------------------------ the update
 
-    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+    def update(
+        self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
+    ) -> dict[str, float]:
         """One gradient step of eq. 6 on a rollout of T steps in N environments; the losses by name."""
+        del generator  # nothing is drawn
         if not rollout.acted.any():
             return {}
-        with self.optimiser.recording():
-            losses = self.losses(rollout, entropy_coefficient)
-        total = losses.pop("total")
-        self.optimiser.minimise(total, learning_rate, self.config.max_grad_norm, losses)
+        losses = self.loss(rollout, entropy_coefficient)
+        self.optimiser.param_groups[0]["lr"] = learning_rate
+        self.optimiser.zero_grad()
+        losses.total.backward()
+        self.optimiser.clip(self.config.max_grad_norm, losses.parts)
+        self.optimiser.step()
         with torch.no_grad():
             for slow, weight in zip(self.target_critic.parameters(), self.critic.parameters(), strict=True):
                 slow.lerp_(weight, self.config.tau)
-        return {name: float(loss) for name, loss in losses.items()}
+        return losses.parts()
 
-    def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
-        """L of eq. 6 as "total", and its parts."""
+    def loss(self, rollout: VehicleRollout, entropy_coefficient: float) -> Losses:
+        """L of eq. 6, which autograd differentiates."""
         config = self.config
         inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
         critic_inputs = self.critic_inputs(inputs, rollout.others)
@@ -210,19 +208,18 @@ class MOCACLearner(Learner):
             end_outputs, target_outputs = self.critic(end_inputs), self.target_critic(end_inputs)
 
         weights = rollout.acted.to(inputs.dtype)
-        weights = weights / weights.sum().clamp(min=1.0)
         advantages = self.advantages(rollout, outputs.detach(), ends, end_outputs)
         if config.normalise_advantages:
             advantages = normalise(advantages, weights)
 
         shifts, discounts, source = self.targets(rollout, ends)
-        log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1].flatten(0, 1), rollout.actions.flatten(0, 1))
+        log_prob, entropies = self.actor(inputs[:-1].flatten(0, 1), rollout.actions.flatten(0, 1))
         weights, advantages = weights.flatten(), advantages.flatten()
-        value_loss = self.distribution.loss(outputs, shifts, discounts, target_outputs[source], weights)
-        policy_loss = -weighted_sum(weights * advantages, log_prob)
-        entropy = weighted_sum(weights, entropies)
+        value_loss = mean(self.distribution.distance(outputs, shifts, discounts, target_outputs[source]), weights)
+        policy_loss = -mean(advantages * log_prob, weights)
+        entropy = mean(entropies, weights)
         total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy, "total": total}
+        return Losses(total, policy_loss, value_loss, entropy)
 
     def ends(self, rollout: VehicleRollout, critic_inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """The states S_e of eq. 5 behind which something may follow: their numbers, and what the critic sees there.
@@ -280,8 +277,8 @@ class MOCACLearner(Learner):
         next_discounts = self.config.gamma * discounts[at_end]
         next_values[at_end] = expected(self.utility, rest, next_accrued[at_end], next_discounts)
         next_values[rollout.terminated] = self.utility(next_accrued[rollout.terminated])
-        not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
-        return generalised_advantages(next_values - values, not_done, self.config.gae_lambda)
+        ended = rollout.terminated | rollout.truncated
+        return generalised_advantages(next_values - values, ended, self.config.gae_lambda)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 

@@ -32,6 +32,7 @@ continuous actions (eq. 2) have Gaussian exploration noise.
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
@@ -41,8 +42,8 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.files.checkpoints import GENERATOR, restore_generator, strip_prefix
+from algorithms.agent import DRAWS, FrontAgent, PolicyOfFront
+from algorithms.files.checkpoints import strip_prefix
 from algorithms.hyperparameters import (
     FinalLearningRate,
     HiddenSizes,
@@ -132,7 +133,7 @@ class PCN(FrontAgent):
 
     name = "pcn"
     Config = PCNConfig
-    varying_shapes = ("optimiser.", "store.", "attained.")
+    varying_shapes = ("store.", "attained.")
 
     def __init__(self, env: VectorEnv, **options: Any):
         super().__init__(env, **options)
@@ -164,7 +165,7 @@ class PCN(FrontAgent):
         self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
         self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
         # Draws commands, random actions and batches.
-        self.draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self.initial)))
+        self.draws = self.update_generator(DRAWS)
         self._collected = 0  # episodes
         # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
@@ -181,6 +182,7 @@ class PCN(FrontAgent):
     def begin(self) -> None:
         """Fill the buffer with episodes of random actions."""
         while self._collected < self.config.warmup_episodes:
+            self.draws = self.update_generator(DRAWS)
             self._collect(None)
         if self._standardises:
             self._standardise()
@@ -199,7 +201,7 @@ class PCN(FrontAgent):
 
         The command error is that of all episodes, also of those that exploration ended with random actions.
         """
-        config = self.config
+        config, self.draws = self.config, self.update_generator(DRAWS)
         learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
         policy = self._sample_commands()
         attained = self._collect(policy)
@@ -299,7 +301,11 @@ class PCN(FrontAgent):
             if self.env.continuous
             else nn.functional.cross_entropy(outputs, targets)
         )
-        self.optimiser.minimise(loss, learning_rate, parts={metrics.POLICY_LOSS: float(loss.detach())})
+        self.optimiser.param_groups[0]["lr"] = learning_rate
+        self.optimiser.zero_grad()
+        loss.backward()
+        self.optimiser.clip(math.inf, lambda: {metrics.POLICY_LOSS: float(loss.detach())})
+        self.optimiser.step()
         return loss.detach()
 
     def _scaled(
@@ -440,10 +446,8 @@ class PCN(FrontAgent):
         }
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Network, optimiser, buffer, generators and counts."""
+        """Network, optimiser, buffer and counts."""
         return {
-            GENERATOR: self.generator.get_state(),
-            "draws": self.draws.get_state(),
             "counts": torch.tensor([self.updates, self._collected, self.env_seed]),
             **self._policy_tensors(),
             **{f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()},
@@ -464,8 +468,6 @@ class PCN(FrontAgent):
         if not len(self.buffer) and (self.step or self._collected):
             raise ValueError(f"the buffer is empty after {self.step} steps and {self._collected} episodes")
         self.optimiser.set_state(strip_prefix(state, "optimiser."))
-        restore_generator(self.generator, GENERATOR, state[GENERATOR])
-        restore_generator(self.draws, "draws", state["draws"])
 
     def _policy_tensors(self) -> dict[str, torch.Tensor]:
         """What acting under a command needs."""

@@ -49,7 +49,8 @@ nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_mock_imports = [
-    *("h5py", "minari", "momaland", "morl_baselines", "optuna", "ray", "stable_baselines3", "wandb"),
+    *("h5py", "minari", "momaland", "morl_baselines", "numba.cuda", "numba_cuda", "optuna", "ray", "stable_baselines3"),
+    "wandb",
 ]
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False

@@ -335,15 +335,20 @@ class WorldBatch:
         return tuple(ENDS[end] for end in self.state["end"][row])
 
     def telemetry(self, row: int) -> tuple[dict[str, float], ...]:
-        """TELEMETRY and ``yaw_rate`` (rad/s) of every vehicle of world ``row``, in SI units.
+        """What :func:`read_telemetry` says of world ``row``."""
+        return read_telemetry(self.state[row], self.config)
 
-        CAR_TELEMETRY of the oncoming cars follows as ``car_1_x`` and so on, with ``present`` as 0 or 1.
-        """
-        readings = []
-        for vehicle in self.state[row]:
-            reading = {name: float(vehicle[name]) for name in TELEMETRY}
-            reading["yaw_rate"] = float(vehicle.yaw_step) * self.config.simulation_frequency
-            for number, car in enumerate(vehicle.cars, 1):
-                reading |= {f"car_{number}_{name}": float(car[name]) for name in CAR_TELEMETRY}
-            readings.append(reading)
-        return tuple(readings)
+
+def read_telemetry(vehicles: NDArray[Any], config: EnvConfig) -> tuple[dict[str, float], ...]:
+    """TELEMETRY and ``yaw_rate`` (rad/s) of the vehicles (V,) of a world, in SI units.
+
+    CAR_TELEMETRY of the oncoming cars follows as ``car_1_x`` and so on, with ``present`` as 0 or 1.
+    """
+    readings = []
+    for vehicle in vehicles:
+        reading = {name: float(vehicle[name]) for name in TELEMETRY}
+        reading["yaw_rate"] = float(vehicle.yaw_step) * config.simulation_frequency
+        for number, car in enumerate(vehicle.cars, 1):
+            reading |= {f"car_{number}_{name}": float(car[name]) for name in CAR_TELEMETRY}
+        readings.append(reading)
+    return tuple(readings)

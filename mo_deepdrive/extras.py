@@ -26,6 +26,7 @@ EXTRAS = {
     **dict.fromkeys(("morl_baselines", "stable_baselines3"), "peers"),
     **dict.fromkeys(("onnx", "onnxruntime"), "onnx"),
     "minari": "minari",
+    "numba_cuda": "cuda",
     "momaland": "momaland",
     "wandb": "wandb",
 }

@@ -1,4 +1,4 @@
-"""The cores and the memory that this process may use, in a container as well."""
+"""The cores, the memory and the devices that this process may use, in a container as well."""
 
 from __future__ import annotations
 
@@ -79,6 +79,25 @@ def check_memory(what: str, needed: float) -> None:
         raise ValueError(
             f"{what} takes at least {needed / GIB:,.1f} GiB of memory; {available / GIB:,.1f} GiB are available"
         )
+
+
+def check_device(argument: str, name: str, here: bool = True) -> None:
+    """Refuse a device of PyTorch that does not exist; ``here`` means on this machine.
+
+    Raises:
+        ValueError: with the name of the ``argument``.
+    """
+    import torch  # as late as this, because it takes seconds and much memory
+
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise ValueError(f"{argument} = {name!r} is not a valid device; write cpu, cuda or cuda:0") from None
+    count = torch.cuda.device_count()
+    if here and device.type == "cuda" and (device.index or 0) >= count:
+        raise ValueError(f"{argument} = {name!r} does not exist; PyTorch finds {count} CUDA devices")
+    if device.type not in ("cpu", "cuda"):
+        raise ValueError(f"{argument} = {name!r} is not supported; write cpu, cuda or cuda:0")
 
 
 def _control_groups(root: Path, controller: str) -> Iterator[Path]:

@@ -28,10 +28,10 @@ def _compiled(function: Any) -> Any:
 
     It is not in the disk cache, whose files would not notice a change of the function.
     """
-    options = {"nogil": True, "error_model": "numpy"}
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     own = numba.njit(**options)(function) if inspect.isfunction(function) else function
 
-    @numba.njit(**options)
+    @numba.njit(**options)  # type: ignore[untyped-decorator]
     def measure(worlds: Records, i: int, v: int, params: Record) -> float:
         magnitude: float = own(worlds[i], v, params)
         return magnitude
@@ -62,6 +62,10 @@ def _checked(name: str, measure: Any, config: EnvConfig) -> Any:
     try:
         batch_rewards((measure,))(nothing, make_params(config), flags, rewards)
     except Exception as error:  # Numba raises KeyError for a field that does not exist
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:REASON_LENGTH]
-        raise ValueError(f"objective {name!r}: its measure cannot be compiled: {reason}") from None
+        raise ValueError(f"objective {name!r}: its measure cannot be compiled: {reason(error)}") from None
     return measure
+
+
+def reason(error: Exception) -> str:
+    """An error of Numba in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:REASON_LENGTH]

@@ -199,7 +199,7 @@ def register_id(scenario: Scenario) -> None:
         gymnasium.register(
             env_id,
             entry_point="mo_deepdrive.envs.single:DrivingEnv" if alone else "mo_deepdrive.envs.turn_based:TurnBasedEnv",
-            vector_entry_point="mo_deepdrive.envs.vector:DrivingVectorEnv",
+            vector_entry_point="mo_deepdrive.envs.vector:make_vector_env",
             kwargs={"scenario": scenario.name, **arguments},
         )
 

@@ -10,11 +10,12 @@ given by its path, ``package.module:function``.
 
 from __future__ import annotations
 
+import copy
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -47,6 +48,7 @@ class Utility:
         self.weights = None if weights is None else tuple(float(w) for w in weights)
         self.arguments: Mapping[str, Any] | None = None
         self._function = function
+        self._checked = True
 
     def __call__(self, returns: Any) -> Any:
         """Utility of ``returns`` (..., d): shape (...).
@@ -62,8 +64,15 @@ class Utility:
             )
         with np.errstate(all="ignore"):  # what is not finite is refused
             values = self._function(_real(returns))
-        self._check_finite(returns, values)
+        if self._checked:
+            self._check_finite(returns, values)
         return values
+
+    def unchecked(self) -> Utility:
+        """The same without a check that utilities are finite, for which a GPU would have to be waited for."""
+        found = copy.copy(self)
+        found._checked = False
+        return found
 
     def _check_finite(self, returns: Any, values: Any) -> None:
         try:
@@ -315,7 +324,16 @@ def _vector(name: str, argument: str, values: Any, d: int) -> list[float]:
 def _like(values: list[float], returns: Any) -> Any:
     if isinstance(returns, np.ndarray):
         return np.asarray(values, dtype=returns.dtype)
-    return returns.new_tensor(values)
+    return _constant(tuple(values), returns.dtype, returns.device)
+
+
+@lru_cache
+def _constant(values: tuple[float, ...], dtype: Any, device: Any) -> Any:
+    """A tensor that is on its device already where an update is captured as a CUDA graph."""
+    import torch
+
+    with torch.inference_mode(False):  # it may be needed for a gradient later
+        return torch.tensor(values, dtype=dtype, device=device)
 
 
 def _weighted_sum(w: list[float], returns: Any) -> Any:

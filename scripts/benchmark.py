@@ -10,8 +10,8 @@ machine with other load. Other packages are measured where they are installed (`
 mo-highway-fast-v0; the extra ``[peers]`` for morl-baselines' PCN).
 
 --against compares the working tree with a commit, in pairs of measurements of CPU time. --threads and --device compare
-training on several threads, or with the networks on a GPU, with training on one thread of the CPU, in pairs of
-measurements of time on the clock: docs/benchmark.md.
+environments and training on several threads, or on a GPU, with one thread of the CPU, in pairs of measurements of time
+on the clock: docs/benchmark.md.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from rich.table import Table
 import mo_deepdrive
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import make_parser
-from algorithms.experiments.config import check_device, load_experiment
+from algorithms.experiments.config import load_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.networks.threads import set_threads
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
 from mo_deepdrive.evaluation.pareto import hypervolume
-from mo_deepdrive.machine import available_cores
+from mo_deepdrive.machine import available_cores, check_device
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
@@ -314,7 +314,7 @@ def compare_trees(commit: str, names: Sequence[str], pairs: int, output: Path | 
 
 
 def compare_places(place: paired_benchmark.Place, names: Sequence[str], pairs: int, output: Path | None) -> None:
-    """Compare training in ``place`` with training on one thread; print the table and write it to ``output``."""
+    """Compare ``place`` with one thread; print the table and write it to ``output``."""
     one, measure = paired_benchmark.ONE_CORE, paired_benchmark.measure_in
     rows = paired_benchmark.compare(one, place, names, pairs, measure, progress=track)
     commit = paired_benchmark.working_tree()
@@ -340,7 +340,7 @@ def print_comparison(
 
 
 def chosen_place(threads: int | None, device: str | None) -> paired_benchmark.Place:
-    """Where to train: with the networks on ``device``, or on ``threads`` of the CPU.
+    """What is compared with one thread: ``device``, or ``threads`` of the CPU.
 
     Raises:
         ValueError: if this machine does not have them.
@@ -366,7 +366,7 @@ def compare(parser: ArgumentParser, arguments: Namespace) -> None:
             names = paired_benchmark.select(arguments.only)
             compare_trees(paired_benchmark.revision(arguments.against), names, pairs, arguments.output)
             return
-        names = paired_benchmark.select(arguments.only, paired_benchmark.TRAINING)
+        names = paired_benchmark.select(arguments.only, paired_benchmark.PLACED)
         place = chosen_place(arguments.threads, arguments.device)
     except ValueError as error:
         parser.error(str(error))
@@ -379,9 +379,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="fewer repetitions")
     parser.add_argument("--output", type=Path, help="also write the table as CSV")
     parser.add_argument("--against", metavar="COMMIT", help="compare the working tree with this commit")
-    parser.add_argument("--threads", type=int, help="compare training on so many threads with training on one")
+    parser.add_argument("--threads", type=int, help="compare so many threads with one")
     parser.add_argument(
-        "--device", metavar="D", help="compare training with the networks there, such as cuda, with one thread"
+        "--device", metavar="D", help="compare environments and training there, such as on cuda, with one thread"
     )
     parser.add_argument("--pairs", type=int, help=f"of each measurement that is compared (default: {PAIRS})")
     parser.add_argument(

@@ -61,7 +61,7 @@ def open_drivers(options: argparse.Namespace) -> list[dict[str, Policy]]:
         ValueError: for a driver that does not exist or cannot drive, or a vehicle without drivers.
     """
     env = EnvAdapter(make_env(SCENARIO.id, 1))
-    opened_runs = {name: Run.open(name, device="cpu", trust=options.trust) for name in options.runs}
+    opened_runs = {name: Run.open(name, trust=options.trust) for name in options.runs}
     learnt = {name: set(run.experiment.training.partners) for name, run in opened_runs.items()}
     found = []
     every = [*options.runs, *(name for v in range(ROLES) for name in getattr(options, vehicle_name(v)))]

@@ -60,7 +60,7 @@ def open_policy(name: str, seed: int, trust: bool) -> tuple[str, Iterator[list[F
     Raises:
         ValueError: if there is no such run or policy, or it learns a front.
     """
-    run = Run.open(name, device="cpu", trust=trust)
+    run = Run.open(name, trust=trust)
     if not run.experiment.known_utility:
         raise ValueError(f"{name!r} is a front of policies; choose one with mo-deepdrive choose --video instead")
     agent = load_policy(run)

@@ -5,7 +5,7 @@ program, it measures one tree: ``PYTHONPATH=TREE python scripts/paired_benchmark
 
 What is measured is the CPU time of the process, summed over its threads, because other programs on the machine change
 it much less than the time on the clock. What more threads or a GPU gain is measured on the clock, by ``NAME THREADS
-DEVICE``. Compilation and the first updates are excluded.
+DEVICE``, where a GPU moves WORLDS worlds. Compilation and the first updates are excluded.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN = (
 UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
 ENVS, STEPS, WARM_UP = 256, 16, 3  # environments, steps per update, updates that are not counted
 PCN_ENVS, PCN_STEPS = 16, 40_000
+WORLDS = 65_536  # on a GPU
 # Shipped experiments, with their numbers of environments and steps, and how many updates are measured.
 SHIPPED = {
     "one_waypoint/a2c_linear": 150,
@@ -72,11 +73,11 @@ SPINNING = {"GOMP_SPINCOUNT": "6000"}  # of idle threads, as commands set it
 
 @dataclass(frozen=True)
 class Place:
-    """Where a training runs whose time on the clock is measured.
+    """Where worlds or a training run whose time on the clock is measured.
 
     Attributes:
         threads: of the CPU.
-        device: of the networks.
+        device: of the worlds, or of the training.
     """
 
     threads: int = THREADS
@@ -113,6 +114,14 @@ def training(
     algorithm: str, env_id: str, hidden: list[int], updates: int, arguments: dict[str, Any], place: Place | None = None
 ) -> float:
     """Environment steps per CPU second of an actor-critic with the default settings; on the clock in a place."""
+    if place is not None and place.device != "cpu":
+        values: dict[str, Any] = {
+            "environment": {"id": env_id, "arguments": arguments},
+            "utility": {"name": UTILITIES[env_id]},
+            "algorithm": {"name": algorithm, "steps": STEPS, "hidden": hidden},
+            "training": {"total_timesteps": 1, "num_envs": ENVS, "device": place.device},
+        }
+        return _training_there(values, updates, place)
     import algorithms
     from mo_deepdrive.evaluation.env_adapter import make_env
     from mo_deepdrive.utilities import make_utility
@@ -123,8 +132,7 @@ def training(
         set_threads(place.threads)
     env: Any = make_env(env_id, ENVS, arguments)
     utility = make_utility(UTILITIES[env_id], env.unwrapped.objectives)
-    settings = {"steps": STEPS, "hidden": hidden, "device": (place or ONE_CORE).device}
-    agent = algorithms.ALGORITHMS[algorithm](env, utility, seed=0, **settings)
+    agent = algorithms.ALGORITHMS[algorithm](env, utility, seed=0, steps=STEPS, hidden=hidden)
     return training_rate(agent, WARM_UP * ENVS * STEPS, updates * ENVS * STEPS, place)
 
 
@@ -134,10 +142,22 @@ def shipped(config: str, updates: int, place: Place | None = None) -> float:
     from algorithms.experiments.config import load_experiment
 
     where = place or ONE_CORE
-    overrides = [f"--training.threads={where.threads}", f"--training.device={where.device}"]
-    agent: Any = build(load_experiment(config, overrides))
+    experiment = load_experiment(config, [f"--training.threads={where.threads}", f"--training.device={where.device}"])
+    if where.device != "cpu":
+        return _training_there(experiment.to_dict(), updates, where)
+    agent: Any = build(experiment)
     steps = agent.env.num_envs * agent.config.steps
     return training_rate(agent, WARM_UP * steps, updates * steps, place)
+
+
+def _training_there(values: dict[str, Any], updates: int, place: Place) -> float:
+    """Environment steps per second of a training whose worlds and learners stay on a device."""
+    from algorithms.experiments.config import make_experiment
+    from algorithms.experiments.side_by_side import build_trainee
+
+    experiment = make_experiment(values)
+    steps = experiment.training.num_envs * experiment.algorithm.config.steps
+    return training_rate(build_trainee([experiment]), WARM_UP * steps, updates * steps, place)
 
 
 def pcn(gradient_steps: int, batch_size: int) -> float:
@@ -162,22 +182,47 @@ def training_rate(agent: Any, warm_up: int, steps: int, place: Place | None = No
     return float((agent.step - first) / (clock() - started))
 
 
-def make_vec(env_id: str, num_envs: int = 1024, steps: int = 1500) -> float:
-    """Environment steps per CPU second of ``gymnasium.make_vec`` under random actions."""
+def make_vec(env_id: str, place: Place | None = None, num_envs: int = 1024, steps: int = 1500) -> float:
+    """Environment steps per CPU second of ``gymnasium.make_vec`` under random actions; on the clock in a place."""
     import gymnasium
     from gymnasium.vector import AutoresetMode
 
     import mo_deepdrive  # noqa: F401  (registers the ids)
 
-    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP)
+    if place is not None and place.device != "cpu":
+        return make_vec_on(place.device, env_id)
+    clock = process_time if place is None else perf_counter
+    threads = 1 if place is None else place.threads
+    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, threads=threads)
     env.reset(seed=0)
     actions = np.random.default_rng(0).integers(0, 22, (100, *(env.action_space.shape or ())))
     for action in actions:
         env.step(action)
-    started = process_time()
+    started = clock()
     for i in range(steps):
         env.step(actions[i % len(actions)])
-    return num_envs * steps / (process_time() - started)
+    return num_envs * steps / (clock() - started)
+
+
+def make_vec_on(device: str, env_id: str, num_envs: int = WORLDS, steps: int = 2000) -> float:
+    """Environment steps per second of ``gymnasium.make_vec`` with random actions that are made on the device, too."""
+    import gymnasium
+    import torch
+    from gymnasium.vector import AutoresetMode
+
+    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, device=device)
+    env.reset(seed=0)
+    generator = torch.Generator(device).manual_seed(0)
+    elapsed = 0.0
+    for count in (100, steps):  # the last ones are measured
+        torch.cuda.synchronize(device)
+        started = perf_counter()
+        for _ in range(count):
+            actions = torch.randint(0, 22, env.action_space.shape or (), generator=generator, device=device)
+            env.step(actions)
+        torch.cuda.synchronize(device)
+        elapsed = perf_counter() - started
+    return num_envs * steps / elapsed
 
 
 def make(steps: int = 100_000) -> float:
@@ -247,15 +292,18 @@ def _training_cases() -> Iterator[tuple[str, Case]]:
         yield config, Case(partial(shipped, config, count))
 
 
-TRAINING: dict[str, Case] = dict(_training_cases())
-CASES: dict[str, Case] = {
-    **TRAINING,
-    "pcn-collection": Case(partial(pcn, gradient_steps=1, batch_size=1)),
-    "pcn": Case(partial(pcn, gradient_steps=400, batch_size=256)),
+# What can be measured in a place.
+PLACED: dict[str, Case] = {
+    **dict(_training_cases()),
     "make_vec-one-waypoint": Case(partial(make_vec, ONE_WAYPOINT)),
     "make_vec-static-obstacle": Case(partial(make_vec, STATIC_OBSTACLE)),
     "make_vec-intersection": Case(partial(make_vec, INTERSECTION)),
     "make_vec-left-turn": Case(partial(make_vec, LEFT_TURN)),
+}
+CASES: dict[str, Case] = {
+    **PLACED,
+    "pcn-collection": Case(partial(pcn, gradient_steps=1, batch_size=1)),
+    "pcn": Case(partial(pcn, gradient_steps=400, batch_size=256)),
     "make": Case(make),
     "import": Case(partial(start_up, "-c", "import mo_deepdrive"), "s"),
     "train-help": Case(partial(start_up, TRAIN, "--help"), "s"),
@@ -345,7 +393,7 @@ def measure(tree: Path, name: str) -> float:
 
 
 def measure_in(place: Place, name: str) -> float:
-    """As :func:`measure`, of a training of the working tree in ``place``, in time on the clock.
+    """As :func:`measure`, of the working tree in ``place``, in time on the clock.
 
     Raises:
         CannotMeasureError: if it fails.
@@ -441,7 +489,7 @@ def compare(
     *,
     progress: Callable[[Sequence[Any]], Any] = iter,
 ) -> list[Row]:
-    """Measure two trees, or training in two places, in alternation.
+    """Measure two trees or two places, in alternation.
 
     Every measurement runs once on each side first, which fills the caches of the compiler and is not counted. Then each
     pair measures one side and the other right after it; which one is first changes from pair to pair.
@@ -472,7 +520,7 @@ def compare(
 
 
 def main(name: str, tree: Path, place: Place | None = None) -> None:
-    """Print the result of one measurement of the packages in ``tree``; of a training in a place on the clock.
+    """Print the result of one measurement of the packages in ``tree``; in a place on the clock.
 
     Raises:
         ImportError: if a module of another installation was measured.
@@ -490,7 +538,7 @@ def main(name: str, tree: Path, place: Place | None = None) -> None:
 
 if __name__ == "__main__":
     measured, *where = sys.argv[1:] or [""]
-    if measured not in (TRAINING if where else CASES) or len(where) not in (0, 2) or not os.environ.get("PYTHONPATH"):
+    if measured not in (PLACED if where else CASES) or len(where) not in (0, 2) or not os.environ.get("PYTHONPATH"):
         sys.exit(f"{__doc__}\nNAME is one of: {', '.join(CASES)}.")
     chosen = Place(int(where[0]), where[1]) if where else None
     main(measured, Path(os.environ["PYTHONPATH"]), chosen)

@@ -39,6 +39,14 @@ hypothesis.settings.register_profile("fast", hypothesis.settings.get_profile("mo
 hypothesis.settings.load_profile("mo-deepdrive")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what needs a GPU where there is none; ``make test-gpu`` fails there."""
+    if not torch.cuda.is_available():
+        for item in items:
+            if item.get_closest_marker("gpu"):
+                item.add_marker(pytest.mark.skip(reason="PyTorch finds no CUDA device"))
+
+
 @pytest.fixture(autouse=True, scope="module")
 def _one_thread() -> Iterator[None]:
     """Run torch on one thread: tests run in parallel, and its threads would compete for the cores."""

@@ -171,7 +171,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
 
     console = make_console()
     with exit_on_error(ValueError, OSError, program=program):
-        run = Run.open(options.run, device="cpu", trust=options.trust)
+        run = Run.open(options.run, trust=options.trust)
         experiment = run.experiment
         if experiment.known_utility:
             raise ValueError(f"{options.run!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")

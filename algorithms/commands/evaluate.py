@@ -36,7 +36,6 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     add_evaluation_arguments(parser, video="also write an MP4 of the first episodes (of a front, four policies)")
     parser.add_argument("--stochastic", action="store_true", help="film the stochastic policy, not the greedy one")
     parser.add_argument("--output", metavar="DIR", help="also write the files that a training run ends with")
-    parser.add_argument("--device", default="cpu", metavar="D", help="device of the networks (default: cpu)")
     add_trust_argument(parser)
     return parser.parse_args(arguments)
 
@@ -58,7 +57,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         from algorithms.experiments.agent_report import report_agent
         from algorithms.experiments.build import load_policy
 
-        run = Run.open(options.run, device=options.device, trust=options.trust)
+        run = Run.open(options.run, trust=options.trust)
         episodes, seed = evaluation_arguments(options, run.experiment)
         check_directory("--output", options.output)
         final = run.experiment.evaluation.final_seed

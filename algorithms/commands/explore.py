@@ -88,7 +88,7 @@ def _explorable_run(name: str, options: Namespace, program: str) -> ExplorableFr
     from algorithms.experiments.front_explorer import choose_command, explorable
     from mo_deepdrive.evaluation.front import Front
 
-    run = Run.open(name, device="cpu", trust=options.trust)
+    run = Run.open(name, trust=options.trust)
     if run.experiment.known_utility:
         raise ValueError(f"{name!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
     episodes, seed = evaluation_arguments(options, run.experiment)

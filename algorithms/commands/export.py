@@ -48,7 +48,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
 
     with exit_on_error(ValueError, OSError, program=program):
         check_file("--output", options.output, ".onnx")
-        run = Run.open(options.run, device="cpu", trust=options.trust)
+        run = Run.open(options.run, trust=options.trust)
         condition = None
         if options.policy is not None:
             if run.experiment.known_utility:

@@ -17,7 +17,7 @@ from algorithms.experiments.cli import (
     add_training_arguments,
     exit_on_error,
     make_parser,
-    new_run,
+    new_runs,
     parse_training_arguments,
 )
 from algorithms.experiments.config import check_loggers, load_experiment
@@ -73,7 +73,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     with exit_on_error(ValueError, program=program):
         experiment = load_peer_experiment(options.config, overrides)
         check_loggers(experiment)
-        run = new_run(options, experiment)
+        (run,) = new_runs(options, [experiment])
     print(f"run {run.path}", flush=True)
     with exit_on_error(hint="runs of other libraries' algorithms cannot be resumed"):
         try:

@@ -91,7 +91,7 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
     with needed_for("--against"):
         from algorithms.experiments.build import load_policy
         from mo_deepdrive.evaluation.metrics import vehicle_name
-    run = Run.open(options.against, device="cpu", trust=options.trust)
+    run = Run.open(options.against, trust=options.trust)
     theirs = run.experiment.environment
     if find_environment(theirs.id).id != spec.id:
         raise ValueError(f"--against {options.against}: the run drives in {theirs.id}, not in {spec.id}")

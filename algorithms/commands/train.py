@@ -22,7 +22,7 @@ from algorithms.experiments.cli import (
     as_called,
     exit_on_error,
     make_parser,
-    new_run,
+    new_runs,
     parse_training_arguments,
     warn,
     warn_of_changes,
@@ -41,20 +41,21 @@ def parse_arguments(arguments: list[str], program: str) -> tuple[Namespace, list
     parser = make_parser(__doc__, program, "train")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--config", metavar="FILE", help="YAML file of the experiment, or the name of a shipped one")
-    source.add_argument("--resume", metavar="RUN", help="directory of a run to resume")
+    resume = "directory of a run to resume; of several, to go on side by side"
+    source.add_argument("--resume", metavar="RUN", nargs="+", help=resume)
     add_training_arguments(parser)
     add_trust_argument(parser)
     return parse_training_arguments(parser, arguments)
 
 
-def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
-    """The new or resumed run of the command line, and its agent.
+def open_runs(options: Namespace, overrides: list[str]) -> tuple[list[Run], Any]:
+    """The new or resumed runs of the command line, and what trains them; several if the experiment has several seeds.
 
     Raises:
-        ValueError: if the options, the experiment, the directory or the checkpoint are not valid.
+        ValueError: if the options, the experiment, a directory or a checkpoint are not valid.
         OSError: if the directory of a run to be resumed cannot be written.
     """
-    from algorithms.experiments.build import build
+    from algorithms.experiments.side_by_side import build_trainee
     from algorithms.experiments.training import reopen
     from algorithms.sweeps.manifest import is_sweep
 
@@ -63,8 +64,9 @@ def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
             raise ValueError("--trust is for --resume; --config is a file of yours, which may name code to import")
         experiment = load_experiment(options.config, overrides)
         check_loggers(experiment)
-        agent = build(experiment)  # before the directory is created: it may fail
-        return new_run(options, experiment), agent
+        experiments = experiment.of_seeds()
+        trainee = build_trainee(experiments)  # before a directory is created: it may fail
+        return new_runs(options, experiments), trainee
     longer = dict(parse_overrides(overrides))
     total_timesteps = longer.pop("training.total_timesteps", None)
     if longer or options.output:
@@ -74,12 +76,13 @@ def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
             "--resume continues the run with its own settings, apart from --training.total_timesteps; "
             f"it cannot take {' '.join(given)}"
         )
-    if total_timesteps is not None and is_sweep(sweep := Path(options.resume).resolve().parent.parent):
-        raise ValueError(
-            f"training.total_timesteps = {total_timesteps}: the run cannot be trained longer, since it is one of the "
-            f"sweep {str(sweep)!r}; copy its directory to another place, and train that"
-        )
-    return reopen(options.resume, trust=options.trust, total_timesteps=total_timesteps)
+    for path in options.resume if total_timesteps is not None else ():
+        if is_sweep(sweep := Path(path).resolve().parent.parent):
+            raise ValueError(
+                f"training.total_timesteps = {total_timesteps}: the run cannot be trained longer, since it is one of "
+                f"the sweep {str(sweep)!r}; copy its directory to another place, and train that"
+            )
+    return reopen(*options.resume, trust=options.trust, total_timesteps=total_timesteps)
 
 
 def next_steps(run: Run, program: str) -> str:
@@ -98,24 +101,27 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options, overrides = parse_arguments(arguments, program)
     with exit_on_error(ValueError, OSError, program=program):
-        run, agent = open_run(options, overrides)
-        if run.status.get("state") == "finished":
-            print(f"{run.path} is finished; there is nothing to resume")
-            return int(warn_of_changes(run.path))
-    how = resume_options(run.path, run.experiment.to_dict())
+        runs, trainee = open_runs(options, overrides)
+        if all(run.status.get("state") == "finished" for run in runs):
+            print("\n".join(f"{run.path} is finished; there is nothing to resume" for run in runs))
+            return max(int(warn_of_changes(run.path)) for run in runs)
+    how = resume_options([run.path for run in runs], runs[0].experiment.to_dict())
     resume_with = as_called(f"resume with: mo-deepdrive train {how}", program)
     from algorithms.experiments.console import make_console
     from algorithms.experiments.training import train_and_finish
 
     with exit_on_error(hint=resume_with):
-        for change in run.changed_versions():
+        for change in runs[0].changed_versions():
             warn(f"warning: since the run was started, {change}")
-        print(f"run {run.path}", flush=True)
-        received = train_and_finish(run, agent, make_console(), resumed=options.resume is not None)
+        for run in runs:
+            print(f"run {run.path}", flush=True)
+        received = train_and_finish(runs, trainee, make_console(), resumed=options.resume is not None)
         if received is not None:
-            print(f"interrupted at step {run.status.get('step', 0):,}; {resume_with}")
+            print(f"interrupted at step {runs[0].status.get('step', 0):,}; {resume_with}")
             return 128 + received
-    print(f"finished: {run.path}")
-    print(next_steps(run, program))
-    warn_of_changes(run.path)
+    for run in runs:
+        print(f"finished: {run.path}")
+    print(next_steps(runs[0], program))
+    for run in runs:
+        warn_of_changes(run.path)
     return 0

@@ -15,6 +15,7 @@ from algorithms.experiments.config import Experiment, UtilitySettings, find_envi
 from algorithms.experiments.registry import agent_class
 from algorithms.experiments.run_directory import Run, imported_paths
 from algorithms.files.checkpoints import read_checkpoint
+from algorithms.networks.compiled import set_compiled
 from algorithms.networks.threads import set_threads
 from algorithms.rollouts.guides import Guide
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -43,12 +44,20 @@ EPISODE_STEPS = 100  # that the longest one of many random episodes has at the l
 DIGEST_LENGTH = 16  # hexadecimal digits that identify the checkpoint of a driver
 
 
-def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool = True, guides: bool = True) -> Any:
+def build(
+    experiment: Experiment,
+    num_envs: int | None = None,
+    *,
+    device: str = "cpu",
+    partners: bool = True,
+    guides: bool = True,
+) -> Any:
     """The untrained agent of an experiment, with its training environment.
 
     Args:
         experiment: what to build.
         num_envs: number of parallel environments; the experiment's if None.
+        device: of the networks.
         partners: whether to open the drivers of the vehicles that do not learn; else these vehicles idle.
         guides: whether to open the drivers that begin episodes of the training.
 
@@ -79,11 +88,12 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
     if experiment.training.guides and guides:
         options["guides"] = _make_guides(experiment, algorithm, adapter)
     set_threads(experiment.training.threads)  # after the drivers', which are built like this
+    set_compiled(experiment.training.compiled)
     return algorithm(
         env,
         **options,
         seed=experiment.training.seed,
-        device=experiment.training.device,
+        device=device,
         config=experiment.algorithm.config,
     )
 
@@ -91,7 +101,7 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
 def training_memory(experiment: Experiment, num_envs: int) -> float:
     """Bytes that the environments and rollouts of a training run take at the least.
 
-    A tenth less than was measured for A2C and PPO. The networks' activations are counted on the CPU alone.
+    A tenth less than was measured for A2C and PPO.
 
     Args:
         experiment: the run.
@@ -104,7 +114,7 @@ def training_memory(experiment: Experiment, num_envs: int) -> float:
         steps = 1.0
     elif hasattr(config, "steps"):
         steps = config.steps
-        sample += ACTIVATION * sum(config.hidden) if experiment.training.device == "cpu" else 0
+        sample += ACTIVATION * sum(config.hidden)
     else:  # whole episodes
         steps = min(EPISODE_STEPS, arguments.get("time_limit", math.inf) * arguments.get("decision_frequency", 1))
     return num_envs * (ENVIRONMENT + env.vehicles * steps * sample)
@@ -132,7 +142,6 @@ def open_driver(
     env: EnvAdapter,
     action_type: str,
     *,
-    device: str = "cpu",
     trust: bool = False,
     imports: Collection[str] | None = None,
 ) -> Policy:
@@ -144,7 +153,6 @@ def open_driver(
         vehicle: the index of the vehicle that it is to drive.
         env: where it drives.
         action_type: of that environment: "discrete", "discrete-16" or "continuous".
-        device: of its networks.
         trust: as for :meth:`Run.open`.
         imports: as for :meth:`Run.open`.
 
@@ -158,7 +166,7 @@ def open_driver(
         if driver.vehicle != vehicle:
             raise ValueError(f"{name!r} drives {vehicle_name(driver.vehicle)}, not {vehicle_name(vehicle)}")
         return ScriptedPolicy(env, vehicle, driver)
-    run = Run.open(name, device=device, trust=trust, imports=imports)
+    run = Run.open(name, trust=trust, imports=imports)
     if not run.experiment.known_utility:
         raise ValueError(f"{name!r} is a front of policies, not one that drives")
     if vehicle_name(vehicle) in run.experiment.training.partners:
@@ -177,9 +185,8 @@ def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, experim
     The other arguments and errors are those of :func:`open_driver`.
     """
     action_type = str(experiment.environment.arguments.get("action_type", "discrete"))
-    device = experiment.training.device  # that of the generator by which they act
     imports = imported_paths(experiment.to_dict()).values()
-    members = [open_driver(name, vehicle, env, action_type, device=device, imports=imports) for name in names]
+    members = [open_driver(name, vehicle, env, action_type, imports=imports) for name in names]
     return Population(members, vehicle, [_digest(name) for name in names])
 
 
@@ -192,7 +199,7 @@ def _digest(name: str) -> str:
     """What identifies a driver wherever its files are: the name of a script, the hash of a checkpoint."""
     if name.startswith(PREFIX):
         return name
-    return hashlib.sha256(Run.open(name, device="cpu", trust=True).checkpoint.read_bytes()).hexdigest()[:DIGEST_LENGTH]
+    return hashlib.sha256(Run.open(name, trust=True).checkpoint.read_bytes()).hexdigest()[:DIGEST_LENGTH]
 
 
 def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:

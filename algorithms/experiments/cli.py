@@ -124,7 +124,7 @@ def make_parser(description: str | None, program: str = "", command: str = "") -
 
 
 def add_training_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add --seed, --device and --output, which :func:`parse_training_arguments` and :func:`new_run` understand."""
+    """Add --seed, --device and --output, which :func:`parse_training_arguments` and :func:`new_runs` understand."""
     parser.add_argument("--seed", metavar="N", help="short for --training.seed")
     parser.add_argument("--device", metavar="D", help="short for --training.device")
     parser.add_argument("--output", metavar="DIR", help="directory of the run (default: runs/CONFIG/NAME)")
@@ -147,13 +147,22 @@ def parse_training_arguments(
     return options, overrides
 
 
-def new_run(options: argparse.Namespace, experiment: Experiment) -> Run:
-    """Create the run of ``--config`` in ``--output``, or in a new directory under ``runs/``.
+def new_runs(options: argparse.Namespace, experiments: Sequence[Experiment]) -> list[Run]:
+    """Create the runs of ``--config`` in ``--output``, or in new directories under ``runs/``.
+
+    Several are in folders of ``--output`` that are named by their seeds.
 
     Raises:
-        ValueError: if the directory is not empty or cannot be written.
+        ValueError: if a directory is not empty or cannot be written.
     """
-    return Run.create(experiment, options.output or default_directory("runs", options.config, experiment))
+    found = []
+    for experiment in experiments:
+        if options.output and len(experiments) > 1:
+            path = Path(options.output) / f"seed-{experiment.training.seed}"
+        else:
+            path = options.output or default_directory("runs", options.config, experiment)
+        found.append(Run.create(experiment, path))
+    return found
 
 
 def add_evaluation_arguments(

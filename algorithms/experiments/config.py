@@ -19,6 +19,7 @@ from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
 from mo_deepdrive.extras import EXTRAS
 from mo_deepdrive.importing import import_module
+from mo_deepdrive.machine import check_device
 from mo_deepdrive.names import nearest
 from mo_deepdrive.scenarios import SCENARIOS
 
@@ -65,11 +66,17 @@ class TrainingSettings(Settings):
     """Number of parallel environments."""
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of everything random in training."""
+    seeds: Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1)] | None = None
+    """Seeds that are trained side by side in one process, each as a run of its own; None for ``seed`` alone."""
     device: str = "cpu"
-    """The device of the networks, in PyTorch's notation."""
+    """The device of the training, in PyTorch's notation; on a GPU worlds and learners stay there, and several ``seeds``
+    take little longer than one."""
     threads: int = Field(default=1, ge=1, le=1024)
     """How many collect samples and compute gradients; each needs a core of its own, or training becomes slower. A run
     is the same, bit for bit, for the same number."""
+    compiled: bool = True
+    """Whether compiled code calculates gradients on the CPU, or PyTorch alone; the numbers are the same but for
+    rounding."""
     partners: dict[str, list[str]] = {}
     """What drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo and scripted
     drivers, which take turns over the parallel environments."""
@@ -171,6 +178,18 @@ class Experiment(Settings):
         """Whether the algorithm learns for a known utility, rather than a front for every utility."""
         return find_algorithm(self.algorithm.name).known_utility
 
+    @property
+    def is_resident(self) -> bool:
+        """Whether world and learners stay on the device, with the seeds as an axis (:mod:`algorithms.device`)."""
+        return self.training.seeds is not None or self.training.device != "cpu"
+
+    def of_seeds(self) -> list[Experiment]:
+        """The experiments of the seeds that are trained side by side, each that of a run of its own."""
+        if self.training.seeds is None:
+            return [self]
+        updates = [{"seed": seed, "seeds": [seed]} for seed in self.training.seeds]
+        return [self.model_copy(update={"training": self.training.model_copy(update=each)}) for each in updates]
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values, from which :func:`make_experiment` makes an equal experiment."""
         return self.model_dump(mode="json")
@@ -226,6 +245,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     algorithm = experiment.algorithm.name
     arguments = attempt(lambda: _environment_arguments(experiment.environment))
     attempt(lambda: check_device("training.device", experiment.training.device, here))
+    attempt(lambda: _check_seeds(experiment.training))
     attempt(lambda: _check_episodes(experiment.evaluation))
     attempt(lambda: _check_task(experiment))
     if algorithm:
@@ -237,8 +257,12 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
         raise ValueError(f"invalid {what}: " + "; ".join(problems))
     default = a_twentieth(experiment.training.total_timesteps)
     evaluation, logging = experiment.evaluation, experiment.logging
+    training = experiment.training
+    if training.seeds is not None and training.seed not in training.seeds:
+        training = training.model_copy(update={"seed": training.seeds[0]})
     return experiment.model_copy(
         update={
+            "training": training,
             "environment": experiment.environment.model_copy(update={"arguments": arguments}),
             "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **front}),
             "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or default}),
@@ -393,6 +417,16 @@ def _front_evaluation(experiment: Experiment, arguments: Mapping[str, Any]) -> d
     return {"gamma": gamma, "reference_point": point.values.tolist()}
 
 
+def _check_seeds(settings: TrainingSettings) -> None:
+    seeds = settings.seeds
+    if seeds is None:
+        return
+    if len(set(seeds)) < len(seeds):
+        raise ValueError(f"training.seeds = {seeds} must differ from one another")
+    if "seed" in settings.model_fields_set and settings.seed not in seeds:
+        raise ValueError(f"training.seed = {settings.seed} must be one of training.seeds = {seeds}")
+
+
 def _check_episodes(settings: EvaluationSettings) -> None:
     check_episodes("evaluation.episodes", settings.episodes, "validation")
     check_episodes("evaluation.final_episodes", settings.final_episodes, settings.split)
@@ -426,22 +460,3 @@ def check_loggers(experiment: Experiment) -> None:
     """
     if experiment.logging.wandb is not None and importlib.util.find_spec("wandb") is None:
         raise ValueError(f"logging.wandb needs wandb: pip install 'mo-deepdrive[{EXTRAS['wandb']}]'")
-
-
-def check_device(argument: str, name: str, here: bool = True) -> None:
-    """Refuse a device that the networks cannot be on; ``here`` means on this machine.
-
-    Raises:
-        ValueError: with the name of the ``argument``.
-    """
-    import torch  # as late as this, because it takes seconds and much memory
-
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        raise ValueError(f"{argument} = {name!r} is not a valid device; write cpu, cuda or cuda:0") from None
-    count = torch.cuda.device_count()
-    if here and device.type == "cuda" and (device.index or 0) >= count:
-        raise ValueError(f"{argument} = {name!r} does not exist; PyTorch finds {count} CUDA devices")
-    if device.type not in ("cpu", "cuda"):
-        raise ValueError(f"{argument} = {name!r} is not supported; write cpu, cuda or cuda:0")

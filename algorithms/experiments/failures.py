@@ -44,6 +44,6 @@ def record(job: Job, error: BaseException) -> str:
     reason = describe(error)
     if isinstance(error, WorkerDied):
         with contextlib.suppress(ValueError, OSError):  # it may have died before the directory existed
-            run = job.open(device="cpu")  # this machine may not have the run's device
+            run = job.open()
             run.set_status("failed", run.status.get("step", 0), reason)
     return reason

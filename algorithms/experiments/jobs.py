@@ -61,13 +61,10 @@ class Job:
         """
         if not (self.path / "config.yaml").is_file():
             return
-        self._refuse(differences(self.open(device="cpu").experiment.to_dict(), self.experiment.to_dict()))
+        self._refuse(differences(self.open().experiment.to_dict(), self.experiment.to_dict()))
 
-    def open(self, *, device: str | None = None) -> Run:
+    def open(self) -> Run:
         """The run in the directory, which may import what the job's own experiment names.
-
-        Args:
-            device: as for :meth:`Run.open`.
 
         Raises:
             ValueError: as :meth:`Run.open`, or if its config.yaml names other code to import.
@@ -75,7 +72,7 @@ class Job:
         config, mine = self.path / "config.yaml", imported_paths(self.experiment.to_dict())
         theirs = imported_paths(read_mapping(config)) if config.is_file() else {}
         self._refuse([f"{key} = {name!r} there" for key, name in theirs.items() if name not in mine.values()])
-        return Run.open(self.path, device=device, trust=True)
+        return Run.open(self.path, trust=True)
 
     def _refuse(self, changed: list[str]) -> None:
         if changed:
@@ -190,7 +187,7 @@ def _lock(job: Job) -> tuple[Run, bool]:
             if not config.is_file():  # otherwise another process has created it in the meantime
                 raise
     job.check()
-    run = job.open(device="cpu")  # this machine may have the job's device alone
+    run = job.open()
     run.lock()
     return run, True
 
@@ -203,13 +200,11 @@ def _take_over_settings(run: Run, job: Job) -> None:
     Raises:
         ValueError: if this machine does not have the device.
     """
-    import torch  # as late as this, for the same reason
-
     config = run.path / "config.yaml"
     before = make_experiment(read_mapping(config), here=False)
-    devices = [torch.device(each.training.device) for each in (before, job.experiment)]
-    # A checkpoint has the state of a generator, which one kind of device can read.
-    chosen = before if run.checkpoint.exists() and devices[0].type != devices[1].type else job.experiment
+    # Worlds that stay on a device draw other random numbers, so that their checkpoints are others.
+    stays = run.checkpoint.exists() and before.is_resident != job.experiment.is_resident
+    chosen = before if stays else job.experiment
     training = before.training.model_copy(update={"device": chosen.training.device})
     wanted = before.model_copy(update={"training": training, "logging": job.experiment.logging})
     run.experiment = make_experiment(wanted.to_dict(), f"experiment {str(config)!r}")

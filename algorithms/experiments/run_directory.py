@@ -29,7 +29,7 @@ from mo_deepdrive.atomic_io import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Mapping, Sequence
 
 State = Literal["running", "interrupted", "failed", "trained", "pruned", "finished"]
 PACKAGES = (
@@ -140,14 +140,11 @@ class Run:
         return run
 
     @classmethod
-    def open(
-        cls, path: str | Path, *, device: str | None = None, trust: bool = False, imports: Collection[str] | None = None
-    ) -> Run:
+    def open(cls, path: str | Path, *, trust: bool = False, imports: Collection[str] | None = None) -> Run:
         """The run in an existing directory; or a policy of the zoo, which consists of a run's config and policy.
 
         Args:
             path: the directory, or the name of the policy.
-            device: replaces the device of the experiment if it is not None.
             trust: allow a config.yaml that names code to import (:func:`imported_paths`).
             imports: for a run that drives in another one: what the config of that one names, which is allowed anyway.
 
@@ -171,9 +168,8 @@ class Run:
             if imports is not None:
                 advice = "a run that drives in another may import only what that one's own config names"
             raise ValueError(f"{str(config)!r} has {key} = {name!r}, code that would be imported and run; {advice}")
-        if device is not None and isinstance(values.get("training"), dict):
-            values["training"]["device"] = device
-        return cls(path, make_experiment(values, f"experiment {str(config)!r}"))
+        # This machine may not have the device that it was trained on.
+        return cls(path, make_experiment(values, f"experiment {str(config)!r}", here=False))
 
     def lock(self) -> None:
         """Lock the directory until this process ends, so that no two processes train in it.
@@ -354,20 +350,20 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
     return paths
 
 
-def resume_options(path: Path, values: Mapping[str, Any]) -> str:
-    """The options with which the command train resumes a run.
+def resume_options(paths: Sequence[Path], values: Mapping[str, Any]) -> str:
+    """The options with which the command train resumes a run, or runs side by side.
 
     Args:
-        path: the run's directory.
-        values: the sections of its experiment; --trust is needed where they name code to import.
+        paths: the runs' directories.
+        values: the sections of their experiment; --trust is needed where they name code to import.
     """
-    return f"--resume {shlex.quote(str(path))}" + (" --trust" if imported_paths(values) else "")
+    return f"--resume {shlex.join(map(str, paths))}" + (" --trust" if imported_paths(values) else "")
 
 
 def _not_empty(path: Path) -> ValueError:
     """The error for the directory of a new run that has something in it, perhaps another run."""
     try:
-        resume = f", or use {resume_options(path, read_mapping(path / 'config.yaml'))}"
+        resume = f", or use {resume_options([path], read_mapping(path / 'config.yaml'))}"
     except ValueError:  # no run, or one that cannot be resumed
         resume = ""
     return ValueError(f"run directory {str(path)!r} is not empty; choose another{resume}")

@@ -108,7 +108,7 @@ def _of_run(source: str, *, trust: bool) -> Entry:
     from algorithms.experiments.run_directory import Run
     from algorithms.experiments.suite_scores import scorable
 
-    run = Run.open(source, device="cpu", trust=trust)
+    run = Run.open(source, trust=trust)
     experiment, status = run.experiment, run.status
     agents: list[Any] = []
 
@@ -202,7 +202,7 @@ def _found_from(table: Path, row: Row) -> Row:
 def _rows_of_run(path: Path) -> list[Row]:
     from algorithms.experiments.run_directory import Run
 
-    experiment, evaluation = Run.open(path, device="cpu").experiment, read_evaluation(path)
+    experiment, evaluation = Run.open(path).experiment, read_evaluation(path)
     if evaluation is None:
         raise ValueError(f"{str(path)!r} has no final evaluation: there is no {EVALUATION_FILE}")
     return [

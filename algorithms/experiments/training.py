@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from algorithms.device.trainer import SeedTrainer
 from algorithms.experiments.accessories import Accessory
 from algorithms.experiments.agent_report import VIDEO_FILE, report_agent, show_results
-from algorithms.experiments.build import build
-from algorithms.experiments.config import check_loggers, find_environment, is_ours, make_experiment
+from algorithms.experiments.config import Experiment, check_loggers, find_environment, is_ours, make_experiment
 from algorithms.experiments.console import print_line
 from algorithms.experiments.interrupts import PATIENCE, Interrupts, Moved, stopped_by
 from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter, compilation_noted
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
+from algorithms.experiments.side_by_side import build_trainee
 from algorithms.files.checkpoints import read_checkpoint
 from algorithms.files.fronts import FrontsFile
 from algorithms.files.metrics import rows_until
@@ -26,74 +28,91 @@ from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.faults import Fault
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
-    from algorithms.agent import Agent
+    from algorithms.agent import Log
     from mo_deepdrive.evaluation.front import Front
 
 Watch = Callable[[int, Mapping[str, float]], None]
 
 
-def resume(run: Run) -> Any:
-    """The agent of a run whose lock is held, from its last checkpoint; untrained if there is none.
+def resume(*runs: Run) -> Any:
+    """What trains runs whose locks are held, from their last checkpoints; untrained if there are none.
+
+    Returns:
+        The agent of one run, or a :class:`algorithms.device.trainer.SeedTrainer`, for several and on a GPU.
 
     Raises:
-        ValueError: if it cannot be built or loaded.
+        ValueError: if it cannot be built or loaded, or the runs cannot be trained side by side.
     """
-    agent = build(run.experiment)
-    if run.checkpoint.exists():
-        agent.load(run.checkpoint)
-    return agent
+    trainee = build_trainee([run.experiment for run in runs])
+    checkpoints = [run.checkpoint for run in runs if run.checkpoint.exists()]
+    if checkpoints and len(checkpoints) < len(runs):
+        raise ValueError("some of the runs have a checkpoint and others have none; resume them apart")
+    if checkpoints:
+        trainee.load(checkpoints if isinstance(trainee, SeedTrainer) else checkpoints[0])
+    return trainee
 
 
-def reopen(path: str, *, trust: bool = False, total_timesteps: Any = None) -> tuple[Run, Any]:
-    """Open and lock an existing run, to resume it; the run and its agent.
+def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tuple[list[Run], Any]:
+    """Open and lock existing runs, to resume them; the runs and what trains them.
 
     Args:
-        path: the run's directory.
+        *paths: the runs' directories; several only of runs that differ in their seeds alone.
         trust: allow a config.yaml that names code to import.
-        total_timesteps: a new, greater length of the training; None for that of the run.
+        total_timesteps: a new, greater length of the training; None for that of the runs.
 
     Raises:
         ValueError: if there is no run, another process trains in it, its config.yaml is not trusted, its checkpoint or
-            its metrics cannot be resumed from, or it cannot be trained longer.
-        OSError: if the directory cannot be written.
+            its metrics cannot be resumed from, it cannot be trained longer, or runs cannot be trained side by side.
+        OSError: if a directory cannot be written.
     """
-    run = Run.open(path, trust=trust)
-    experiment = run.experiment
-    check_loggers(experiment)
-    if total_timesteps is not None:
-        values = experiment.to_dict()
-        values["training"]["total_timesteps"] = total_timesteps
-        experiment = make_experiment(values)
-        length = run.experiment.training.total_timesteps
-        if experiment.training.total_timesteps <= length:
-            raise ValueError(
-                f"training.total_timesteps = {total_timesteps} must be more than the {length:,} of the run"
-            )
-    if run.checkpoint.exists():
-        read_checkpoint(run.checkpoint, {}, whole=True)  # a policy of the zoo is refused before a lock is written
-    run.lock()
-    agent = resume(run)
-    for name in (METRICS_FILE, FRONTS_FILE):
-        rows_until(run.path / name, agent.step)
-    if experiment is not run.experiment:
-        if agent.schedules:
+    runs = [Run.open(path, trust=trust) for path in paths]
+    longer = [_longer(run.experiment, total_timesteps) for run in runs]
+    for run in runs:
+        check_loggers(run.experiment)
+        if run.checkpoint.exists():
+            read_checkpoint(run.checkpoint, {}, whole=True)  # a policy of the zoo is refused before a lock is written
+    for run in runs:
+        run.lock()
+    trainee = resume(*runs)
+    for run in runs:
+        for name in (METRICS_FILE, FRONTS_FILE):
+            rows_until(run.path / name, trainee.step)
+    if total_timesteps is not None and trainee.schedules:
+        for run in runs:
             run.unlock()
-            raise ValueError(
-                f"training.total_timesteps = {experiment.training.total_timesteps}: the run cannot be trained longer, "
-                f"since these settings depend on the length of the training: {', '.join(agent.schedules)}"
-            )
-        run.experiment = experiment
-        # In this order: a process that is killed in between leaves a run that can be resumed.
-        run.set_status("running", agent.step)
-        atomic_write(run.path / "config.yaml", dump(experiment.to_dict()).encode())
-    return run, agent
+        raise ValueError(
+            f"training.total_timesteps = {longer[0].training.total_timesteps}: the run cannot be trained longer, "
+            f"since these settings depend on the length of the training: {', '.join(trainee.schedules)}"
+        )
+    for run, experiment in zip(runs, longer, strict=True):
+        if experiment is not run.experiment:
+            run.experiment = experiment
+            # In this order: a process that is killed in between leaves a run that can be resumed.
+            run.set_status("running", trainee.step)
+            atomic_write(run.path / "config.yaml", dump(experiment.to_dict()).encode())
+    return runs, trainee
+
+
+def _longer(experiment: Experiment, total_timesteps: Any) -> Experiment:
+    """An experiment with another length of the training; itself if that is None."""
+    if total_timesteps is None:
+        return experiment
+    values = experiment.to_dict()
+    values["training"]["total_timesteps"] = total_timesteps
+    longer = make_experiment(values)
+    length = experiment.training.total_timesteps
+    if longer.training.total_timesteps <= length:
+        raise ValueError(f"training.total_timesteps = {total_timesteps} must be more than the {length:,} of the run")
+    return longer
 
 
 def train_and_finish(
-    run: Run,
-    agent: Any,
+    runs: Run | Sequence[Run],
+    trainee: Any,
     console: Console,
     *,
     resumed: bool = False,
@@ -101,32 +120,77 @@ def train_and_finish(
     stop: Callable[[], bool] | None = None,
 ) -> int | None:
     """Call :func:`train` and, unless it was stopped, :func:`finish`; arguments, result and errors are theirs."""
-    received = train(run, agent, console, resumed=resumed, watch=watch, stop=stop)
+    runs = [runs] if isinstance(runs, Run) else runs
+    received = train(runs, trainee, console, resumed=resumed, watch=watch, stop=stop)
     if received is None:
-        finish(run, agent, console)
+        for run, agent in zip(runs, agents_of(trainee), strict=True):
+            if len(runs) > 1:
+                print_line(console, f"seed {run.experiment.training.seed}")
+            finish(run, agent, console)
     return received
 
 
+def agents_of(trainee: Any) -> list[Any]:
+    """The agents, one per run, with what has been learnt."""
+    return trainee.hand_over() if isinstance(trainee, SeedTrainer) else [trainee]
+
+
+class _Record:
+    """What is written of a run while it trains: its rows, its checkpoints and its state.
+
+    Args:
+        run: whose directory receives them.
+        step: of the last checkpoint.
+        logger: of its metrics.
+        fronts: the file of its fronts; None where none is learnt.
+    """
+
+    def __init__(self, run: Run, step: int, logger: Logger, fronts: FrontsFile | None):
+        self.run, self.saved, self.logger, self.fronts = run, step, logger, fronts
+
+    def log(self, step: int, metrics: Mapping[str, float]) -> None:
+        """Write a row of metrics."""
+        self.run.check_place()
+        self.logger.log(step, metrics)
+
+    def log_front(self, step: int, front: Front) -> None:
+        """Write a front."""
+        self.run.check_place()
+        assert self.fronts is not None
+        self.fronts.write(step, front)
+
+    def save(self, step: int, write: Callable[[Path], None], state: Any) -> None:
+        """Have a checkpoint written, and note the state."""
+        self.run.check_place()
+        # In this order, so that a crash cannot leave a checkpoint without its rows or their note.
+        fronts = {} if self.fronts is None else {FRONTS_FILE: self.fronts.sync()}
+        self.run.note_rows(step, {METRICS_FILE: self.logger.sync(), **fronts})
+        self.run.set_status("running", self.saved)
+        write(self.run.checkpoint)
+        self.saved = step
+        self.run.set_status(state, step)
+
+
 def train(
-    run: Run,
-    agent: Agent,
+    runs: Sequence[Run],
+    trainee: Any,
     console: Console,
     *,
     resumed: bool = False,
     watch: Watch | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> int | None:
-    """Train ``agent`` to the end of the run's experiment, or until SIGINT or SIGTERM, and save it in either case.
+    """Train to the end of the runs' experiment, or until SIGINT or SIGTERM, and save in either case.
 
     Stopping and resuming do not affect what is learnt: checkpoints and evaluations depend on the step alone. After a
     signal the update, or the evaluation, goes on to its end and is saved if that takes no longer than PATIENCE and
-    there is no second SIGINT; else the run resumes from its last checkpoint.
+    there is no second SIGINT; else the runs resume from their last checkpoints.
 
     Args:
-        run: its directory receives everything that is written.
-        agent: new, or loaded from the run's checkpoint.
+        runs: their directories receive everything that is written; several if they are trained side by side.
+        trainee: of :func:`build_trainee` or :func:`resume`, for these runs.
         console: for the progress.
-        resumed: whether the run was started before, so that its metrics are continued.
+        resumed: whether the runs were started before, so that their metrics are continued.
         watch: called with the step and the metrics of every logged row.
         stop: called after every update; True saves and stops as a signal does.
 
@@ -137,10 +201,10 @@ def train(
         Stopped: if something could not be written; the last checkpoint is intact.
         Fault: if something is not finite, or an episode does not end; the last checkpoint is intact.
     """
-    experiment = run.experiment
+    experiment = runs[0].experiment
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
     checkpoint_interval = logging.checkpoint_interval or training.total_timesteps
-    saved = agent.step  # step of the last checkpoint
+    begun = trainee.step
     known_utility = experiment.known_utility
     episodes = evaluation.episodes
     if not known_utility:
@@ -148,72 +212,49 @@ def train(
     eval_env = evaluation_env(experiment, episodes if known_utility else FRONT_EPISODES)
     reference_front = None if known_utility else best_known_front(eval_env, evaluation.gamma)
     ours = is_ours(find_environment(experiment.environment.id))
-    after = (saved if saved > 0 else -1) if resumed else None
-    config = {**experiment.to_dict(), "versions": run.versions}
-    noted = {name: run.logged_rows(saved, name) if saved > 0 else None for name in (METRICS_FILE, FRONTS_FILE)}
     interrupts = Interrupts(PATIENCE)
+    records: list[_Record] = []
+    side_by_side = isinstance(trainee, SeedTrainer)
     try:
         with (
             interrupts,
             ProgressReporter(
-                training.total_timesteps, saved, console, arrivals=ours, front=not known_utility
+                training.total_timesteps, begun, console, arrivals=ours, front=not known_utility
             ) as reporter,
             compilation_noted(reporter.say),
-            Logger(
-                run.path,
-                after=after,
-                noted=noted[METRICS_FILE],
-                wandb=logging.wandb,
-                config=config,
-                name=run.path.name,
-                say=reporter.say,
-            ) as logger,
+            contextlib.ExitStack() as loggers,
         ):
+            for run in runs:
+                records.append(_open_record(run, begun, resumed, reporter.say, loggers))
 
-            def log(step: int, metrics: Mapping[str, float]) -> None:
-                run.check_place()
-                logger.log(step, metrics)
-                reporter.note(metrics)
-                if watch is not None:
-                    watch(step, metrics)
+            def log_of(record: _Record) -> Log:
+                def log(step: int, metrics: Mapping[str, float]) -> None:
+                    record.log(step, metrics)
+                    reporter.note(metrics)
+                    if watch is not None:
+                        watch(step, metrics)
 
-            fronts = None if known_utility else FrontsFile(run.path / FRONTS_FILE, after, noted[FRONTS_FILE])
-            if not run.locked:
-                reporter.say("warning: the file system has no locks: start no other process on this run")
-            if saved == 0:
-                run.metrics_gap = None  # everything is written again
-            gaps = [gap for gap in (logger.gap, fronts and fronts.gap) if gap]
-            for gap in gaps:
-                reporter.say(f"warning: {gap}; the run is continued")
-                run.add_metrics_gap(gap)
-
-            def log_front(step: int, front: Front) -> None:
-                run.check_place()
-                assert fronts is not None
-                fronts.write(step, front)
+                return log
 
             def save(state: Any) -> None:
-                nonlocal saved
-                run.check_place()
-                # In this order, so that a crash cannot leave a checkpoint without its rows or their note.
-                rows = {METRICS_FILE: logger.sync(), **({} if fronts is None else {FRONTS_FILE: fronts.sync()})}
-                run.note_rows(agent.step, rows)
-                run.set_status("running", saved)
-                agent.save(run.checkpoint)
-                saved = agent.step
-                run.set_status(state, saved)
+                for number, record in enumerate(records):
+                    write = partial(trainee.save, number) if side_by_side else trainee.save
+                    record.save(trainee.step, write, state)
 
-            def after_update(trained: Agent) -> bool:
-                reporter.update(trained.step)
-                if trained.step // checkpoint_interval > saved // checkpoint_interval:
+            def after_update(_: Any) -> bool:
+                reporter.update(trainee.step)
+                if trainee.step // checkpoint_interval > records[-1].saved // checkpoint_interval:
                     save("running")
                 if interrupts.received is None and stop is not None and stop():
                     interrupts.received = 0
                 interrupts.settle()
                 return interrupts.received is not None
 
-            run.set_status("running", saved)
-            agent.train(
+            for run in runs:
+                run.set_status("running", begun)
+            logs = [log_of(record) for record in records]
+            log_fronts = None if known_utility else [record.log_front for record in records]
+            trainee.train(
                 training.total_timesteps,
                 eval_env,
                 eval_interval=evaluation.interval,
@@ -222,45 +263,85 @@ def train(
                 eval_gamma=evaluation.gamma,
                 reference_point=evaluation.reference_point,
                 reference_front=reference_front,
-                log=log,
-                log_front=None if fronts is None else log_front,
+                log=logs if side_by_side else logs[0],
+                log_front=log_fronts if side_by_side or log_fronts is None else log_fronts[0],
                 log_interval=logging.interval,
                 after_update=after_update,
             )
             save("trained" if interrupts.received is None else "interrupted")
     except (OSError, Moved) as error:
+        saved = [record.saved for record in records] or [begun]
         try:
-            run.check_place()
+            for run in runs:
+                run.check_place()
         except Moved as moved:
-            text = f"training stopped at step {agent.step:,}: {moved}; resume it from where it is now"
+            text = f"training stopped at step {trainee.step:,}: {moved}; resume it from where it is now"
             raise Moved(text) from None
         if isinstance(error, Moved):
             raise
-        _set_failed(run, saved, str(error))
+        _set_failed(runs, records, begun, str(error))
         rest = (
-            f"the checkpoint of step {saved:,} is intact" if run.checkpoint.exists() else "there is no checkpoint yet"
+            f"the checkpoint of step {min(saved):,} is intact"
+            if runs[-1].checkpoint.exists()
+            else "there is no checkpoint yet"
         )
-        raise stopped_by(error, f"training stopped at step {agent.step:,}: {error}; {rest}") from error
+        raise stopped_by(error, f"training stopped at step {trainee.step:,}: {error}; {rest}") from error
     except Fault as error:
-        _set_failed(run, saved, str(error))
+        _set_failed(runs, records, begun, str(error))
         raise
     except KeyboardInterrupt as error:
         if not interrupts.received:
-            _set_failed(run, saved, f"{type(error).__name__}: {error}")
+            _set_failed(runs, records, begun, f"{type(error).__name__}: {error}")
             raise
-        with contextlib.suppress(OSError):
-            run.set_status("interrupted", saved)
+        _set_state(runs, records, begun, "interrupted")
     except BaseException as error:
-        _set_failed(run, saved, f"{type(error).__name__}: {error}")
+        _set_failed(runs, records, begun, f"{type(error).__name__}: {error}")
         raise
     finally:
         eval_env.close()
     return interrupts.received
 
 
-def _set_failed(run: Run, step: int, reason: str) -> None:
-    with contextlib.suppress(OSError, Moved):  # these may be the reason; the original error is raised in any case
-        run.set_status("failed", step, reason)
+def _open_record(
+    run: Run, step: int, resumed: bool, say: Callable[[str], None], loggers: contextlib.ExitStack
+) -> _Record:
+    """Open what is written of a run that begins, or is continued, at a step."""
+    experiment = run.experiment
+    after = (step if step > 0 else -1) if resumed else None
+    noted = {name: run.logged_rows(step, name) if step > 0 else None for name in (METRICS_FILE, FRONTS_FILE)}
+    logger = loggers.enter_context(
+        Logger(
+            run.path,
+            after=after,
+            noted=noted[METRICS_FILE],
+            wandb=experiment.logging.wandb,
+            config={**experiment.to_dict(), "versions": run.versions},
+            name=run.path.name,
+            say=say,
+        )
+    )
+    fronts = None if experiment.known_utility else FrontsFile(run.path / FRONTS_FILE, after, noted[FRONTS_FILE])
+    if not run.locked:
+        say("warning: the file system has no locks: start no other process on this run")
+    if step == 0:
+        run.metrics_gap = None  # everything is written again
+    for gap in [gap for gap in (logger.gap, fronts and fronts.gap) if gap]:
+        say(f"warning: {gap}; the run is continued")
+        run.add_metrics_gap(gap)
+    return _Record(run, step, logger, fronts)
+
+
+def _set_failed(runs: Sequence[Run], records: Sequence[_Record], begun: int, reason: str) -> None:
+    _set_state(runs, records, begun, "failed", reason)
+
+
+def _set_state(
+    runs: Sequence[Run], records: Sequence[_Record], begun: int, state: Any, reason: str | None = None
+) -> None:
+    saved = {record.run.path: record.saved for record in records}
+    for run in runs:
+        with contextlib.suppress(OSError, Moved):  # these may be the reason; the original error is raised in any case
+            run.set_status(state, saved.get(run.path, begun), reason)
 
 
 def finish(run: Run, agent: Any, console: Console) -> None:
@@ -304,8 +385,8 @@ def finish(run: Run, agent: Any, console: Console) -> None:
         raise stopped_by(error, f"the run is trained, but its results could not be written: {error}") from error
     except Fault as error:
         fault = type(error)(f"in the final evaluation: {error}")
-        _set_failed(run, agent.step, str(fault))
+        _set_failed([run], [], agent.step, str(fault))
         raise fault from None
     except Exception as error:
-        _set_failed(run, agent.step, f"{type(error).__name__}: {error}")
+        _set_failed([run], [], agent.step, f"{type(error).__name__}: {error}")
         raise

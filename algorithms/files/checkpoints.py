@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as to_safetensors
@@ -22,30 +20,11 @@ FORMAT = 1
 POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the policy alone
 PARTNERS = "partners"  # entry of the identity: what identifies the drivers of vehicles that do not learn
 GUIDES = "guides"  # entry of the identity: what identifies the guides of vehicles that learn, and when they drive
-STEP, UPDATES = "step", "updates"  # entries of the identity: environment steps taken, and updates
+# Entries of the identity: environment steps taken, updates, and the seed of the run.
+STEP, UPDATES, SEED = "step", "updates", "seed"
 OBJECTIVE_SCALES, ACCRUED_GAMMA = "objective_scales", "accrued_gamma"  # entries: what observed returns are in units of
 RHO, PRICE = "rho", "price"  # entries: of Chebyshev and budgeted utilities
-GENERATOR = "generator"  # tensor of an agent's generator, which has another size on a GPU
-STAYS = "training continues on the kind of device, CPU or GPU, on which it began"
 MOST_STEPS = 2**63 - 1
-WORDS = 624  # of the state of a Mersenne Twister
-# The tensor that torch.Generator.get_state gives for the CPU.
-MERSENNE_TWISTER = np.dtype(
-    [
-        ("seed", "u8"),
-        ("left", "i4"),
-        ("seeded", "i4"),
-        ("next", "u8"),
-        ("words", "u8", WORDS),
-        ("normal_x", "f8"),
-        ("normal_y", "f8"),
-        ("normal_rho", "f8"),
-        ("normal_is_valid", "i4"),
-        ("next_float", "f4"),
-        ("next_float_is_valid", "u1"),
-    ],
-    align=True,
-)
 
 
 def strip_prefix(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
@@ -100,7 +79,7 @@ def read_checkpoint(
     for key, value in {"format": FORMAT, **identity}.items():
         if key not in may_differ and found.get(key) != value:
             raise ValueError(f"checkpoint {path} has {key} = {found.get(key)!r}; this agent has {value!r}")
-    for key in (STEP, UPDATES):
+    for key in (STEP, UPDATES, SEED) if whole else (STEP, UPDATES):
         count = found.get(key)
         if type(count) is not int or not 0 <= count <= MOST_STEPS:
             raise ValueError(f"checkpoint {path} has {key} = {count!r}; it must be an integer from 0 to {MOST_STEPS}")
@@ -145,9 +124,8 @@ def check_tensors(
             continue
         stored = tuple(tensors[name].shape) if name in tensors else None
         if stored != tuple(tensor.shape):
-            elsewhere = f": {STAYS}" if name == GENERATOR and stored is not None else ""
             raise ValueError(
-                f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {tuple(tensor.shape)}{elsewhere}"
+                f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {tuple(tensor.shape)}"
             )
         if tensors[name].dtype != tensor.dtype:
             raise ValueError(
@@ -165,31 +143,3 @@ def _not_finite(tensor: torch.Tensor) -> float | None:
     if not tensor.is_floating_point() or bool(tensor.isfinite().all()):
         return None
     return float(tensor[~tensor.isfinite()][0])
-
-
-def restore_generator(generator: torch.Generator, name: str, state: torch.Tensor) -> None:
-    """Let ``generator`` continue from ``state``, the tensor ``name`` of a checkpoint.
-
-    PyTorch takes positions from which a generator of the CPU reads foreign memory.
-
-    Raises:
-        ValueError: if it is not the state of such a generator.
-    """
-    try:
-        if generator.device.type == "cpu":
-            _check_mersenne_twister(state)
-        generator.set_state(state)
-    except (RuntimeError, TypeError, ValueError) as error:
-        raise ValueError(f"{name!r} is not the state of a generator: {str(error).splitlines()[0]}") from None
-
-
-def _check_mersenne_twister(state: torch.Tensor) -> None:
-    """Refuse a state of PyTorch's generator for the CPU from which it would read outside of its words."""
-    fields = state.numpy().view(MERSENNE_TWISTER)[0]
-    left, following = int(fields["left"]), int(fields["next"])
-    # Words are made in blocks: before the first one is drawn, one is "left".
-    if not (left + following == WORDS + 1 or (left, following) == (1, 0)) or not 1 <= left <= WORDS:
-        raise ValueError(f"{left} words are left, and number {following} of {WORDS} is next")
-    normals = [float(fields[each]) for each in ("normal_x", "normal_y", "normal_rho", "next_float")]
-    if not all(map(math.isfinite, normals)):
-        raise ValueError(f"its next normal numbers are {normals}")

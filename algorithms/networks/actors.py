@@ -1,52 +1,40 @@
 """Actors (policy networks): softmax and Gaussian policies over the outputs of a network.
 
-Sampling, log-probability and entropy are compiled (:mod:`algorithms.networks.compiled.distributions`), with their
-gradients written out, where the network's outputs are; else they are torch's.
+What is chosen, its log-probability and the entropy are functions of those outputs.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import nn
 
+from algorithms.networks.compiled import serves
 from algorithms.networks.compiled.distributions import (
     HIGHEST_LOG_STD,
     INITIAL_LOG_STD,
     LOG_STD_GAIN,
     LOG_TWO_PI,
     LOWEST_LOG_STD,
-    categorical_gradient,
-    categorical_pass,
+    Gaussian,
+    Softmax,
+    StateGaussian,
     categorical_sample,
-    gaussian_gradient,
-    gaussian_pass,
-    parallel_categorical_gradient,
-    parallel_categorical_pass,
-    state_gaussian_gradient,
-    state_gaussian_pass,
     state_gaussian_sample,
+    transposed,
 )
-from algorithms.networks.compiled.perceptron import Perceptron, shares_rows
-from algorithms.networks.compiled.tape import current_tape
+from algorithms.networks.compiled.perceptron import Perceptron, pass_through
 from algorithms.networks.modules import make_network
 from mo_deepdrive.faults import NotFinite
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from algorithms.hyperparameters import NetworkSettings
-
-
-def _is_compiled(outputs: torch.Tensor) -> bool:
-    """Whether what follows on the outputs of a network is compiled: no gradient is wanted, or only the tape's."""
-    tape = current_tape()
-    unseen = not torch.is_grad_enabled() or (tape is not None and (outputs in tape or not outputs.requires_grad))
-    return unseen and outputs.is_cpu and outputs.dtype == torch.float32
+    from algorithms.networks.compiled.perceptron import Head
 
 
 def check_outputs(outputs: NDArray[np.float32], num_envs: int | None = None) -> None:
@@ -67,19 +55,23 @@ def check_outputs(outputs: NDArray[np.float32], num_envs: int | None = None) -> 
         )
 
 
-def _checked(outputs: torch.Tensor) -> torch.Tensor:
-    check_outputs(outputs.detach().cpu().numpy())
-    return outputs
+def softmax_log_prob_and_entropy(logits: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Log p_a and the entropy of p = softmax(z), each (...), for logits z (..., n) and actions a (...)."""
+    log_p = logits.log_softmax(-1)
+    return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), -(log_p.exp() * log_p).sum(-1)
 
 
-def _transposed(outputs: torch.Tensor) -> NDArray[np.float32]:
-    """(n, M), as the outputs (M, n) of a perceptron lie in memory."""
-    array: NDArray[np.float32] = outputs.detach().t().contiguous().numpy()
-    return array
+def gaussian_log_density_and_entropy(
+    mean: torch.Tensor, log_std: torch.Tensor, actions: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Log N(a; m, sigma) and the entropy, each (...), for m and a (..., k) and log sigma (..., k) or (k,)."""
+    z = (actions - mean) / log_std.exp()
+    log_density = (-0.5 * z.square() - log_std - 0.5 * LOG_TWO_PI).sum(-1)
+    return log_density, (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1).expand_as(log_density)
 
 
-class _Actor(nn.Module):
-    """What both kinds of policies share.
+class _Actor(nn.Module, ABC):
+    """A policy; calling it gives the log-probability of actions and its entropy.
 
     Args:
         body: network from (..., inputs) to the parameters of the distribution.
@@ -89,10 +81,50 @@ class _Actor(nn.Module):
         super().__init__()
         self.body = body
 
-    def keep_passes(self, rows: int) -> None:
-        """Let what is computed in order to act on the next ``rows`` rows serve to learn from all of them."""
-        if isinstance(self.body, Perceptron) and self.body.can_be_compiled:
-            self.body.keep_passes(rows)
+    @abstractmethod
+    def noise(self, rows: int, generator: torch.Generator) -> torch.Tensor:
+        """The random numbers (rows, ...) of :meth:`choose`."""
+
+    @abstractmethod
+    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+        """Actions (M,) or (M, k) for outputs (M, ...) of the body and random numbers."""
+
+    @abstractmethod
+    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+        """The most probable actions (...) or (..., k) for outputs (..., n) of the body."""
+
+    @abstractmethod
+    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-probability of ``actions`` and entropy, each (...), for outputs (..., n) of the body."""
+
+    @abstractmethod
+    def _head(self, actions: NDArray[Any]) -> Head:
+        """The compiled twin of :meth:`evaluate` for actions (M, ...)."""
+
+    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """One action per row."""
+        outputs = self._outputs(x)
+        rows = outputs.reshape(-1, outputs.shape[-1])
+        actions = self.choose(rows, self.noise(len(rows), generator))
+        return actions.view(*x.shape[:-1], *actions.shape[1:])
+
+    def greedy(self, x: torch.Tensor) -> torch.Tensor:
+        """The most probable action per row."""
+        return self.best(self._outputs(x))
+
+    def forward(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-probability of ``actions`` and entropy of the policy, each (...)."""
+        if not (isinstance(self.body, Perceptron) and self.body.serves(x)):
+            return self.evaluate(self.body(x), actions)
+        shape = x.shape[:-1]
+        head = self._head(actions.detach().reshape(-1, *actions.shape[len(shape) :]).numpy())
+        log_prob, entropy = pass_through(self.body, x.reshape(-1, x.shape[-1]), head)
+        return log_prob.view(shape), entropy.view(shape)
+
+    def _outputs(self, x: torch.Tensor) -> torch.Tensor:
+        outputs: torch.Tensor = self.body(x)
+        check_outputs(outputs.detach().cpu().numpy())
+        return outputs
 
 
 class CategoricalActor(_Actor):
@@ -103,51 +135,28 @@ class CategoricalActor(_Actor):
     """
 
     def noise(self, rows: int, generator: torch.Generator) -> torch.Tensor:
-        """The random numbers (rows, 1) of :meth:`sample`: uniform in [0, 1)."""
-        return torch.rand(rows, generator=generator, device=generator.device).unsqueeze(-1)
+        """Uniform in [0, 1): (rows, 1)."""
+        return torch.rand((rows, 1), generator=generator, device=generator.device)
 
-    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """One action per row, by inversion: the first whose cumulative probability is above a uniform number."""
-        logits = _checked(self.body(x.reshape(-1, x.shape[-1])))
-        uniform = self.noise(len(logits), generator).squeeze(-1)
-        if _is_compiled(logits):
-            actions = np.empty(x.shape[:-1], np.int64)
-            categorical_sample(_transposed(logits), 0, uniform.numpy(), actions.reshape(-1))
+    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+        """By inversion: the first action whose cumulative probability is above a uniform number."""
+        if serves(outputs):
+            actions = np.empty(len(outputs), np.int64)
+            categorical_sample(transposed(outputs), 0, noise[:, 0].numpy(), actions)
             return torch.from_numpy(actions)
-        cumulative = logits.softmax(-1).cumsum(-1)
-        below = cumulative[:, :-1] <= uniform.unsqueeze(-1) * cumulative[:, -1:]
-        return below.sum(-1).view(x.shape[:-1])
+        cumulative = outputs.softmax(-1).cumsum(-1)
+        return (cumulative[..., :-1] <= noise * cumulative[..., -1:]).sum(-1)
 
-    def greedy(self, x: torch.Tensor) -> torch.Tensor:
-        """The most probable action per row."""
-        return _checked(self.body(x)).argmax(-1)
+    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+        """The action of the largest logit."""
+        return outputs.argmax(-1)
 
-    def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Log-probability of ``actions`` and entropy of the policy, each (...)."""
-        logits: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
-        if not _is_compiled(logits):
-            log_p = logits.log_softmax(-1)
-            log_prob = log_p.gather(-1, actions.reshape(-1, 1))
-            return log_prob.view(actions.shape), -(log_p.exp() * log_p).sum(-1).view(actions.shape)
-        z, a = _transposed(logits), actions.reshape(-1).numpy()
-        log_probs, entropies = np.empty(len(a), np.float32), np.empty(len(a), np.float32)
-        log_z, h = np.empty(len(a)), np.empty(len(a))
-        parallel = shares_rows(len(a))
-        run_forward = parallel_categorical_pass if parallel else categorical_pass
-        run_forward(z, a, log_probs, entropies, log_z, h)
-        results = (torch.from_numpy(log_probs), torch.from_numpy(entropies))
+    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """As :func:`softmax_log_prob_and_entropy`."""
+        return softmax_log_prob_and_entropy(outputs, actions)
 
-        def backward(by_results: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> NDArray[Any]:
-            del gradients  # no parameters but the network's
-            by_logits = np.empty_like(z)
-            by_log_prob, by_entropy = by_results
-            run_backward = parallel_categorical_gradient if parallel else categorical_gradient
-            run_backward(z, a, log_z, h, by_log_prob, by_entropy, by_logits)
-            return by_logits.T
-
-        if tape := current_tape():
-            tape.record(logits, results, backward)
-        return _shaped(results, actions.shape)
+    def _head(self, actions: NDArray[Any]) -> Head:
+        return Softmax(actions)
 
 
 class GaussianActor(_Actor):
@@ -165,39 +174,23 @@ class GaussianActor(_Actor):
         self.log_std = nn.Parameter(torch.full((actions,), INITIAL_LOG_STD))
 
     def noise(self, rows: int, generator: torch.Generator) -> torch.Tensor:
-        """The random numbers (rows, k) of :meth:`sample`: standard normal."""
+        """Standard normal: (rows, k)."""
         return _standard_normal(rows, len(self.log_std), generator, self.log_std.dtype)
 
-    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """One action per row."""
-        mean = _checked(self.body(x))
-        return mean + self.log_std.exp() * self.noise(mean[..., 0].numel(), generator).view(mean.shape)
+    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+        """M + sigma x."""
+        return outputs + self.log_std.exp() * noise
 
-    def greedy(self, x: torch.Tensor) -> torch.Tensor:
-        """The mean action per row."""
-        return _checked(self.body(x))
+    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+        """The mean."""
+        return outputs
 
-    def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Log-density of ``actions`` and entropy of the policy, each (...)."""
-        means: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
-        shape = actions.shape[:-1]
-        if not _is_compiled(means):
-            log_density, entropy = _log_density_and_entropy(means, self.log_std, actions.reshape(means.shape))
-            return log_density.view(shape), entropy.expand(shape)
-        m, a, log_std = _transposed(means), actions.reshape(means.shape).numpy(), self.log_std.detach().numpy()
-        log_probs, entropies = np.empty(len(a), np.float32), np.empty(len(a), np.float32)
-        gaussian_pass(m, log_std, a, log_probs, entropies)
-        results = (torch.from_numpy(log_probs), torch.from_numpy(entropies))
+    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """As :func:`gaussian_log_density_and_entropy`."""
+        return gaussian_log_density_and_entropy(outputs, self.log_std, actions)
 
-        def backward(by_results: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> NDArray[Any]:
-            by_means = np.empty_like(m)
-            by_log_prob, by_entropy = by_results
-            gaussian_gradient(m, log_std, a, by_log_prob, by_entropy, by_means, gradients[self.log_std])
-            return by_means.T
-
-        if tape := current_tape():
-            tape.record(means, results, backward)
-        return _shaped(results, shape)
+    def _head(self, actions: NDArray[Any]) -> Head:
+        return Gaussian(actions, self.log_std)
 
 
 class StateGaussianActor(_Actor):
@@ -206,7 +199,7 @@ class StateGaussianActor(_Actor):
     As :class:`GaussianActor` otherwise. What explores in one state, or under one preference, can be certain in another.
 
     Args:
-        body: network from (..., inputs) to k means, then k numbers of which :func:`log_std_of` makes the deviations.
+        body: network from (..., inputs) to k means, then k numbers of which the deviations are made.
         actions: k.
     """
 
@@ -215,47 +208,28 @@ class StateGaussianActor(_Actor):
         self.actions = actions
 
     def noise(self, rows: int, generator: torch.Generator) -> torch.Tensor:
-        """The random numbers (rows, k) of :meth:`sample`: standard normal."""
+        """Standard normal: (rows, k)."""
         return _standard_normal(rows, self.actions, generator, next(self.parameters()).dtype)
 
-    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """One action per row."""
-        outputs = _checked(self.body(x.reshape(-1, x.shape[-1])))
-        noise = self.noise(len(outputs), generator)
-        shape = (*x.shape[:-1], self.actions)
-        if _is_compiled(outputs):
+    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+        """M + sigma x."""
+        if serves(outputs):
             actions = np.empty(noise.shape, np.float32)
-            state_gaussian_sample(_transposed(outputs), 0, noise.numpy(), actions)
-            return torch.from_numpy(actions).view(shape)
+            state_gaussian_sample(transposed(outputs), 0, noise.numpy(), actions)
+            return torch.from_numpy(actions)
         mean, log_std = self.mean_and_log_std(outputs)
-        return (mean + log_std.exp() * noise).view(shape)
+        return mean + log_std.exp() * noise
 
-    def greedy(self, x: torch.Tensor) -> torch.Tensor:
-        """The mean action per row."""
-        return _checked(self.body(x))[..., : self.actions]
+    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+        """The mean."""
+        return outputs[..., : self.actions]
 
-    def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Log-density of ``actions`` and entropy of the policy, each (...)."""
-        outputs: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
-        shape, flat = actions.shape[:-1], actions.reshape(-1, self.actions)
-        if not _is_compiled(outputs):
-            log_density, entropy = _log_density_and_entropy(*self.mean_and_log_std(outputs), flat)
-            return log_density.view(shape), entropy.view(shape)
-        o, a = _transposed(outputs), flat.numpy()
-        log_probs, entropies = np.empty(len(a), np.float32), np.empty(len(a), np.float32)
-        state_gaussian_pass(o, a, log_probs, entropies)
-        results = (torch.from_numpy(log_probs), torch.from_numpy(entropies))
+    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """As :func:`gaussian_log_density_and_entropy`."""
+        return gaussian_log_density_and_entropy(*self.mean_and_log_std(outputs), actions)
 
-        def backward(by_results: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> NDArray[Any]:
-            del gradients  # no parameters but the network's
-            by_outputs = np.empty_like(o)
-            by_log_prob, by_entropy = by_results
-            state_gaussian_gradient(o, a, by_log_prob, by_entropy, by_outputs)
-            return by_outputs.T
-
-        if tape := current_tape():
-            tape.record(outputs, results, backward)
-        return _shaped(results, shape)
+    def _head(self, actions: NDArray[Any]) -> Head:
+        return StateGaussian(actions)
 
     def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Means (..., k) and log standard deviations (..., k) that outputs (..., 2 k) of the network stand for."""
@@ -263,22 +237,8 @@ class StateGaussianActor(_Actor):
         return outputs[..., : self.actions], log_std.clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD)
 
 
-def _log_density_and_entropy(
-    mean: torch.Tensor, log_std: torch.Tensor, actions: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Log-density log N(a; m, sigma) (M,), and H, of the shape of log sigma without its last axis."""
-    z = (actions - mean) / log_std.exp()
-    return (-0.5 * z.square() - log_std - 0.5 * LOG_TWO_PI).sum(-1), (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1)
-
-
 def _standard_normal(rows: int, k: int, generator: torch.Generator, dtype: torch.dtype) -> torch.Tensor:
     return torch.randn((rows, k), generator=generator, device=generator.device, dtype=dtype)
-
-
-def _shaped(results: tuple[torch.Tensor, torch.Tensor], shape: torch.Size) -> tuple[torch.Tensor, torch.Tensor]:
-    """Both in a shape; they are the same tensors, and so on the tape, if that is theirs."""
-    log_prob, entropy = results
-    return results if log_prob.shape == shape else (log_prob.view(shape), entropy.view(shape))
 
 
 Actor = CategoricalActor | GaussianActor | StateGaussianActor

@@ -1,202 +1,148 @@
-"""Losses with their gradients written out, the clipped surrogate among them, and how far it has moved a policy."""
+"""Losses as functions of tensors that autograd differentiates, and how far a step has moved a policy.
+
+Rows are samples. Their ``weights`` (M,) need not sum to 1; None weighs all alike, and a row of weight 0 does not count.
+"""
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-import numpy as np
+import torch
 
-from mo_deepdrive.simulation.jit import jit
+from algorithms.networks.compiled import serves
+from algorithms.networks.compiled.losses import ProximalLoss
+from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import torch
-    from numpy.typing import NDArray
-
-    Gradient = tuple[torch.Tensor, NDArray[np.float32]]
-
-
 LARGEST_LOG_RATIO = 80.0  # whose exponential is finite in single precision
 
 
-class Loss:
-    """A scalar with its gradient by the outputs of networks, for which +, - and multiplication by a number are defined.
+class Losses(NamedTuple):
+    """A loss of an actor-critic and the scalars of which it consists.
 
-    Args:
-        value: the scalar.
-        gradients: pairs of an output and the gradient by it, in its shape.
-        factors: by which the gradients are still to be multiplied; None for 1.
-
-    Example:
-        >>> outputs = torch.tensor([1.0, 3.0])
-        >>> loss = 0.5 * mean(outputs) - squared_error(outputs, torch.tensor([1.0, 1.0]))
-        >>> float(loss)
-        -1.0
-        >>> sum(gradient for _, gradient in loss.gradients)
-        array([ 0.25, -1.75], dtype=float32)
+    Attributes:
+        total: what is minimised.
+        policy, value, entropy: its parts.
+        log_ratio: (M,) log rho of the samples, of PPO and its relatives.
     """
 
-    def __init__(self, value: float, gradients: Sequence[Gradient], factors: Sequence[float] | None = None):
-        self.value = value
-        self._gradients = list(gradients)
-        self._factors = [1.0] * len(self._gradients) if factors is None else list(factors)
+    total: torch.Tensor
+    policy: torch.Tensor
+    value: torch.Tensor
+    entropy: torch.Tensor
+    log_ratio: torch.Tensor | None = None
+
+    def parts(self) -> dict[str, float]:
+        """The parts by the names of metrics."""
+        return means([self])
+
+
+def means(losses: Sequence[Losses]) -> dict[str, float]:
+    """The parts by the names of metrics, in the mean over gradient steps."""
+    parts = torch.stack([torch.stack(each[1:4]) for each in losses]).detach().double().mean(0).tolist()
+    return dict(zip((POLICY_LOSS, VALUE_LOSS, ENTROPY), parts, strict=True))
+
+
+def mean(values: torch.Tensor, weights: torch.Tensor | None = None) -> torch.Tensor:
+    """The weighted mean of ``values`` (M,); 0 if all weights are."""
+    if weights is None:
+        return values.mean()
+    return (weights * values).sum() / weights.sum().clamp(min=torch.finfo(weights.dtype).tiny)
+
+
+def squared_error(outputs: torch.Tensor, targets: torch.Tensor, weights: torch.Tensor | None = None) -> torch.Tensor:
+    """The weighted mean of |y - v|^2 / K over the rows of outputs v and targets y, both (M, K)."""
+    return mean((outputs - targets).square().mean(-1), weights)
+
+
+class OldSamples(Protocol):
+    """What :func:`proximal_loss` takes of :class:`algorithms.rollouts.buffers.Samples`, each (M,) or (M, K)."""
 
     @property
-    def gradients(self) -> list[Gradient]:
-        """Pairs of an output and the gradient by it, in its shape."""
-        pairs = zip(self._gradients, self._factors, strict=True)
-        return [(out, by if factor == 1.0 else np.float32(factor) * by) for (out, by), factor in pairs]
+    def log_prob(self) -> torch.Tensor | None:
+        """Log pi_old."""
 
-    def __float__(self) -> float:
-        return self.value
+    @property
+    def advantages(self) -> torch.Tensor:
+        """A."""
 
-    def __add__(self, other: Loss) -> Loss:
-        gradients, factors = self._gradients + other._gradients, self._factors + other._factors
-        return Loss(self.value + other.value, gradients, factors)
+    @property
+    def targets(self) -> torch.Tensor:
+        """Y."""
 
-    def __sub__(self, other: Loss) -> Loss:
-        return self + -other
-
-    def __neg__(self) -> Loss:
-        return -1.0 * self
-
-    def __rmul__(self, factor: float) -> Loss:
-        return Loss(factor * self.value, self._gradients, [factor * each for each in self._factors])
+    @property
+    def weights(self) -> torch.Tensor | None:
+        """1 for samples that count, else 0."""
 
 
-def mean(outputs: torch.Tensor) -> Loss:
-    """The mean of ``outputs``."""
-    array = _array(outputs)
-    return Loss(_total(array.reshape(-1)) / array.size, [(outputs, np.full_like(array, 1.0 / array.size))])
+class ProximalSettings(Protocol):
+    """The hyperparameters of :func:`proximal_loss`: epsilon and c_v."""
+
+    clip: float
+    value_coefficient: float
 
 
-@jit
-def _total(values: NDArray[np.float32]) -> float:
-    total = 0.0
-    for i in range(len(values)):
-        total += values[i]
-    return total
+def proximal_loss(
+    log_prob: torch.Tensor,
+    entropies: torch.Tensor,
+    outputs: torch.Tensor,
+    samples: OldSamples,
+    config: ProximalSettings,
+    entropy_coefficient: float | torch.Tensor,
+    *,
+    critic_learns_from_all: bool = False,
+) -> Losses:
+    """The loss of PPO and its relatives (Schulman et al. 2017, eqs. 7 and 9).
 
+    With rho = pi / pi_old,
 
-def weighted_sum(weights: torch.Tensor, outputs: torch.Tensor) -> Loss:
-    """The sum of w x over the outputs x.
-
-    Raises:
-        ValueError: if they differ in shape.
-    """
-    if outputs.shape != weights.shape:
-        raise ValueError(f"weights have shape {tuple(weights.shape)}; the outputs have {tuple(outputs.shape)}")
-    gradient = _array(weights)
-    products = gradient.reshape(-1), _array(outputs).reshape(-1)
-    return Loss(_weighted_total(*products), [(outputs, gradient)])
-
-
-@jit
-def _weighted_total(weights: NDArray[np.float32], values: NDArray[np.float32]) -> float:
-    total = 0.0
-    for i in range(len(values)):
-        total += np.float64(weights[i]) * np.float64(values[i])
-    return total
-
-
-def squared_error(outputs: torch.Tensor, targets: torch.Tensor, weights: torch.Tensor | None = None) -> Loss:
-    """The mean of (y - v)^2 over all elements of the outputs v and the targets y.
+        L = -E[min(rho A, clip(rho, 1 - epsilon, 1 + epsilon) A)] + c_v E[|y - v|^2 / K] - c_e E[H(pi)]
 
     Args:
-        outputs: v.
-        targets: y, in their shape.
-        weights: (M,), which sum to 1, of the M rows of outputs (M, d); None for equal ones.
-
-    Raises:
-        ValueError: if targets or weights do not have the shape that they must.
+        log_prob: (M,) log pi of the actions.
+        entropies: (M,) H(pi).
+        outputs: (M, K) v.
+        samples: log pi_old, A, y and weights.
+        config: epsilon and c_v.
+        entropy_coefficient: c_e.
+        critic_learns_from_all: whether samples of weight 0 count in the second term.
     """
-    if outputs.shape != targets.shape:
-        raise ValueError(f"targets have shape {tuple(targets.shape)}; the outputs have {tuple(outputs.shape)}")
-    if weights is not None and (outputs.dim() != 2 or weights.shape != outputs.shape[:1]):
-        raise ValueError(f"weights have shape {tuple(weights.shape)}; the outputs have {tuple(outputs.shape)}")
-    array = _array(outputs)
-    if array.ndim != 2:
-        array = np.ascontiguousarray(array)  # so that its rows are a view of the gradient
-    gradient = np.empty_like(array)
-    columns = array.shape[-1] if array.ndim > 1 else 1
-    rows = array.reshape(-1, columns), _array(targets).reshape(-1, columns), gradient.reshape(-1, columns)
-    if weights is None:
-        of_rows, divisor = np.ones(len(rows[0]), array.dtype), array.size
-    else:
-        of_rows, divisor = _array(weights), columns
-    return Loss(_squared_error(*rows, of_rows, divisor), [(outputs, gradient)])
+    weights = samples.weights, None if critic_learns_from_all else samples.weights
+    assert samples.log_prob is not None
+    old = samples.log_prob, samples.advantages, samples.targets
+    if serves(log_prob):
+        coefficients = config.clip, config.value_coefficient, float(entropy_coefficient)
+        found = ProximalLoss.apply(log_prob, entropies, outputs, old, weights, coefficients)  # type: ignore[no-untyped-call]
+        return Losses(*found)
+    log_ratio = log_prob - samples.log_prob
+    ratio, advantages = log_ratio.exp(), samples.advantages
+    clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
+    policy_loss = -mean(torch.minimum(ratio * advantages, clipped * advantages), weights[0])
+    value_loss = squared_error(outputs, samples.targets, weights[1])
+    entropy = mean(entropies, weights[0])
+    total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+    return Losses(total, policy_loss, value_loss, entropy, log_ratio)
 
 
-@jit
-def _squared_error(
-    outputs: NDArray[np.float32],
-    targets: NDArray[np.float32],
-    gradient: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    divisor: int,
-) -> float:
-    """The sum of w (y - v)^2 / n for a divisor n; the gradient by v is 2 w (v - y) / n."""
-    total, scale = 0.0, np.float32(2.0 / divisor)
-    for k in range(outputs.shape[1]):
-        for i in range(len(outputs)):
-            error = outputs[i, k] - targets[i, k]
-            gradient[i, k] = scale * weights[i] * error
-            total += np.float64(weights[i]) * np.float64(error) * np.float64(error)
-    return total / divisor
-
-
-def clipped_surrogate(
-    log_prob: torch.Tensor, old_log_prob: torch.Tensor, advantages: torch.Tensor, clip: float
-) -> Loss:
-    """E[min(rho A, clip(rho, 1 - epsilon, 1 + epsilon) A)] with rho = pi / pi_old (Schulman et al. 2017, eq. 7).
-
-    Args:
-        log_prob: (M,) log pi of the actions, by which the loss has a gradient.
-        old_log_prob: (M,) log pi_old.
-        advantages: (M,) A.
-        clip: epsilon.
-    """
-    old, weights = _array(old_log_prob), _array(advantages)
-    gradient = np.empty_like(old)
-    value = _clipped_surrogate(_array(log_prob), old, weights, clip, gradient)
-    return Loss(value, [(log_prob, gradient)])
-
-
-@jit
-def _clipped_surrogate(
-    log_prob: NDArray[np.float32],
-    old_log_prob: NDArray[np.float32],
-    advantages: NDArray[np.float32],
-    clip: float,
-    gradient: NDArray[np.float32],
-) -> float:
-    """The gradient by log pi is rho A where that is the minimum, and else 0."""
-    total, count = 0.0, len(log_prob)
-    for i in range(count):
-        # In double precision, or a surrogate that is not clipped could be rounded above itself.
-        ratio = math.exp(np.float64(log_prob[i]) - np.float64(old_log_prob[i]))
-        advantage = np.float64(advantages[i])
-        surrogate = ratio * advantage
-        clipped = min(max(ratio, 1.0 - clip), 1.0 + clip) * advantage
-        gradient[i] = surrogate / count if surrogate <= clipped else 0.0
-        total += min(surrogate, clipped)
-    return total / count
-
-
-def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
-    array: NDArray[np.float32] = tensor.detach().cpu().numpy()
-    return array
-
-
-def policy_change(log_ratio: torch.Tensor, clip: float) -> tuple[float, float]:
-    """The fraction of clipped samples, and E[rho - 1 - log rho], an estimate of KL(pi_old || pi).
+def policy_shift(
+    log_ratio: torch.Tensor, clip: float, weights: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The fraction of clipped samples, and E[rho - 1 - log rho], an estimate of KL(pi_old || pi), in a gradient step.
 
     Args:
         log_ratio: (M,) log rho of samples of pi_old.
         clip: epsilon.
+        weights: of the samples.
     """
     ratio = log_ratio.clamp(max=LARGEST_LOG_RATIO).exp()
     clipped = ((ratio - 1.0).abs() > clip).to(ratio.dtype)
-    return float(clipped.mean()), float((ratio - 1.0 - log_ratio).mean())
+    return mean(clipped, weights), mean(ratio - 1.0 - log_ratio, weights)
+
+
+def policy_change(losses: Sequence[Losses], clip: float) -> dict[str, float]:
+    """:func:`policy_shift` over the samples of several gradient steps, by the names of metrics."""
+    log_ratio = torch.cat([each.log_ratio.detach() for each in losses if each.log_ratio is not None])
+    clipped, divergence = policy_shift(log_ratio, clip)
+    return {CLIP_FRACTION: float(clipped), APPROX_KL: float(divergence)}

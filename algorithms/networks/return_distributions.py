@@ -6,12 +6,12 @@ Both describe the joint distribution of all objectives. Rows are samples: M of t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
-from algorithms.networks.losses import Loss
+from algorithms.networks.compiled import serves
 from mo_deepdrive.simulation.jit import jit
 
 if TYPE_CHECKING:
@@ -49,22 +49,16 @@ class ReturnDistribution(ABC):
         """
 
     @abstractmethod
-    def loss(
-        self,
-        outputs: torch.Tensor,
-        shifts: torch.Tensor,
-        discounts: torch.Tensor,
-        following: torch.Tensor,
-        weights: torch.Tensor,
-    ) -> Loss:
-        """Sum over the rows of w D(target, prediction), where the target is the distribution of shift + discount Z.
+    def distance(
+        self, outputs: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor, following: torch.Tensor
+    ) -> torch.Tensor:
+        """D(target, prediction) (M,), where the target is the distribution of shift + discount Z.
 
         Args:
-            outputs: (M, outputs) of the network: the predictions, by which the loss has a gradient.
+            outputs: (M, outputs) of the network: the predictions.
             shifts: (M, d).
             discounts: (M,); 0 gives the point ``shift`` for a target.
-            following: (M, outputs) of the network: Z.
-            weights: (M,) w.
+            following: (M, outputs) of the network: Z, without a gradient.
         """
 
     def expected_utility(
@@ -116,20 +110,12 @@ class CategoricalGrid(ReturnDistribution):
         """The grid's points (1, A^d, d), and softmax of the logits."""
         return self.points, outputs.softmax(-1)
 
-    def loss(
-        self,
-        outputs: torch.Tensor,
-        shifts: torch.Tensor,
-        discounts: torch.Tensor,
-        following: torch.Tensor,
-        weights: torch.Tensor,
-    ) -> Loss:
-        """-sum w m . log p for the projected targets m; its gradient by the logits is w (p - m)."""
-        targets = project(following.detach().softmax(-1), shifts, discounts, self.values)
-        log_prob = outputs.detach().log_softmax(-1)
-        weights = weights.unsqueeze(-1)
-        gradient = weights * (log_prob.exp() - targets)
-        return Loss(-float((weights * targets * log_prob).sum()), [(outputs, gradient.cpu().numpy())])
+    def distance(
+        self, outputs: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor, following: torch.Tensor
+    ) -> torch.Tensor:
+        """-m . log p for the projected targets m."""
+        targets = project(following.softmax(-1), shifts, discounts, self.values)
+        return -(targets * outputs.log_softmax(-1)).sum(-1)
 
 
 def project(masses: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
@@ -181,26 +167,17 @@ class Particles(ReturnDistribution):
         particles = outputs.unflatten(-1, (self.number, -1))
         return self.scales * particles, torch.full_like(particles[..., 0], 1.0 / self.number)
 
-    def loss(
-        self,
-        outputs: torch.Tensor,
-        shifts: torch.Tensor,
-        discounts: torch.Tensor,
-        following: torch.Tensor,
-        weights: torch.Tensor,
-    ) -> Loss:
-        """The sum of w times :func:`energy_score`, between returns divided by their scales."""
-        moved = discounts[:, None, None] * following.detach().unflatten(-1, (self.number, -1))
+    def distance(
+        self, outputs: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor, following: torch.Tensor
+    ) -> torch.Tensor:
+        """:func:`energy_score` between returns divided by their scales."""
+        moved = discounts[:, None, None] * following.unflatten(-1, (self.number, -1))
         targets = ((shifts / self.scales).unsqueeze(1) + moved).clamp(self.minimum, self.maximum)
-        particles = outputs.detach().reshape(targets.shape)
-        value, gradient = energy_score(particles.cpu().numpy(), targets.cpu().numpy(), weights.cpu().numpy())
-        return Loss(value, [(outputs, gradient.reshape(outputs.shape))])
+        return energy_score(outputs.unflatten(-1, (self.number, -1)), targets)
 
 
-def energy_score(
-    particles: NDArray[np.float32], targets: NDArray[np.float32], weights: NDArray[np.float32]
-) -> tuple[float, NDArray[np.float32]]:
-    """Sum over the rows of ``w (2 E|X - Y| - E|X - X'|)``, and its gradient (M, K, d) by the particles.
+def energy_score(particles: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """``2 E|X - Y| - E|X - X'|`` (M,).
 
     This is the energy distance between particles and targets but for ``E|Y - Y'|``, which does not depend on the
     particles. It is linear in the distribution of Y, so that single outcomes give unbiased gradients, and smallest
@@ -210,39 +187,59 @@ def energy_score(
 
     Args:
         particles: (M, K, d) X, equally likely.
-        targets: (M, J, d) Y, equally likely.
-        weights: (M,) w.
+        targets: (M, J, d) Y, equally likely, without a gradient.
     """
-    gradient = np.zeros_like(particles)
-    return _energy_score(particles, targets, weights, gradient), gradient
+    if serves(particles):
+        found: torch.Tensor = _EnergyScore.apply(particles, targets)  # type: ignore[no-untyped-call]
+        return found
+
+    def distance(others: torch.Tensor) -> torch.Tensor:
+        squares = (particles.unsqueeze(-2) - others.unsqueeze(-3)).square().sum(-1)
+        return (squares + SMOOTHING**2).sqrt().mean((-2, -1))
+
+    return 2.0 * distance(targets) - distance(particles)
+
+
+class _EnergyScore(torch.autograd.Function):
+    """:func:`energy_score`, compiled; its gradient is calculated with it."""
+
+    @staticmethod
+    def forward(ctx: Any, particles: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        """The scores."""
+        x, y = particles.detach().contiguous().numpy(), targets.contiguous().numpy()
+        scores, gradient = np.empty(len(x), np.float32), np.empty_like(x)
+        _energy_score(x, y, scores, gradient)
+        ctx.gradient = torch.from_numpy(gradient)
+        return torch.from_numpy(scores)
+
+    @staticmethod
+    def backward(ctx: Any, by_scores: torch.Tensor) -> tuple[torch.Tensor, None]:
+        """By the particles."""
+        return by_scores[:, None, None] * ctx.gradient, None
 
 
 @jit
 def _energy_score(
     particles: NDArray[np.float32],
     targets: NDArray[np.float32],
-    weights: NDArray[np.float32],
+    scores: NDArray[np.float32],
     gradient: NDArray[np.float32],
-) -> float:
-    """Write the gradient where it is not 0."""
+) -> None:
+    """Write the scores (M,) and their gradient (M, K, d) by the particles."""
     rows, number, d = particles.shape
     x, by_x = np.empty((d, number), np.float32), np.empty((d, number), np.float32)
     spare = np.empty((2, number), np.float32)
-    total = 0.0
+    to_targets, to_each_other = 2.0 / (number * targets.shape[1]), 2.0 / number**2
     for m in range(rows):
-        if weights[m] == 0.0:
-            continue
         for i in range(number):  # assignments of arrays take much longer to compile
             for k in range(d):
                 x[k, i], by_x[k, i] = particles[m, i, k], 0.0
-        to_targets = 2.0 * weights[m] / (number * targets.shape[1])
-        to_each_other = 2.0 * weights[m] / number**2
-        total += to_targets * _add_distances(x, targets[m], to_targets, by_x, spare)
-        total -= 0.5 * to_each_other * _add_distances(x, particles[m], -to_each_other, by_x, spare)
+        score = to_targets * _add_distances(x, targets[m], to_targets, by_x, spare)
+        score -= 0.5 * to_each_other * _add_distances(x, particles[m], -to_each_other, by_x, spare)
+        scores[m] = score
         for i in range(number):
             for k in range(d):
                 gradient[m, i, k] = by_x[k, i]
-    return total
 
 
 @jit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.files.checkpoints import restore_generator, strip_prefix
+from algorithms.files.checkpoints import strip_prefix
 
 if TYPE_CHECKING:
     import torch
@@ -21,21 +21,18 @@ class TrainedNetworks:
         actor: the policy.
         critic: what the policy learns from.
         optimiser: of both.
-        shuffle: shuffles minibatches; None for learners without.
     """
 
     vehicle: int
     actor: Actor
     critic: torch.nn.Module
     optimiser: Adam
-    shuffle: torch.Generator | None = None
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Weights, the optimiser's state and the generator of the minibatches, if any, as named tensors."""
+        """Weights and the optimiser's state as named tensors."""
         state = self.get_policy()
         state |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
-        state |= {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
-        return state if self.shuffle is None else {**state, "generator": self.shuffle.get_state()}
+        return state | {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
         """Resume from :meth:`get_state`.
@@ -46,8 +43,6 @@ class TrainedNetworks:
         self.set_policy(state)
         self.critic.load_state_dict(strip_prefix(state, "critic."))
         self.optimiser.set_state(strip_prefix(state, "optimiser."))
-        if self.shuffle is not None:
-            restore_generator(self.shuffle, f"vehicle_{self.vehicle}.generator", state["generator"])
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The actor's weights as named tensors."""

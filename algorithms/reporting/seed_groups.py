@@ -1,8 +1,8 @@
 """Which runs differ in their seed alone, and which have comparable scores: the rules of curves, tables and sweeps.
 
 Two runs belong together if their resolved experiments are the same apart from the seed, from where they ran (device,
-threads) and from what they logged; device, threads and logging change neither what is learnt, but for last bits, nor
-how it is measured.
+threads, beside which seeds) and from what they logged; these change neither what is learnt, but for last bits, nor how
+it is measured.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SEED = "training.seed"
 # Keys of a config, and one section, that change neither what is learnt nor how it is measured.
-INCIDENTAL = ("training.device", "training.threads", "logging")
+INCIDENTAL = ("training.device", "training.seeds", "training.threads", "logging")
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -48,10 +50,11 @@ class Rollout:
         """
         own = {name: tensor[:, :, v].to(device) for name, tensor in vars(self).items()}
         rest = [each for each in range(self.observations.shape[2]) if others and each != v]
-        seen_by_rest = {
-            name: tensor[:, :, rest].flatten(2).to(device)
-            for name, tensor in (("others", self.observations), ("final_others", self.final))
-        }
+        seen_by_rest = {}
+        for name, tensor in (("others", self.observations), ("final_others", self.final)):
+            # Not by a list of indices, which would have to be copied to the device.
+            parts = [tensor[:, :, :1, :0], *(tensor[:, :, each : each + 1] for each in rest)]
+            seen_by_rest[name] = torch.cat(parts, dim=-1).flatten(2).to(device)
         return VehicleRollout(**own, **seen_by_rest)
 
 
@@ -68,12 +71,12 @@ class VehicleRollout(Rollout):
     final_others: torch.Tensor
 
     def final_states(
-        self, where: torch.Tensor, accrued_discount: float
+        self, where: torch.Tensor | slice, accrued_discount: float
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """The true states in which episodes ended: observation (M, o), accrued reward (M, d) and discount (M,).
+        """The true states after steps, in which episodes may have ended: observation, accrued reward and discount.
 
         Args:
-            where: (T, N) mask of the M steps at whose end the states are taken.
+            where: a mask (T, N) of M steps, for results (M, ...), or a slice of time.
             accrued_discount: g, discount of the accrued reward.
         """
         discounts = self.discounts[:-1][where]
@@ -82,46 +85,61 @@ class VehicleRollout(Rollout):
 
 
 class Samples(NamedTuple):
-    """M samples of one vehicle, as PPO and its relatives learn from them.
+    """M samples of one vehicle, as actor-critics learn from them.
 
     Attributes:
         inputs: (M, i) what the actor saw.
         critic_inputs: (M, ...) what the critic saw.
         actions: (M,) or (M, k).
-        log_prob: (M,) log-probability of the actions under pi_old.
         advantages: (M,) A_t.
-        targets: (M,), (M, 1) or (M, d) y_t of the critic.
+        targets: (M, K) y_t, in the units of the critic's outputs.
+        weights: (M,) 1 where the vehicle acted, 0 elsewhere; None if it acted in all.
+        log_prob: (M,) log-probability of the actions under pi_old, for PPO and its relatives.
     """
 
     inputs: torch.Tensor
     critic_inputs: torch.Tensor
     actions: torch.Tensor
-    log_prob: torch.Tensor
     advantages: torch.Tensor
     targets: torch.Tensor
+    weights: torch.Tensor | None = None
+    log_prob: torch.Tensor | None = None
 
-    def at(self, where: torch.Tensor) -> Samples:
-        """The samples where a mask is True; the axes of the mask become one."""
-        if where.all():
-            return self._each(lambda tensor: tensor.flatten(0, where.dim() - 1))
-        rows = where.flatten().nonzero().squeeze(1)
-        return self._each(lambda tensor: tensor.flatten(0, where.dim() - 1).index_select(0, rows))
+    def flat(self) -> Samples:
+        """Samples (T, N, ...) as (T N, ...)."""
+        return self.each(lambda tensor: tensor.flatten(0, 1))
 
-    def shuffled(self, generator: torch.Generator) -> Samples:
-        """The samples in random order."""
-        order = torch.randperm(len(self.actions), generator=generator).to(self.actions.device)
-        return self._each(lambda tensor: tensor.index_select(0, order))
+    def acted(self) -> Samples:
+        """The samples of weight 1, without weights."""
+        if self.weights is None or bool(self.weights.all()):
+            return self._replace(weights=None)
+        rows = self.weights.nonzero().squeeze(1)
+        return self._replace(weights=None).at(rows)
 
-    def _each(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Samples:
-        inputs = function(self.inputs)
-        # Where the critic sees what the actor sees, it is not copied twice.
-        seen, valued = ((each.data_ptr(), each.shape, each.stride()) for each in self[:2])
-        return Samples(inputs, inputs if seen == valued else function(self.critic_inputs), *map(function, self[2:]))
+    def at(self, rows: torch.Tensor) -> Samples:
+        """The samples of some numbers (m,), in their order."""
+        return self.each(lambda tensor: tensor.index_select(0, rows))
+
+    def minibatches(self, epochs: int, parts: int, generator: torch.Generator) -> Iterator[Samples]:
+        """``parts`` of nearly equal size of the samples in a new random order, ``epochs`` times.
+
+        Fewer parts if there are fewer samples.
+        """
+        for _ in range(epochs):
+            order = torch.randperm(len(self.actions), generator=generator).to(self.actions.device)
+            yield from self.at(order).split(parts)
 
     def split(self, parts: int) -> list[Samples]:
         """Consecutive parts of nearly equal size; fewer than ``parts`` if there are fewer samples."""
-        bounds = [tensor.tensor_split(min(parts, len(self.actions))) for tensor in self]
-        return [Samples(*part) for part in zip(*bounds, strict=True)]
+        ends = [0, *np.cumsum([len(part) for part in self.actions.tensor_split(min(parts, len(self.actions)))])]
+        return [self.each(itemgetter(slice(first, last))) for first, last in pairwise(ends)]
+
+    def each(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Samples:
+        """What a function makes of every tensor."""
+        named = {name: tensor for name, tensor in self._asdict().items() if tensor is not None}
+        # Where the critic sees what the actor sees, it is not kept twice.
+        done = {number: function(tensor) for number, tensor in {id(each): each for each in named.values()}.items()}
+        return self._replace(**{name: done[id(tensor)] for name, tensor in named.items()})
 
 
 @dataclass

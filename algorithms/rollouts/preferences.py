@@ -91,6 +91,9 @@ class Preferences:
         self.shares = shares / shares.sum()
         self.used = np.flatnonzero(shares).tolist()
         self.budgeted = [self.objectives.index(name) for name in config.budgets]
+        # Indices as tensors: lists would have to be copied to a device whenever they are used.
+        self._with_budget = torch.tensor(self.budgeted, dtype=torch.int64)
+        self._free = torch.tensor([i for i in range(len(objectives)) if i not in self.budgeted], dtype=torch.int64)
         self.largest = torch.tensor([*config.budgets.values()], dtype=torch.float32)
         self.ideal = torch.zeros(len(objectives))
         self.seen_any = False
@@ -108,6 +111,27 @@ class Preferences:
         self._factors, self._divisors = torch.ones(2, len(self.names))
         self._factors[self._weights] = float(d)
         self._divisors[self._budgets] = self.largest
+
+    def to(self, device: torch.device) -> None:
+        """Move its tensors to a device."""
+        for name, each in vars(self).items():
+            if isinstance(each, torch.Tensor):
+                setattr(self, name, each.to(device))
+
+    def rows(self, family: torch.Tensor, weights: torch.Tensor, budgets: torch.Tensor) -> torch.Tensor:
+        """Preferences (..., m) of families, weights and budgets.
+
+        Args:
+            family: (...) positions in :attr:`used`.
+            weights: (..., d) for linear and Chebyshev families.
+            budgets: (..., b) for comfort budgets, as shares of the largest.
+        """
+        positions = torch.arange(len(self.used), device=family.device)
+        indicators = (family.unsqueeze(-1) == positions).to(weights.dtype)
+        has_budgets = indicators[..., -1:] if self.used[-1] == COMFORT_BUDGET else torch.zeros_like(indicators[..., :1])
+        parts = [indicators] if len(self.used) > 1 else []
+        parts += [weights * (1.0 - has_budgets)] if self._weights.stop > self._weights.start else []
+        return torch.cat([*parts, budgets * self.largest * has_budgets], dim=-1)
 
     def note_episodes(self, discounted: NDArray[np.float64]) -> None:
         """Raise z to the best discounted returns (E, d) of episodes that ended."""
@@ -236,10 +260,9 @@ class Preferences:
             chebyshev = -(gaps.amax(-1) + self.config.rho * gaps.sum(-1))
             value = torch.where(self.is_family(preferences, CHEBYSHEV), chebyshev, value)
         if COMFORT_BUDGET in self.used:
-            free = [i for i in range(len(self.objectives)) if i not in self.budgeted]
-            excess = (-returns[..., self.budgeted] - preferences[..., self._budgets]).clamp(min=0.0)
-            price = self.config.price / self.scales.to(returns)[self.budgeted]
-            budget = scaled[..., free].sum(-1) - (price * excess).sum(-1)
+            excess = (-returns[..., self._with_budget] - preferences[..., self._budgets]).clamp(min=0.0)
+            price = self.config.price / self.scales.to(returns)[self._with_budget]
+            budget = scaled[..., self._free].sum(-1) - (price * excess).sum(-1)
             value = torch.where(self.is_family(preferences, COMFORT_BUDGET), budget, value)
         return value
 
@@ -265,7 +288,7 @@ class Preferences:
             behind = ((gaps - gaps.amax(-1, keepdim=True)) / left).clamp(min=-FURTHEST)
             parts.append(behind * self.is_family(preferences, CHEBYSHEV).unsqueeze(-1))
         if COMFORT_BUDGET in self.used:
-            unspent = (accrued[..., self.budgeted] + preferences[..., self._budgets]) / left / largest
+            unspent = (accrued[..., self._with_budget] + preferences[..., self._budgets]) / left / largest
             is_budget = self.is_family(preferences, COMFORT_BUDGET).unsqueeze(-1)
             parts.append(unspent.clamp(-FURTHEST, FURTHEST) * is_budget)
         return torch.cat(parts, dim=-1)

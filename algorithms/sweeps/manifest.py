@@ -184,15 +184,19 @@ def cell_rows(
 def _check_buildable(experiment: Experiment, where: str) -> None:
     """Raise now the error that the run would raise when it starts."""
     from algorithms.experiments.build import build
+    from algorithms.experiments.side_by_side import check_resident
 
-    settings = experiment.training.model_copy(update={"device": "cpu"})  # this machine may not have the run's device
     try:
         check_loggers(experiment)
-        here = experiment.model_copy(update={"training": settings})
         if find_algorithm(experiment.algorithm.name).is_peer:
+            # This machine may not have the run's device.
+            settings = experiment.training.model_copy(update={"device": "cpu"})
+            here = experiment.model_copy(update={"training": settings})
             peer_running().prepare(here, lambda _step, _metrics: None)
         else:
-            build(here, num_envs=1)
+            if experiment.is_resident:
+                check_resident(experiment)
+            build(experiment, num_envs=1)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 

@@ -280,7 +280,7 @@ def run_on_ray(
     pruned = set() if asha is None else asha.pruned
     for job in wanted:
         if job.id in pruned and not job.done:
-            run = job.open(device="cpu")  # this machine may not have the run's device
+            run = job.open()
             run.set_status("pruned", run.status.get("step", 0))
     return {job: reason for job, reason in progress.failed.items() if not job.done}
 

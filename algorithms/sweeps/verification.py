@@ -63,7 +63,7 @@ def discard(sweep: Path, row: ManifestRow, problems: list[str]) -> None:
     if not {problem.partition(":")[0] for problem in problems} <= set(RESULTS):
         shutil.rmtree(directory)
         return
-    run = row.job(sweep).open(device="cpu")  # this machine may not have the run's device
+    run = row.job(sweep).open()
     run.lock()
     run.set_status("trained", run.status.get("step", 0))
     run.unlock()

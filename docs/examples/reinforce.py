@@ -32,7 +32,7 @@ class REINFORCE(Agent):
         super().__init__(env, utility, **options)
         env, size = self.env, self.env.observation_size + len(self.env.objectives)
         self.actor = make_actor(self.config, size, env.actions, self.initial, continuous=env.continuous).to(self.device)
-        self.optimiser = Adam(self.actor.parameters())
+        self.optimiser = Adam(self.actor.parameters(), lr=self.config.learning_rate)
         self.collector = Collector(env, self.gamma, self.config.steps)
         self.scales = torch.tensor([*env.observation_scales, *env.objective_scales], device=self.device)
 
@@ -58,17 +58,17 @@ class REINFORCE(Agent):
         values = torch.stack([u(returns[:, v]) for v, u in enumerate(self.utilities)], dim=-1)  # (N, V): u(R)
         weights = first * (values - values.mean(0)) / (values.std(0, correction=0) + 1e-8)
         x = self.inputs(rollout.observations[:-1], rollout.accrued[:-1])
-        log_prob, _ = self.actor.log_prob_and_entropy(x, rollout.actions.to(self.device))
+        log_prob, _ = self.actor(x, rollout.actions.to(self.device))
         loss = -(weights.to(self.device) * log_prob).sum() / first.sum()
-        self.optimiser.minimise(loss, self.config.learning_rate)
+        self.optimiser.zero_grad()
+        loss.backward()
+        self.optimiser.step()
         return {"policy_loss": float(loss.detach())}
 
     def get_state(self):
         state = {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
-        state |= {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
-        return {**state, "generator": self.generator.get_state()}
+        return state | {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
 
     def set_state(self, state):
         self.actor.load_state_dict(strip_prefix(state, "actor."))
         self.optimiser.set_state(strip_prefix(state, "optimiser."))
-        self.generator.set_state(state["generator"])

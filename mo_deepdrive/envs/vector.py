@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector import AutoresetMode
 
 from mo_deepdrive.batch import WorldBatch
-from mo_deepdrive.config import parse_arguments
-from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import make_pins
-from mo_deepdrive.envs.streams import Streams, checked_seed
-from mo_deepdrive.envs.world import KnownFront
-from mo_deepdrive.plain_values import whole_number
+from mo_deepdrive.envs.streams import Streams
+from mo_deepdrive.envs.vector_base import VectorBase, check_forms, positive
+from mo_deepdrive.extras import needed_for
 from mo_deepdrive.simulation.autoreset import DISABLED, NEXT_STEP, SAME_STEP
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
 
@@ -27,16 +22,6 @@ if TYPE_CHECKING:
 
 END_NAMES = np.array(ENDS, dtype=object)
 _MODES = {AutoresetMode.NEXT_STEP: NEXT_STEP, AutoresetMode.DISABLED: DISABLED}
-
-
-def _positive(name: str, value: Any) -> int:
-    return whole_number(name, value, 1, allowed="a positive integer")
-
-
-def _form(array: Any) -> str:
-    if array is None:
-        return "missing"
-    return f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else repr(type(array).__name__)
 
 
 @dataclass
@@ -63,7 +48,7 @@ class Transition:
     ends: NDArray[np.int64]
 
 
-class DrivingVectorEnv(KnownFront, VectorEnv):
+class DrivingVectorEnv(VectorBase):
     """N independent worlds of one scenario, stepped together in compiled code.
 
     ## Description
@@ -113,12 +98,6 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
         ValueError: for invalid values.
     """
 
-    metadata: dict[str, Any] = {
-        "render_modes": ["rgb_array"],
-        "render_fps": 10,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }
-
     def __init__(
         self,
         num_envs: int = 1,
@@ -130,47 +109,14 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
         max_episode_steps: int | None = None,
         **options: Any,
     ):
-        num_envs, threads = _positive("num_envs", num_envs), _positive("threads", threads)
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode = {render_mode!r} must be None or 'rgb_array'")
-        config = parse_arguments(scenario, options)
-        if max_episode_steps is not None:
-            most = _positive("max_episode_steps", max_episode_steps)
-            options["time_limit"] = min(config.time_limit, most / config.decision_frequency)
-            config = parse_arguments(scenario, options)
-        self.num_envs = num_envs
-        self.config = config
-        self.render_mode = render_mode
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {
-            **copy.deepcopy(type(self).metadata),
-            "render_fps": config.decision_frequency,
-            "autoreset_mode": self.autoreset_mode,
-        }
-        self.batch = WorldBatch(config, num_envs, threads)
-        self.objectives = self.batch.objectives
-        self.reward_dim = len(self.objectives)
-        self.vehicles = self.batch.scenario.vehicles
-        self.single_observation_space = self._per_vehicle(env_spaces.observation_space(config))
-        self.observation_scales = env_spaces.observation_scales(config)
-        self.single_action_space = self._per_vehicle(env_spaces.action_space(config))
-        self.reward_space = self._per_vehicle(env_spaces.reward_space(config))
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        threads = positive("threads", threads)
+        super().__init__(num_envs, scenario, autoreset_mode, render_mode, max_episode_steps, options)
+        self.batch = WorldBatch(self.config, self.num_envs, threads)
+        self._make_spaces(self.batch.scenario.vehicles)
         self._streams: Streams | None = None
         self._begun = False
         # Worlds whose episode is over and which have not been reset (NEXT_STEP and DISABLED).
-        self._over = np.ones(num_envs, dtype=np.bool_)
-        self._viewers: list[Any] = []
-
-    def _per_vehicle(self, space: spaces.Space[Any]) -> Any:
-        if self.vehicles == 1:
-            return space
-        if isinstance(space, spaces.Discrete):
-            return spaces.MultiDiscrete([int(space.n)] * self.vehicles)
-        assert isinstance(space, spaces.Box)
-        tile = (self.vehicles, 1)
-        return spaces.Box(np.tile(space.low, tile), np.tile(space.high, tile), dtype=np.float32)
+        self._over = np.ones(self.num_envs, dtype=np.bool_)
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
@@ -231,14 +177,6 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
         if not mask.any():
             raise ValueError("reset option 'reset_mask' must have at least one True")
         return mask
-
-    def _seeds(self, seed: int | list[int | None] | None) -> list[int | None]:
-        if not isinstance(seed, (list, tuple, np.ndarray)):
-            first = checked_seed(seed)
-            return [None if first is None else first + i for i in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise ValueError(f"seed has {len(seed)} entries; a list needs one for each of the {self.num_envs} worlds")
-        return [checked_seed(each, f"seed[{i}]") for i, each in enumerate(seed)]
 
     def step(
         self, actions: NDArray[Any]
@@ -307,10 +245,6 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
             raise ValueError(f"actions have shape {array.shape}; expected {self.action_space.shape}")
         return array[:, None] if self.vehicles == 1 else array
 
-    def _shaped(self, array: NDArray[Any]) -> NDArray[Any]:
-        """An array (N, vehicles, ...) without the vehicle axis if there is only one vehicle."""
-        return array[:, 0] if self.vehicles == 1 else array
-
     def _arrivals(self, taken: Transition) -> dict[str, Any]:
         """Infos on the vehicles that arrived in a step; empty if no vehicle ended."""
         ended = taken.acted & (taken.terminated | taken.truncated)
@@ -331,9 +265,8 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
         success[rows] = codes == ARRIVED
         return {"end": end, "_end": over.copy(), "success": success, "_success": over.copy()}
 
-    def telemetry(self) -> tuple[tuple[dict[str, float], ...], ...]:
-        """A dict per world and vehicle: pose, motion, controls, comfort and progress, in SI units."""
-        return tuple(self.batch.telemetry(row) for row in range(self.num_envs))
+    def _states(self) -> NDArray[Any]:
+        return self.batch.state
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that determines the future, as plain arrays; :meth:`set_state` resumes from it exactly."""
@@ -351,9 +284,7 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
             ValueError: if the state is of an environment of another size or version, or has values that no environment
                 can reach; nothing changes.
         """
-        for name, array in self.get_state().items():
-            if _form(found := state.get(name)) != _form(array):
-                raise ValueError(f"state {name!r} is {_form(found)}; this environment needs {_form(array)}")
+        check_forms(state, self.get_state())
         for name in ("over", "begun"):
             if (flags := state[name].view(np.uint8)).max() > 1:
                 raise ValueError(f"state {name!r} has {flags.max()}; it must be 0 or 1")
@@ -363,16 +294,6 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
         self._begun = bool(state["begun"][0])
         self.streams.set_state(state)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One RGB frame per world for ``render_mode="rgb_array"``, else None."""
-        if self.render_mode is None:
-            return None
-        from mo_deepdrive.rendering import Viewer
-
-        if not self._viewers:
-            self._viewers = [Viewer(self.config, self.render_mode) for _ in range(self.num_envs)]
-        return tuple(viewer.draw(self.batch.state[row]) for row, viewer in enumerate(self._viewers))
-
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the renderers: a copy or pickle continues exactly from here."""
         return {**self.__dict__, "_viewers": []}
@@ -380,6 +301,27 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
     def close_extras(self, **_kwargs: Any) -> None:
         """End the threads and close the renderers."""
         self.batch.close()
-        for viewer in self._viewers:
-            viewer.close()
-        self._viewers = []
+        super().close_extras()
+
+
+def make_vector_env(num_envs: int = 1, *, device: str | None = None, **arguments: Any) -> VectorBase:
+    """What ``gymnasium.make_vec`` makes of the ids of this package.
+
+    Args:
+        num_envs: N.
+        device: None for NumPy's arrays, "cpu" or "cuda" for tensors of PyTorch on that device.
+        **arguments: of :class:`DrivingVectorEnv`, or of :class:`mo_deepdrive.envs.device.DeviceVectorEnv`.
+
+    Raises:
+        ImportError: if the device needs packages that are not installed.
+        TypeError: for unknown arguments.
+        ValueError: for invalid values.
+    """
+    if device is None:
+        return DrivingVectorEnv(num_envs, **arguments)
+    if "threads" in arguments:
+        raise ValueError(f"threads = {arguments['threads']!r} has no effect with device = {device!r}; omit it")
+    with needed_for(f"device = {device!r}", "cuda"):
+        from mo_deepdrive.envs.device import DeviceVectorEnv
+
+    return DeviceVectorEnv(num_envs, device=device, **arguments)

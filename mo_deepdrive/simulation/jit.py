@@ -155,6 +155,14 @@ def separate_jit(function: F) -> F:
     return _compiled(function)
 
 
+def uncounted_jit(function: F) -> F:
+    """As :func:`jit`, without counting references, for functions that use tuples of arrays within loops.
+
+    They must not keep or allocate anything.
+    """
+    return _compiled(function, forceinline=True, _nrt=False)
+
+
 def parallel_jit(function: F) -> F:
     """As :func:`jit`, with the rounds of ``numba.prange`` shared among Numba's threads."""
     return _compiled(function, parallel=True)

@@ -7,6 +7,7 @@ resumes exactly. The simulation has no other memory.
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -164,6 +165,26 @@ SPAWN = np.dtype(
 )
 
 
+def aligned(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """The same record with every number at a multiple of its size, from where alone a GPU can load it.
+
+    Gaps are fields, too, because a copy of a record leaves anything in gaps without a name.
+    """
+    if dtype.names is None:
+        return dtype
+    fields: list[tuple[str, Any, tuple[int, ...]]] = []
+    end = 0
+    for name in (*dtype.names, None):
+        base = aligned(dtype[name].base) if name else None
+        gap = -end % (base.itemsize if base is not None and base.names is None else 8)
+        if gap:
+            fields.append((f"gap_{end}", np.uint8, (gap,)))
+        if name and base is not None:
+            fields.append((name, base, dtype[name].shape))
+            end += gap + base.itemsize * math.prod(dtype[name].shape)
+    return np.dtype((np.record, np.dtype(fields, align=True)))
+
+
 @functools.cache  # one object for all batches: Numba takes microseconds per call to find that two dtypes are equal
 def with_room(dtype: np.dtype[Any], obstacles: int, cars: int, delay: int) -> np.dtype[Any]:
     """VEHICLE or SPAWN with room for what not all worlds have.
@@ -178,7 +199,7 @@ def with_room(dtype: np.dtype[Any], obstacles: int, cars: int, delay: int) -> np
         "pending": (delay, 3),
     }
     fields = ((name, dtype[name].base, shapes.get(name, dtype[name].shape)) for name in dtype.names or ())
-    return np.dtype((np.record, list(fields)))
+    return aligned(np.dtype(list(fields)))
 
 
 # The part of an environment's configuration that the kernel needs.
@@ -227,3 +248,4 @@ PARAMS = np.dtype(
         ],
     )
 )
+PARAMS = aligned(PARAMS)

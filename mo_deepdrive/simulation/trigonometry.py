@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import math
 import sys
+from typing import Any
 
 import numpy as np
+from numba.extending import overload
 
 from mo_deepdrive.simulation.jit import jit
 
@@ -36,10 +38,21 @@ A8, A10, A12, A14 = 0.09090904578123903, -0.07692183190826087, 0.066645114473819
 A16, A18, A20 = 0.0508544973794026, -0.03923165829558719, 0.01917688711906226
 
 
+def floor(x: float) -> float:
+    """The greatest whole number of at most ``x``; each target compiles a function of its own for it."""
+    return float(np.floor(x))
+
+
+# Numba's compiler for GPUs does not know np.floor: mo_deepdrive.device.cuda says what it takes instead.
+@overload(floor, strict=False, inline="always", target="cpu")
+def _floor(x: float) -> Any:  # noqa: ARG001  (a type, by the name of the argument)
+    return lambda x: np.floor(x)
+
+
 @jit
 def sine_cosine(angle: float) -> tuple[float, float]:
     """(sin(angle), cos(angle)) of an angle (rad) of at most LARGEST."""
-    quarter = np.floor(angle * TWO_OVER_PI + 0.5)
+    quarter = floor(angle * TWO_OVER_PI + 0.5)
     r = (angle - quarter * HALF_PI_HIGH) - quarter * HALF_PI_LOW
     z = r * r
     z2 = z * z
@@ -47,9 +60,9 @@ def sine_cosine(angle: float) -> tuple[float, float]:
     sine = r + r * z * ((S3 + z * S5) + z2 * (S7 + z * S9) + z4 * ((S11 + z * S13) + z2 * S15))
     cosine = (1.0 - 0.5 * z) + z2 * ((C4 + z * C6) + z2 * (C8 + z * C10) + z4 * ((C12 + z * C14) + z2 * C16))
     # Floating-point arithmetic, since AVX2 cannot convert to integers.
-    half = np.floor(0.5 * quarter)
+    half = floor(0.5 * quarter)
     swapped = quarter != 2.0 * half
-    opposite = half != 2.0 * np.floor(0.5 * half)
+    opposite = half != 2.0 * floor(0.5 * half)
     if swapped:
         sine, cosine = cosine, sine
     return -sine if opposite else sine, -cosine if opposite != swapped else cosine

@@ -12,7 +12,7 @@ from hypothesis import given
 
 from algorithms import A2C, MOA2C, MOCAC, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic, Learner
-from algorithms.rollouts.advantages import generalised_advantages
+from algorithms.rollouts.advantages import generalised_advantages, utility_advantages
 from algorithms.rollouts.buffers import VehicleRollout
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections, crooked
@@ -23,6 +23,7 @@ from tests.helpers.agents import (
     handmade,
     learner_of,
     make_agent,
+    parameters_of,
     seen_by,
     value_of,
     value_scale,
@@ -44,8 +45,8 @@ def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_sta
     agent, learner = learner_of(form)
     r = handmade(agent)
     inputs = learner.inputs(r.observations, r.accrued, r.discounts)
-    found = learner.next_values(r, inputs, learner.values(inputs[:-1]))
-    assert not found.requires_grad
+    with torch.no_grad():
+        found = learner.next_values(r, learner.values(inputs))
     kinds = set()
     for t in range(len(r.rewards)):
         for i in range(r.rewards.shape[1]):
@@ -58,7 +59,7 @@ def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_sta
                 expected = value_of(learner, form, r.final[t, i], accrued, agent.accrued_discount * r.discounts[t, i])
             else:
                 expected = value_of(learner, form, r.observations[t + 1, i], r.accrued[t + 1, i], r.discounts[t + 1, i])
-            torch.testing.assert_close(found[t, i], expected, rtol=1e-4, atol=1e-4)
+            torch.testing.assert_close(found[t, i], expected.reshape(-1), rtol=1e-4, atol=1e-4)
     assert len(kinds) == 4
 
 
@@ -104,7 +105,7 @@ def test_the_next_episode_does_not_enter_the_next_value(form: str) -> None:
 
     def next_values() -> torch.Tensor:
         inputs = learner.inputs(r.observations, r.accrued, r.discounts)
-        return learner.next_values(r, inputs, learner.values(inputs[:-1]))
+        return learner.next_values(r, learner.values(inputs))
 
     over = r.terminated | r.truncated
     before = next_values()
@@ -218,7 +219,8 @@ def test_the_losses_equal_a_plain_loop_over_single_samples(form: str, normalised
     agent, learner = learner_of(form, normalise_advantages=normalised, value_coefficient=0.3, gae_lambda=0.8)
     rollout = handmade(agent, masked=masked, seed=3)
     assert bool(rollout.acted.all()) is not masked
-    found = {name: float(loss) for name, loss in learner.losses(rollout, 0.05).items()}
+    losses = learner.loss(learner.samples(rollout), 0.05)
+    found = {"total": float(losses.total), **losses.parts()}
     expected = plain_losses(learner, form, rollout, 0.05)
     assert found.keys() == expected.keys()
     for name, value in expected.items():
@@ -226,9 +228,9 @@ def test_the_losses_equal_a_plain_loop_over_single_samples(form: str, normalised
 
 
 def gradients(learner: Learner, rollout: VehicleRollout) -> list[torch.Tensor]:
-    outputs, by_outputs = zip(*learner.losses(rollout, 0.05)["total"].gradients, strict=True)
-    seeds = [torch.from_numpy(each) for each in by_outputs]
-    return list(torch.autograd.grad(outputs, learner.optimiser.parameters, seeds, allow_unused=False))
+    learner.optimiser.zero_grad()
+    learner.loss(learner.samples(rollout), 0.05).total.backward()
+    return [parameter.grad.clone() for parameter in parameters_of(learner)]
 
 
 @ALL_FORMS
@@ -255,11 +257,11 @@ def test_samples_that_did_not_act_have_no_influence_on_the_gradient(form: str, c
 def test_a_rollout_without_acting_vehicles_changes_nothing(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, num_envs=3)
     learner = agent.learners[0]
-    learner.update(handmade(agent), 0.003, 0.05)
+    learner.update(handmade(agent), 0.003, 0.05, torch.Generator())
     before = {name: tensor.clone() for name, tensor in learner.get_state().items()}
     rollout = handmade(agent, seed=1)
     rollout.acted[:] = False
-    assert learner.update(rollout, 0.003, 0.05) == {}
+    assert learner.update(rollout, 0.003, 0.05, torch.Generator()) == {}
     after = learner.get_state()
     assert all(torch.equal(tensor, after[name]) for name, tensor in before.items())
 
@@ -272,10 +274,10 @@ def test_an_update_takes_one_clipped_step_of_adam(cls: type[ActorCritic]) -> Non
     raw = gradients(learner, rollout)
     norm = torch.cat([gradient.flatten() for gradient in raw]).norm()
     assert norm > 0.01
-    before = [parameter.detach().clone() for parameter in learner.optimiser.parameters]
-    metrics = learner.update(rollout, 0.003, 0.05)
+    before = [parameter.detach().clone() for parameter in parameters_of(learner)]
+    metrics = learner.update(rollout, 0.003, 0.05, torch.Generator())
     assert metrics.keys() == {"loss/policy", "loss/value", "policy/entropy"}
-    for parameter, old, gradient in zip(learner.optimiser.parameters, before, raw, strict=True):
+    for parameter, old, gradient in zip(parameters_of(learner), before, raw, strict=True):
         clipped = gradient * 0.01 / norm
         # Adam's first step: its running means are corrected to the gradient itself.
         expected = old - 0.003 * clipped / (clipped.abs() + 1e-8)
@@ -307,7 +309,7 @@ def utility_differences(
     gamma: float,
     as_printed: bool,
 ) -> torch.Tensor:
-    """U_t (T, ...) as MO-A2C and MO-PPO compute it, which must be the same."""
+    """U_t (T, ...) of MO-A2C and MO-PPO."""
     config = SimpleNamespace(
         gamma=gamma,
         accrued_discount=gamma,
@@ -322,10 +324,7 @@ def utility_differences(
         terminated=never,
         truncated=never,
     )
-    learner: Any = SimpleNamespace(utility=utility, config=config)
-    found = [cls.learner.advantages(learner, rollout, values, next_values)[0] for cls in (MOA2C, MOPPO)]
-    assert torch.equal(*found)
-    return found[0]
+    return utility_advantages(rollout, values, next_values, utility, config, torch.zeros(3))[0]
 
 
 def differences(c: dict[str, torch.Tensor], utility: Utility, as_printed: bool) -> torch.Tensor:
@@ -386,7 +385,7 @@ def test_as_printed_equals_the_consistent_form_without_discounting_and_at_the_en
 def test_with_lambda_one_the_differences_telescope_to_the_utility_of_the_whole_return(
     c: dict[str, torch.Tensor],
 ) -> None:
-    advantages = generalised_advantages(differences(c, CROOKED, as_printed=False), c["going_on"], 1.0)
+    advantages = generalised_advantages(differences(c, CROOKED, as_printed=False), c["going_on"].logical_not(), 1.0)
     steps, worlds, _ = c["rewards"].shape
     gamma = float(c["gamma"])
     for n in range(worlds):

@@ -12,6 +12,7 @@ from tests.helpers.agents import (
     CONTINUOUS,
     experienced,
     handmade,
+    parameters_of,
 )
 
 ADVANTAGES = pytest.mark.parametrize(
@@ -30,7 +31,7 @@ def test_one_epoch_of_one_minibatch_is_the_step_of_mo_a2c(
     one, clipped = experienced(MOPPO, epochs=1, minibatches=1, **settings)
     other, plain = experienced(MOA2C, **settings)
     for agent, learner in ((one, clipped), (other, plain)):
-        metrics = learner.update(handmade(agent, masked=True), learner.config.learning_rate, 0.05)
+        metrics = learner.update(handmade(agent, masked=True), learner.config.learning_rate, 0.05, torch.Generator())
         assert metrics["policy/entropy"] > 0.0
-    for mine, theirs in zip(clipped.optimiser.parameters, plain.optimiser.parameters, strict=True):
+    for mine, theirs in zip(parameters_of(clipped), parameters_of(plain), strict=True):
         torch.testing.assert_close(mine, theirs, rtol=1e-4, atol=1e-5)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.experiments.build import build, load_policy, open_driver, open_population
+from algorithms.experiments.build import build, load_policy, open_driver
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.files.checkpoints import read_checkpoint
@@ -164,19 +164,3 @@ def test_the_threads_of_partners_are_not_those_of_the_run() -> None:
 def test_a_manifest_is_not_made_of_runs_with_more_partners_than_environments() -> None:
     with pytest.raises(ValueError, match=r"num_envs = 2 is less than the 3 drivers in training\.partners"):
         build(experiment_with(PARTNERS, num_envs=2), num_envs=1)
-
-
-def test_partners_are_on_the_device_of_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = []
-    run_open = Run.open
-
-    def record(path: Any, *, device: str | None = None, **settings: Any) -> Run:
-        opened.append(device)
-        return run_open(path, device="cpu", **settings)
-
-    monkeypatch.setattr(Run, "open", record)
-    env = EnvAdapter(make_env(INTERSECTION, 4, {"time_limit": 6.0}))
-    experiment = experiment_with({})
-    on_a_gpu = {"training": experiment.training.model_copy(update={"device": "cuda"})}
-    open_population(ZOO[:1], 1, env, experiment.model_copy(update=on_a_gpu))
-    assert opened[0] == "cuda"

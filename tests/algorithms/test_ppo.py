@@ -15,6 +15,7 @@ from tests.helpers.agents import (
     experienced,
     handmade,
     make_agent,
+    parameters_of,
     same,
     state,
 )
@@ -30,23 +31,23 @@ def test_one_epoch_of_one_minibatch_is_the_step_of_a2c(env: dict[str, Any], norm
     one, clipped = experienced(PPO, epochs=1, minibatches=1, **settings)
     other, plain = experienced(A2C, **settings)
     for agent, learner in ((one, clipped), (other, plain)):
-        metrics = learner.update(handmade(agent, masked=True), learner.config.learning_rate, 0.05)
+        metrics = learner.update(handmade(agent, masked=True), learner.config.learning_rate, 0.05, torch.Generator())
         assert metrics["policy/entropy"] > 0.0
-    for mine, theirs in zip(clipped.optimiser.parameters, plain.optimiser.parameters, strict=True):
+    for mine, theirs in zip(parameters_of(clipped), parameters_of(plain), strict=True):
         torch.testing.assert_close(mine, theirs, rtol=1e-4, atol=1e-5)
 
 
 def recorded_steps(learner: Any, rollout: Any, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """The samples of every gradient step while learning from ``rollout``."""
     taken: list[Any] = []
-    inner = learner.gradient_step
+    inner = learner.loss
 
     def spy(samples: Any, *coefficients: float) -> Any:
         taken.append(samples)
         return inner(samples, *coefficients)
 
-    monkeypatch.setattr(learner, "gradient_step", spy)
-    learner.update(rollout, learner.config.learning_rate, 0.05)
+    monkeypatch.setattr(learner, "loss", spy)
+    learner.update(rollout, learner.config.learning_rate, 0.05, torch.Generator())
     return taken
 
 
@@ -106,15 +107,17 @@ def test_the_loss_is_the_clipped_surrogate_written_out_and_clipped_samples_have_
         terms.append(min(ratio * advantage, min(max(ratio, 0.8), 1.2) * advantage))
         counts.append(not ((ratio > 1.2 and advantage > 0) or (ratio < 0.8 and advantage < 0)))
     assert 0 < sum(counts) < len(counts)
-    found, log_ratio = learner.gradient_step(samples, 0.0, 0.0)
-    assert float(found["loss/policy"]) == pytest.approx(-np.mean(terms), rel=1e-4)
-    torch.testing.assert_close(log_ratio, -shift, rtol=1e-4, atol=1e-5)
-    gradient = [learner.optimiser.gradients[parameter].clone() for parameter in learner.actor.parameters()]
+    losses = learner.loss(samples, 0.0)
+    losses.total.backward()
+    assert float(losses.policy) == pytest.approx(-np.mean(terms), rel=1e-4)
+    torch.testing.assert_close(losses.log_ratio, -shift, rtol=1e-4, atol=1e-5)
+    gradient = [parameter.grad.clone() for parameter in learner.actor.parameters()]
     # The same gradient from the samples that count alone, at their share of the mean.
-    learner.gradient_step(samples.at(torch.tensor(counts)), 0.0, 0.0)
+    learner.optimiser.zero_grad()
+    learner.loss(samples.at(torch.tensor(counts).nonzero().squeeze(1)), 0.0).total.backward()
     share = sum(counts) / len(counts)
     for mine, parameter in zip(gradient, learner.actor.parameters(), strict=True):
-        torch.testing.assert_close(mine, share * learner.optimiser.gradients[parameter], rtol=1e-3, atol=1e-6)
+        torch.testing.assert_close(mine, share * parameter.grad, rtol=1e-3, atol=1e-6)
 
 
 @CLIPPED
@@ -123,16 +126,16 @@ def test_clip_fraction_and_kl_are_those_of_all_gradient_steps(
 ) -> None:
     agent, learner = experienced(cls, epochs=3, minibatches=2, learning_rate=0.02, clip=0.1)
     ratios: list[torch.Tensor] = []
-    inner = learner.gradient_step
+    inner = learner.loss
 
     def spy(samples: Any, *coefficients: float) -> Any:
         with torch.no_grad():
-            log_prob, _ = learner.actor.log_prob_and_entropy(samples.inputs, samples.actions)
+            log_prob, _ = learner.actor(samples.inputs, samples.actions)
         ratios.append((log_prob - samples.log_prob).exp())
         return inner(samples, *coefficients)
 
-    monkeypatch.setattr(learner, "gradient_step", spy)
-    found = learner.update(handmade(agent, steps=20), 0.02, 0.05)
+    monkeypatch.setattr(learner, "loss", spy)
+    found = learner.update(handmade(agent, steps=20), 0.02, 0.05, torch.Generator())
     ratio = torch.cat(ratios)
     clipped = ((ratio - 1.0).abs() > 0.1).float().mean()
     assert 0.0 < clipped < 1.0
@@ -150,7 +153,7 @@ def test_samples_that_did_not_act_change_nothing(cls: type[ActorCritic]) -> None
         rollout.rewards[masked] += noise
         rollout.observations[:-1][masked] += noise
         rollout.accrued[:-1][masked] += noise
-        learner.update(rollout, learner.config.learning_rate, 0.05)
+        learner.update(rollout, learner.config.learning_rate, 0.05, torch.Generator())
         results.append(state(agent))
     assert same(*results)
 

@@ -100,6 +100,11 @@ def recorded(agent: ActorCritic, total: int, **arguments: Any) -> list[tuple[int
     return lines
 
 
+def parameters_of(learner: Any) -> list[torch.nn.Parameter]:
+    """Those of actor and critic."""
+    return [*learner.actor.parameters(), *learner.critic.parameters()]
+
+
 def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: int = 0) -> VehicleRollout:
     """A rollout of one vehicle with random content and ends of every kind.
 

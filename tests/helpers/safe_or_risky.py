@@ -80,5 +80,5 @@ def probability_of_risky(
     learner = agent.learners[0]
     inputs = learner.inputs(torch.zeros(1, 3), torch.zeros(1, 2), torch.ones(1))
     with torch.no_grad():
-        log_prob, _ = learner.actor.log_prob_and_entropy(inputs, torch.tensor([RISKY]))
+        log_prob, _ = learner.actor(inputs, torch.tensor([RISKY]))
     return float(log_prob.exp())

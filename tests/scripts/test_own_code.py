@@ -207,7 +207,7 @@ def test_an_episode_counts_with_the_utility_of_its_whole_return(monkeypatch: pyt
         total = sum(0.9**t * rollout.rewards[t, n, 0] for t in range(length))
         values.append(float(agent.utilities[0](total)))
         x = agent.inputs(rollout.observations[:length, n, 0], rollout.accrued[:length, n, 0])
-        log_probs.append(float(agent.actor.log_prob_and_entropy(x, rollout.actions[:length, n, 0])[0].sum().detach()))
+        log_probs.append(float(agent.actor(x, rollout.actions[:length, n, 0])[0].sum().detach()))
         count += length
     weights = (np.array(values) - np.mean(values)) / (np.std(values) + 1e-8)
     assert loss == pytest.approx(-float(weights @ log_probs) / count, rel=1e-3)

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from algorithms.networks.compiled.perceptron import BLOCK, blocks
+from algorithms.networks.compiled.perceptron import BLOCK, blocks, gradient_array, shares_rows
 from mo_deepdrive.simulation.jit import jit, parallel_jit
 
 if TYPE_CHECKING:
+    import torch
     from numpy.typing import NDArray
 
 LOG_TWO_PI = math.log(2 * math.pi)
@@ -311,3 +312,89 @@ def state_gaussian_gradient(
             by_log_std = by_log_density[i] * (z * z - 1.0) + by_entropy[i]
             free = LOG_STD_GAIN * outputs[k + j, i] + INITIAL_LOG_STD
             by_outputs[k + j, i] = LOG_STD_GAIN * by_log_std if LOWEST_LOG_STD <= free <= HIGHEST_LOG_STD else 0.0
+
+
+class Softmax:
+    """log p_a and H, each (M,), of p = softmax(z) as a :class:`algorithms.networks.compiled.perceptron.Head`.
+
+    Args:
+        actions: (M,) a.
+    """
+
+    def __init__(self, actions: NDArray[np.int64]):
+        self.actions = actions
+
+    def forward(self, z: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        """Both."""
+        count = len(self.actions)
+        self.z, self.log_z, self.h = z, np.empty(count), np.empty(count)
+        log_prob, entropy = np.empty((2, count), np.float32)
+        run = parallel_categorical_pass if shares_rows(count) else categorical_pass
+        run(z, self.actions, log_prob, entropy, self.log_z, self.h)
+        return log_prob, entropy
+
+    def backward(self, *by_results: NDArray[np.float32]) -> NDArray[np.float32]:
+        """By z."""
+        by_z = np.empty_like(self.z)
+        run = parallel_categorical_gradient if shares_rows(len(self.actions)) else categorical_gradient
+        by_log_prob, by_entropy = map(np.ascontiguousarray, by_results)
+        run(self.z, self.actions, self.log_z, self.h, by_log_prob, by_entropy, by_z)
+        return by_z
+
+
+class Gaussian:
+    """log N(a; z, sigma) and H, each (M,), as a head.
+
+    Args:
+        actions: (M, k) a.
+        log_std: (k,) log sigma.
+    """
+
+    def __init__(self, actions: NDArray[np.float32], log_std: torch.Tensor):
+        self.actions, self.log_std = actions, log_std
+
+    def forward(self, z: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        """Both."""
+        self.z = z
+        log_density, entropy = np.empty((2, len(self.actions)), np.float32)
+        gaussian_pass(z, self.log_std.detach().numpy(), self.actions, log_density, entropy)
+        return log_density, entropy
+
+    def backward(self, *by_results: NDArray[np.float32]) -> NDArray[np.float32]:
+        """By z; that by log sigma is added to its own."""
+        by_z = np.empty_like(self.z)
+        log_std, by_log_std = self.log_std.detach().numpy(), gradient_array(self.log_std)
+        by_log_density, by_entropy = map(np.ascontiguousarray, by_results)
+        gaussian_gradient(self.z, log_std, self.actions, by_log_density, by_entropy, by_z, by_log_std)
+        return by_z
+
+
+class StateGaussian:
+    """As :class:`Gaussian`, with log sigma among the outputs z (2 k, M).
+
+    Args:
+        actions: (M, k) a.
+    """
+
+    def __init__(self, actions: NDArray[np.float32]):
+        self.actions = actions
+
+    def forward(self, z: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        """Both."""
+        self.z = z
+        log_density, entropy = np.empty((2, len(self.actions)), np.float32)
+        state_gaussian_pass(z, self.actions, log_density, entropy)
+        return log_density, entropy
+
+    def backward(self, *by_results: NDArray[np.float32]) -> NDArray[np.float32]:
+        """By z."""
+        by_z = np.empty_like(self.z)
+        by_log_density, by_entropy = map(np.ascontiguousarray, by_results)
+        state_gaussian_gradient(self.z, self.actions, by_log_density, by_entropy, by_z)
+        return by_z
+
+
+def transposed(outputs: torch.Tensor) -> NDArray[np.float32]:
+    """(n, M), as the outputs (M, n) of a perceptron lie in memory."""
+    array: NDArray[np.float32] = outputs.detach().t().contiguous().numpy()
+    return array

@@ -1,30 +1,26 @@
 """A multilayer perceptron with ReLU, compiled: little more than its matrix products.
 
 Forward and backward pass are one compiled call each on the memory of the tensors, a block of rows at a time, so that
-what a block needs stays in the cache. The compiled passes serve float32 on the CPU, where gradients are not wanted or a
-:mod:`algorithms.networks.compiled.tape` records; everything else is torch's.
+what a block needs stays in the cache. Where the gradient by the inputs is wanted, torch does it.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from operator import is_not
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numba
 import numpy as np
 import torch
 from torch import nn
 
+from algorithms.networks.compiled import serves
 from algorithms.networks.compiled.products import add_product, product
-from algorithms.networks.compiled.tape import current_tape
 from algorithms.networks.threads import one_blas_thread, threads
 from mo_deepdrive.simulation.jit import jit, parallel_jit
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from numpy.typing import NDArray
-
-    from algorithms.networks.compiled.tape import Tape
 
     Array = NDArray[np.float32]
     Arrays = tuple[Array, ...]
@@ -164,7 +160,7 @@ def parallel_backward_pass(
 
 @jit
 def _add_blocks(totals: Arrays, parts: Arrays) -> None:
-    """Add the blocks to a gradient, in their order, whichever threads they come from."""
+    """Add the blocks to a gradient (1, ...), in their order, whichever threads they come from."""
     for k in range(len(totals)):
         total = totals[k].reshape(-1)
         for b in range(len(parts[k])):
@@ -204,11 +200,11 @@ def shares_rows(rows: int) -> bool:
     return threads() > 1 and rows > BLOCK
 
 
-class KeptPasses:
-    """Forward passes over parts of some rows, which a pass over all of them need not repeat.
+class KeptPass:
+    """Memory for a pass over the rows of a rollout, which learning from it need not repeat.
 
     Args:
-        rows: of all parts together.
+        rows: number of rows.
         weights: of the layers, for their shapes.
 
     Attributes:
@@ -230,8 +226,8 @@ class KeptPasses:
         self.done = 0
         self._parameters = tuple([each.copy() for each in parameters])
 
-    def have(self, rows: Array, parameters: Arrays) -> bool:
-        """Whether all passes were over these ``rows`` with these ``parameters``."""
+    def has(self, rows: Array, parameters: Arrays) -> bool:
+        """Whether the pass was over these ``rows`` with these ``parameters``."""
         same = len(rows) == self.done and np.array_equal(rows, self.rows[: self.done])
         return same and all(map(np.array_equal, self._parameters, parameters))
 
@@ -252,71 +248,71 @@ class Perceptron(nn.Sequential):
         self.weights = [layer.weight for layer in linear]
         self.biases = [layer.bias for layer in linear]
         self._spare: list[_Space] = []  # that no pass needs
-        self._kept: KeptPasses | None = None
+        self._kept: KeptPass | None = None
         self._memory: tuple[tuple[int, ...], Arrays, Arrays] = ((), (), ())
+        self._gradients: tuple[list[torch.Tensor | None], Arrays, Arrays] = ([], (), ())
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Outputs (..., outputs) for inputs (..., inputs)."""
-        tape = current_tape()
-        if not self._is_compiled(inputs, tape):
+        if not self.serves(inputs):
             result: torch.Tensor = super().forward(inputs)  # type: ignore[no-untyped-call]
             return result
-        rows = np.ascontiguousarray(inputs.detach().numpy()).reshape(-1, inputs.shape[-1])
-        weights, biases = self.parameter_arrays()
-        transposed, space = self._pass(rows, weights, biases, keep=tape is None)
-        outputs = torch.from_numpy(transposed).t()
-        if tape is None:
-            self._release(space)
-        else:
-
-            def backward(by_outputs: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> None:
-                by_transposed, hidden = np.ascontiguousarray(by_outputs[0].T), space.hidden(len(rows))
-                by_weights = tuple([gradients[weight] for weight in self.weights])
-                by_biases = tuple([gradients[bias] for bias in self.biases])
-                with one_blas_thread():
-                    if shares_rows(len(rows)):
-                        parts = space.gradients(len(rows))
-                        parallel_backward_pass(rows, weights, hidden, by_transposed, *parts)
-                        _add_blocks(by_weights, parts[0])
-                        _add_blocks(by_biases, parts[1])
-                    else:
-                        whole = (tuple([each[None] for each in kind]) for kind in (by_weights, by_biases))
-                        backward_pass(rows, weights, hidden, by_transposed, *whole)
-                self._release(space)
-
-            tape.record(inputs, [outputs], backward)
+        (outputs,) = pass_through(self, inputs.reshape(-1, inputs.shape[-1]), Outputs())
         return outputs if inputs.dim() == 2 else outputs.reshape(*inputs.shape[:-1], -1)
 
-    def keep_passes(self, rows: int) -> KeptPasses:
-        """Keep the next passes without a gradient, over ``rows`` rows together.
+    def serves(self, inputs: torch.Tensor) -> bool:
+        """Whether the compiled passes take ``inputs``."""
+        return self.can_be_compiled and serves(inputs) and not (inputs.requires_grad and torch.is_grad_enabled())
 
-        A later pass over the same rows, with the same parameters, takes their results: what a policy has computed in
-        order to act need not be computed again in order to learn.
-        """
+    def keep_passes(self, rows: int) -> KeptPass:
+        """Memory in which whoever acts keeps a pass over ``rows`` rows; a later one over the same takes its results."""
         weights, biases = self.parameter_arrays()
         if self._kept is None or len(self._kept.rows) != rows:
-            self._kept = KeptPasses(rows, weights)
+            self._kept = KeptPass(rows, weights)
         self._kept.begin(weights + biases)
         return self._kept
 
-    def _pass(self, rows: Array, weights: Arrays, biases: Arrays, *, keep: bool) -> tuple[Array, _Space]:
+    def run(self, rows: Array) -> tuple[Array, _Space]:
         """Outputs (outputs, M) for ``rows`` (M, inputs), and the memory that has the hidden layers."""
-        kept, first, last = self._kept, 0, len(rows)
-        if kept is not None and kept.have(rows, weights + biases):
-            return kept.outputs[:, : kept.done], kept.space
-        if kept is not None and keep and kept.done + len(rows) <= len(kept.rows):
-            first, last = kept.done, kept.done + len(rows)
-            kept.rows[first:last] = rows
-            kept.done = last
-            rows, outputs, space = kept.rows, kept.outputs, kept.space
-        else:
-            outputs, space = np.empty((len(biases[-1]), last), np.float32), self._claim(last, weights)
-        run_forward = parallel_forward_pass if shares_rows(last - first) else forward_pass
+        weights, biases = self.parameter_arrays()
+        kept, count = self._kept, len(rows)
+        if kept is not None and kept.has(rows, weights + biases):
+            return kept.outputs[:, :count], kept.space
+        outputs, space = np.empty((len(biases[-1]), count), np.float32), self._claim(count, weights)
+        run_forward = parallel_forward_pass if shares_rows(count) else forward_pass
         with one_blas_thread():
-            run_forward(first, last, rows, weights, biases, space.hidden(last), outputs)
-        return outputs[:, first:last], space
+            run_forward(0, count, rows, weights, biases, space.hidden(count), outputs)
+        return outputs, space
 
-    def _release(self, space: _Space) -> None:
+    def add_gradients(self, rows: Array, space: _Space, by_outputs: Array) -> None:
+        """Add the gradients by weights and biases to theirs.
+
+        Args:
+            rows: of the forward pass.
+            space: from it.
+            by_outputs: (outputs, M) by its outputs.
+        """
+        weights, (by_weights, by_biases) = self._memory[1], self._gradient_arrays()
+        hidden = space.hidden(len(rows))
+        with one_blas_thread():
+            if shares_rows(len(rows)):
+                parts = space.gradients(len(rows))
+                parallel_backward_pass(rows, weights, hidden, by_outputs, *parts)
+                _add_blocks(by_weights, parts[0])
+                _add_blocks(by_biases, parts[1])
+            else:
+                backward_pass(rows, weights, hidden, by_outputs, by_weights, by_biases)
+
+    def _gradient_arrays(self) -> tuple[Arrays, Arrays]:
+        """The memory of the gradients of weights and biases, (1, ...) each, looked up again where it has moved."""
+        found = [each.grad for each in (*self.weights, *self.biases)]
+        if not self._gradients[0] or any(map(is_not, found, self._gradients[0])):
+            arrays = [tuple([gradient_array(each)[None] for each in kind]) for kind in (self.weights, self.biases)]
+            self._gradients = [each.grad for each in (*self.weights, *self.biases)], arrays[0], arrays[1]
+        return self._gradients[1:]
+
+    def release(self, space: _Space) -> None:
+        """Let another pass have the memory."""
         if self._kept is None or space is not self._kept.space:
             self._spare.append(space)
 
@@ -331,14 +327,76 @@ class Perceptron(nn.Sequential):
     @property
     def can_be_compiled(self) -> bool:
         """Whether there are compiled passes for these layers and parameters."""
-        weight, jitted = self.weights[0], not numba.config.DISABLE_JIT  # type: ignore[attr-defined]  # no types
-        return jitted and weight.dtype == torch.float32 and weight.is_cpu and len(self.weights) > 1
-
-    def _is_compiled(self, inputs: torch.Tensor, tape: Tape | None) -> bool:
-        wanted = not torch.is_grad_enabled() if tape is None else not inputs.requires_grad
-        return wanted and inputs.dtype == torch.float32 and inputs.is_cpu and self.can_be_compiled
+        return serves(self.weights[0]) and len(self.weights) > 1
 
     def _claim(self, rows: int, weights: Arrays) -> _Space:
         """Memory for ``rows`` rows, until it is spare again."""
         space = self._spare.pop() if self._spare else None
         return _Space(rows, weights) if space is None or space.rows < rows else space
+
+
+def gradient_array(parameter: torch.Tensor) -> Array:
+    """The memory of a parameter's gradient."""
+    if parameter.grad is None:
+        parameter.grad = torch.zeros_like(parameter)
+    array: Array = parameter.grad.numpy()
+    return array
+
+
+class Head(Protocol):
+    """What follows on the outputs z (n, M) of a perceptron, with its gradient written out."""
+
+    def forward(self, z: Array) -> tuple[Array, ...]:
+        """The results."""
+
+    def backward(self, *by_results: Array) -> Array:
+        """The gradient (n, M) by z; those by the head's own parameters are added to theirs."""
+
+
+class Outputs:
+    """A head that returns the outputs (M, n) themselves."""
+
+    def forward(self, z: Array) -> tuple[Array, ...]:
+        """The outputs."""
+        return (z.T,)
+
+    def backward(self, *by_results: Array) -> Array:
+        """The gradient as it is."""
+        return np.ascontiguousarray(by_results[0].T)
+
+
+def pass_through(network: Perceptron, inputs: torch.Tensor, head: Head) -> tuple[torch.Tensor, ...]:
+    """The results of a head on the outputs of a network for ``inputs`` (M, inputs); ``backward`` differentiates them.
+
+    Args:
+        network: which takes the inputs.
+        inputs: (M, inputs).
+        head: for one use.
+    """
+    if torch.is_grad_enabled():
+        results: tuple[torch.Tensor, ...] = _Pass.apply(inputs, network, head, network.weights[0])  # type: ignore[no-untyped-call]
+        return results
+    z, space = network.run(np.ascontiguousarray(inputs.numpy()))
+    network.release(space)
+    return tuple(map(torch.from_numpy, head.forward(z)))
+
+
+class _Pass(torch.autograd.Function):
+    """Adds gradients to ``parameter.grad`` itself: a node of autograd's graph for each takes as long as its product."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, inputs: torch.Tensor, network: Perceptron, head: Head, _parameter: torch.Tensor
+    ) -> tuple[torch.Tensor, ...]:
+        ctx.rows = np.ascontiguousarray(inputs.numpy())
+        z, ctx.space = network.run(ctx.rows)
+        ctx.network, ctx.head = network, head
+        return tuple(map(torch.from_numpy, head.forward(z)))
+
+    @staticmethod
+    def backward(ctx: Any, *by_results: torch.Tensor) -> tuple[None, ...]:
+        by_z = ctx.head.backward(*[each.numpy() for each in by_results])
+        ctx.network.add_gradients(ctx.rows, ctx.space, by_z)
+        ctx.network.release(ctx.space)
+        ctx.space = None
+        return None, None, None, None

@@ -17,7 +17,7 @@ from algorithms.experiments.cli import (
     exit_on_error,
     make_parser,
     named_numbers,
-    new_run,
+    new_runs,
     parse_training_arguments,
     prepare_process,
 )
@@ -60,8 +60,8 @@ def test_a_new_run_is_in_its_output_or_a_directory_named_after_its_config(
     tmp_path: Path, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    given = new_run(Namespace(config="fast.yaml", output="given"), experiment)
-    default = new_run(Namespace(config="fast.yaml", output=None), experiment)
+    (given,) = new_runs(Namespace(config="fast.yaml", output="given"), [experiment])
+    (default,) = new_runs(Namespace(config="fast.yaml", output=None), [experiment])
     given.unlock()
     default.unlock()
     assert given.path == Path("given")

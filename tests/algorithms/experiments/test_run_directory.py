@@ -16,6 +16,7 @@ from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.interrupts import Moved
 from algorithms.experiments.run_directory import Run, default_directory, imported_paths, read_status, versions
 from algorithms.experiments.run_files import changed_files
+from algorithms.experiments.training import resume
 from algorithms.files.yaml import dump
 from mo_deepdrive.atomic_io import write_json
 
@@ -147,12 +148,13 @@ def test_a_directory_without_a_valid_config_is_refused(tmp_path: Path) -> None:
         Run.open(tmp_path)
 
 
-def test_a_run_can_be_opened_on_another_device(tmp_path: Path) -> None:
+def test_a_run_can_be_opened_where_its_device_is_not(tmp_path: Path) -> None:
     write = {**VALUES, "training": {**VALUES["training"], "device": "cuda:99"}}
     write_json(tmp_path / "config.yaml", write)  # JSON is YAML
-    with pytest.raises(ValueError, match="cuda:99"):
-        Run.open(tmp_path)
-    assert Run.open(tmp_path, device="cpu").experiment.training.device == "cpu"
+    run = Run.open(tmp_path)
+    assert run.experiment.training.device == "cuda:99"
+    with pytest.raises(ValueError, match=r"training\.device = 'cuda:99' does not exist"):
+        resume(run)
 
 
 @pytest.mark.parametrize("name", [".lock", "metrics.csv", "checkpoint.safetensors", "tensorboard", "train.log"])

@@ -62,7 +62,7 @@ def test_missing_rows_are_noticed_when_a_run_is_resumed_and_kept_in_its_status(
 ) -> None:
     wanted = stopped_job(tmp_path)
     cut(wanted.path, change)
-    run, agent = reopen(str(wanted.path))
+    (run,), agent = reopen(str(wanted.path))
     console = quiet()
     assert train_and_finish(run, agent, console, resumed=True) is None
     run.unlock()
@@ -241,7 +241,7 @@ def test_a_finished_run_is_trained_longer_as_if_it_had_been_to_be_so_long(tmp_pa
     whole, first = (of_length(tmp_path / f"{n}", n, algorithm, **CONSTANT[algorithm]) for n in (TOTAL, 320))
     perform(whole)
     perform(first)
-    run, agent = reopen(str(first.path), total_timesteps=TOTAL)
+    (run,), agent = reopen(str(first.path), total_timesteps=TOTAL)
     assert read_status(first.path)["state"] == "running"
     assert train_and_finish(run, agent, quiet(), resumed=True) is None
     run.unlock()

@@ -17,7 +17,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PCN, PPO, ConditionedMOPPO
-from algorithms.files.checkpoints import MERSENNE_TWISTER, restore_generator, write_checkpoint
+from algorithms.files.checkpoints import write_checkpoint
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.faults import NotFinite
 from mo_deepdrive.simulation.state import VEHICLE
@@ -176,6 +176,8 @@ def test_a_tensor_of_another_form_is_refused_in_one_line(saved: tuple[str, Path]
     for name in representatives(tensors):
         for what, change in FORMS.items():
             changed = change(tensors[name])
+            if what == "empty" and not tensors[name].numel():
+                continue
             rest = {key: tensor for key, tensor in tensors.items() if key != name}
             write(tmp_path / "changed", rest if changed is None else {**rest, name: changed}, identity)
             with pytest.raises(ValueError, match=ONE_LINE):
@@ -193,16 +195,6 @@ def test_an_unknown_tensor_is_refused_by_name(saved: tuple[str, Path], tmp_path:
         assert name in str(caught.value) or "'extra'" in str(caught.value)
         # What acting does not need is not read.
         KINDS[kind]().load(changed, policy_only=True)
-
-
-def test_a_run_of_a_gpu_is_not_continued_on_the_cpu(saved: tuple[str, Path], tmp_path: Path) -> None:
-    kind, path = saved
-    tensors, identity = contents(path)
-    of_a_gpu = {"generator": torch.zeros(16, dtype=torch.uint8)}  # seed and offset
-    changed = write(tmp_path / "changed", {**tensors, **of_a_gpu}, identity)
-    with pytest.raises(ValueError, match=r"'generator' .* continues on the kind of device, CPU or GPU"):
-        KINDS[kind]().load(changed)
-    KINDS[kind]().load(changed, policy_only=True)
 
 
 @pytest.fixture(scope="module")
@@ -279,14 +271,6 @@ def worlds(tensors: dict[str, torch.Tensor], **fields: Any) -> dict[str, torch.T
     return {"collector.worlds.state": torch.from_numpy(state)}
 
 
-def positioned(tensors: dict[str, torch.Tensor], name: str, **fields: float) -> dict[str, torch.Tensor]:
-    """The state of a generator of ``tensors`` with other values in its fields."""
-    state = tensors[name].numpy().copy()
-    for field, value in fields.items():
-        state.view(MERSENNE_TWISTER)[field] = value
-    return {name: torch.from_numpy(state)}
-
-
 def flags(*values: int) -> torch.Tensor:
     return torch.tensor(values, dtype=torch.uint8).view(torch.bool)
 
@@ -322,21 +306,6 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
         lambda t: {"collector.worlds.over": flags(0, 7)},
         "has 'collector.worlds.over' with 7 for a bool",
     ),
-    "a generator": (
-        "ppo",
-        lambda t: {"generator": filled(t["generator"])},
-        "'generator' is not the state of a generator: -1 words are left, ",
-    ),
-    "the position of a generator": (
-        "mo_ppo",
-        lambda t: positioned(t, "vehicle_0.generator", left=600, next=600),
-        "'vehicle_0.generator' is not the state of a generator: 600 words are left, and number 600 of 624 is next",
-    ),
-    "the next number of a generator": (
-        "pcn",
-        lambda t: positioned(t, "draws", normal_y=math.nan),
-        "'draws' is not the state of a generator: its next normal numbers are [0.0, nan, 0.0, 0.0]",
-    ),
     "the generator of a world": (
         "ppo",
         lambda t: {"collector.worlds.generators": t["collector.worlds.generators"].clone().fill_(2)},
@@ -364,13 +333,13 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
     ),
     "a number of steps": (
         "mo_ppo, two vehicles",
-        lambda t: {"vehicle_1.optimiser.0.step": torch.tensor(2.5)},
-        "the optimiser's state of parameter 0 has step = 2.5; it must be a positive integer",
+        lambda t: {"vehicle_1.optimiser.step": torch.tensor(2.5)},
+        "the optimiser's state has step = 2.5; it must be an integer from 0 on",
     ),
     "a mean square": (
         "a2c",
-        lambda t: {"vehicle_0.optimiser.1.exp_avg_sq": number(t["vehicle_0.optimiser.1.exp_avg_sq"], -1)},
-        "the optimiser's state of parameter 1 has exp_avg_sq = -1.0; it must not be negative",
+        lambda t: {"vehicle_0.optimiser.exp_avg_sq": number(t["vehicle_0.optimiser.exp_avg_sq"], -1)},
+        "the optimiser's state has exp_avg_sq = -1.0; it must not be negative",
     ),
     "a running mean": (
         "mo_ppo",
@@ -389,18 +358,8 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
     ),
     "a moment": (
         "ppo",
-        lambda t: {"vehicle_0.optimiser.0.exp_avg": torch.zeros(3)},
-        "the optimiser's state of parameter 0 has ",
-    ),
-    "a negative step": (
-        "ppo",
-        lambda t: {"vehicle_0.optimiser.0.step": torch.tensor(-1.0)},
-        "the optimiser's state of parameter 0 has step = -1.0",
-    ),
-    "a name of the optimiser": (
-        "ppo",
-        lambda t: {"vehicle_0.optimiser.a.step": torch.tensor(1.0)},
-        "the optimiser's state has 'a.step'; expected PARAMETER.ENTRY",
+        lambda t: {"vehicle_0.optimiser.exp_avg": torch.zeros(3)},
+        "has 'vehicle_0.optimiser.exp_avg' of shape (3,); this agent needs ",
     ),
     "episodes": (
         "ppo",
@@ -486,15 +445,6 @@ def test_a_buffer_that_is_gone_is_refused(tmp_path: Path) -> None:
     kept = {name: tensor for name, tensor in tensors.items() if not name.startswith("store.")}
     message = f"the buffer is empty after {agent.step} steps and 4 episodes"
     assert refusal(write(tmp_path / "broken", kept, identity), "pcn") == message
-
-
-@pytest.mark.parametrize("drawn", [0, 1, 623, 624, 625, 3000])
-def test_a_generator_continues_wherever_it_was(drawn: int) -> None:
-    first, second = torch.Generator().manual_seed(3), torch.Generator()
-    torch.rand(drawn, generator=first)
-    torch.randn(1, generator=first)
-    restore_generator(second, "generator", first.get_state())
-    assert torch.equal(torch.randn(9, generator=first), torch.randn(9, generator=second))
 
 
 def test_a_number_of_steps_that_no_update_ends_at_is_refused(ppo: Path, tmp_path: Path) -> None:

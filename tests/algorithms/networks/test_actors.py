@@ -15,15 +15,14 @@ import torch
 from torch import distributions, nn
 
 from algorithms.networks.actors import Actor, CategoricalActor, GaussianActor, StateGaussianActor
+from algorithms.networks.compiled import plain_torch
 from algorithms.networks.compiled.distributions import (
     HIGHEST_LOG_STD,
     INITIAL_LOG_STD,
     LOG_STD_GAIN,
     LOWEST_LOG_STD,
 )
-from algorithms.networks.compiled.perceptron import Perceptron
 from algorithms.networks.modules import mlp
-from algorithms.networks.optimiser import Adam
 
 # A test that samples with a fixed seed passes or fails for good; a correct sampler fails one seed in ten thousand.
 SIGNIFICANCE = 1e-4
@@ -75,7 +74,7 @@ def test_actions_are_drawn_as_often_as_their_probabilities_say(
     actor = categorical(3, [4], len(probabilities), seeded(0))
     with_outputs(actor, [math.log(p) + 5.0 for p in probabilities])
     draws = 50_000
-    with torch.set_grad_enabled(not compiled):
+    with contextlib.nullcontext() if compiled else plain_torch():
         actions = actor.sample(torch.zeros(draws, 3), seeded(seed))
     counts = np.bincount(actions.numpy(), minlength=len(probabilities))
     assert scipy.stats.chisquare(counts, draws * np.array(probabilities)).pvalue > SIGNIFICANCE
@@ -88,7 +87,7 @@ def test_every_row_is_drawn_independently_from_its_own_probabilities(compiled: b
     with torch.no_grad():
         linear_layers(actor.body)[0].weight.copy_(logits.T)
     rounds = 20_000
-    with torch.set_grad_enabled(not compiled):
+    with contextlib.nullcontext() if compiled else plain_torch():
         actions = actor.sample(torch.eye(2).repeat(rounds, 1, 1), seeded(3))
     assert actions.shape == (rounds, 2)
     pairs = np.bincount(3 * actions[:, 0].numpy() + actions[:, 1].numpy(), minlength=9)
@@ -101,7 +100,7 @@ def test_every_row_is_drawn_independently_from_its_own_probabilities(compiled: b
 @pytest.mark.parametrize("never", range(3))
 def test_an_action_without_probability_is_never_drawn(never: int, compiled: bool) -> None:
     actor = with_outputs(categorical(3, [4], 3, seeded(0)), [-200.0 if k == never else 0.0 for k in range(3)])
-    with torch.set_grad_enabled(not compiled):
+    with contextlib.nullcontext() if compiled else plain_torch():
         assert not (actor.sample(torch.zeros(20_000, 3), seeded(0)) == never).any()
 
 
@@ -118,7 +117,7 @@ def test_continuous_actions_are_drawn_from_the_normal_distribution(
             actor.log_std.copy_(torch.tensor([-0.5, 0.7]))
     else:
         with_outputs(actor, [0.3, -2.0, *((log_std - INITIAL_LOG_STD) / LOG_STD_GAIN for log_std in (-0.5, 0.7))])
-    with torch.set_grad_enabled(not compiled):
+    with contextlib.nullcontext() if compiled else plain_torch():
         actions = actor.sample(torch.zeros(20_000, 3), seeded(seed)).detach().numpy()
     for axis, (mean, log_std) in enumerate([(0.3, -0.5), (-2.0, 0.7)]):
         assert scipy.stats.kstest(actions[:, axis], "norm", (mean, math.exp(log_std))).pvalue > SIGNIFICANCE
@@ -151,7 +150,7 @@ def test_categorical_log_probabilities_and_entropies_are_those_of_torch(shape: t
     x = torch.randn(*shape, 6, generator=seeded(2), dtype=torch.float64)
     reference = distributions.Categorical(logits=actor.body(x))
     actions = torch.randint(22, shape, generator=seeded(3))
-    log_prob, entropy = actor.log_prob_and_entropy(x, actions)
+    log_prob, entropy = actor(x, actions)
     torch.testing.assert_close(log_prob, reference.log_prob(actions))
     torch.testing.assert_close(entropy, reference.entropy())
 
@@ -165,7 +164,7 @@ def test_gaussian_log_densities_and_entropies_are_those_of_torch(
     x = torch.randn(*shape, 6, generator=seeded(2), dtype=torch.float64)
     reference = normal_of(actor, x)
     actions = torch.randn(*shape, 3, generator=seeded(3), dtype=torch.float64)
-    log_density, entropy = actor.log_prob_and_entropy(x, actions)
+    log_density, entropy = actor(x, actions)
     torch.testing.assert_close(log_density, reference.log_prob(actions))
     torch.testing.assert_close(entropy, reference.entropy())
 
@@ -181,7 +180,7 @@ def test_the_gradient_of_the_log_prob_is_that_of_torch(kind: Callable[..., Any])
         actions = torch.randn(7, 4, generator=seeded(3), dtype=torch.float64)
         reference = normal_of(actor, x)
     parameters = list(actor.parameters())
-    log_prob, entropy = actor.log_prob_and_entropy(x, actions)
+    log_prob, entropy = actor(x, actions)
     ours = torch.autograd.grad((log_prob + 0.1 * entropy).sum(), parameters, allow_unused=True)
     theirs = torch.autograd.grad(
         (reference.log_prob(actions) + 0.1 * reference.entropy()).sum(), parameters, allow_unused=True
@@ -196,42 +195,38 @@ def test_compiled_policies_and_their_gradients_are_torchs(kind: Callable[..., An
     actor, reference = randomised(kind, 6, 5).float(), randomised(kind, 6, 5).float()
     x, by_log_prob, by_entropy = (torch.randn(*shape, *more, generator=seeded(2)) for more in ((6,), (), ()))
     actions = torch.randint(5, shape, generator=seeded(3)) if kind is categorical else 2.0 * x[..., :5]
-    expected = reference.log_prob_and_entropy(x, actions)
-    wanted = torch.autograd.grad(expected, list(reference.parameters()), (by_log_prob, by_entropy.expand(shape)))
-    with torch.no_grad():
-        for mine, other in zip(actor.log_prob_and_entropy(x, actions), expected, strict=True):
+    with plain_torch():
+        expected = reference(x, actions)
+        (by_log_prob * expected[0] + by_entropy * expected[1]).sum().backward()
+    for graph in (False, True):
+        with torch.set_grad_enabled(graph):
+            log_prob, entropy = actor(x, actions)
+        for mine, other in zip((log_prob, entropy), expected, strict=True):
             torch.testing.assert_close(mine, other, rtol=1e-5, atol=1e-5)
-    optimiser = Adam(actor.parameters())
-    with optimiser.recording():
-        log_prob, entropy = actor.log_prob_and_entropy(x, actions)
-    assert log_prob.is_leaf or len(shape) > 1
-    optimiser.minimise((by_log_prob * log_prob + by_entropy * entropy).sum(), 0.0)
-    for gradient, other in zip(optimiser.gradients.values(), wanted, strict=True):
-        torch.testing.assert_close(gradient, other, rtol=1e-5, atol=1e-5 * float(other.abs().max()))
+    (by_log_prob * log_prob + by_entropy * entropy).sum().backward()
+    for mine, other in zip(actor.parameters(), reference.parameters(), strict=True):
+        torch.testing.assert_close(mine.grad, other.grad, rtol=1e-5, atol=1e-5 * float(other.grad.abs().max()))
 
 
 @COMPILED
 def test_a_nearly_certain_policy_has_finite_log_probabilities_entropy_and_gradients(compiled: bool) -> None:
     actor = with_outputs(categorical(2, [4], 3, seeded(0)), [1e4, 0.0, -1e4])
-    optimiser = Adam(actor.parameters())
-    with optimiser.recording() if compiled else contextlib.nullcontext():
-        log_prob, entropy = actor.log_prob_and_entropy(torch.zeros(3, 2), torch.arange(3))
+    with contextlib.nullcontext() if compiled else plain_torch():
+        log_prob, entropy = actor(torch.zeros(3, 2), torch.arange(3))
     assert log_prob.tolist() == [0.0, -1e4, -2e4]
     assert entropy.tolist() == [0.0, 0.0, 0.0]
-    optimiser.minimise((log_prob + entropy).sum(), 0.0)
-    assert all(gradient.isfinite().all() for gradient in optimiser.gradients.values())
+    (log_prob + entropy).sum().backward()
+    assert all(parameter.grad.isfinite().all() for parameter in actor.parameters())
     assert actor.sample(torch.zeros(100, 2), seeded(0)).tolist() == [0] * 100
 
 
 def test_deviations_that_depend_on_the_state_have_bounds_beyond_which_nothing_is_learnt() -> None:
     actor = with_outputs(state_gaussian(2, [], 3, seeded(0)), [0.0, 0.0, 0.0, -90.0, 0.2, 90.0])
     x, expected = torch.zeros(4, 2), [LOWEST_LOG_STD, 0.2 * LOG_STD_GAIN + INITIAL_LOG_STD, HIGHEST_LOG_STD]
-    optimiser = Adam(actor.parameters())
-    with optimiser.recording():
-        log_prob, entropy = actor.log_prob_and_entropy(x, torch.ones(4, 3))
+    log_prob, entropy = actor(x, torch.ones(4, 3))
     assert entropy.tolist() == pytest.approx([sum(expected) + 1.5 * (1.0 + math.log(2.0 * math.pi))] * 4, abs=1e-6)
-    optimiser.minimise((log_prob + entropy).sum(), 0.0)
-    of_bias = list(optimiser.gradients.values())[-1][3:].tolist()
+    (log_prob + entropy).sum().backward()
+    of_bias = list(actor.parameters())[-1].grad[3:].tolist()
     assert of_bias == pytest.approx([0.0, 4.0 * LOG_STD_GAIN * math.exp(-2.0 * expected[1]), 0.0])
 
 
@@ -276,7 +271,7 @@ def everything(kind: Callable[..., Any]) -> Callable[[], None]:
         x = torch.zeros(10, 6)
         actions = actor.sample(x, seeded(1))
         actor.greedy(x)
-        log_prob, entropy = actor.log_prob_and_entropy(x, actions)
+        log_prob, entropy = actor(x, actions)
         (log_prob + entropy).sum().backward()
         mlp(6, [8, 8], 2, seeded(0), output_gain=1.0)
 
@@ -290,13 +285,3 @@ def test_neither_building_nor_sampling_touches_any_global_generator(kind: Callab
     assert torch.equal(torch.get_rng_state(), before[0])
     assert random.getstate() == before[1]
     assert np.array_equal(np.random.get_state()[1], before[2])  # noqa: NPY002
-
-
-def test_what_was_computed_is_kept_only_where_passes_are_compiled() -> None:
-    actor = categorical(3, [4], 2, torch.Generator().manual_seed(0))
-    actor.keep_passes(8)
-    assert actor.body._kept is not None
-    layers = nn.Linear(3, 4, device="meta"), nn.ReLU(), nn.Linear(4, 2, device="meta")
-    elsewhere = CategoricalActor(Perceptron(*layers))
-    elsewhere.keep_passes(8)  # as on a GPU, whose memory NumPy does not see
-    assert elsewhere.body._kept is None

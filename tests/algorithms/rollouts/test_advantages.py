@@ -16,7 +16,7 @@ from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections
 def test_generalised_advantages_adds_up_to_the_end_of_the_episode_like_a_double_loop(
     c: dict[str, torch.Tensor], decay: float
 ) -> None:
-    deltas, going_on = c["rewards"][..., 0], c["going_on"]
+    deltas, ended = c["rewards"][..., 0], c["going_on"].logical_not()
     expected = torch.zeros_like(deltas)
     for n in range(deltas.shape[1]):
         for t in range(len(deltas)):
@@ -24,34 +24,34 @@ def test_generalised_advantages_adds_up_to_the_end_of_the_episode_like_a_double_
             for k in range(t, len(deltas)):
                 expected[t, n] += factor * deltas[k, n]
                 factor *= decay
-                if not going_on[k, n]:
+                if ended[k, n]:
                     break
-    torch.testing.assert_close(generalised_advantages(deltas, going_on, decay), expected)
+    torch.testing.assert_close(generalised_advantages(deltas, ended, decay), expected)
 
 
 @pytest.mark.slow
 @given(c=collections(), decay=st.floats(0.0, 1.0))
 def test_generalised_advantages_of_vectors_is_that_of_every_component(c: dict[str, torch.Tensor], decay: float) -> None:
-    together = generalised_advantages(c["rewards"], c["going_on"].unsqueeze(-1), decay)
-    apart = [generalised_advantages(c["rewards"][..., i], c["going_on"], decay) for i in range(3)]
+    together = generalised_advantages(c["rewards"], c["going_on"].logical_not().unsqueeze(-1), decay)
+    apart = [generalised_advantages(c["rewards"][..., i], c["going_on"].logical_not(), decay) for i in range(3)]
     torch.testing.assert_close(together, torch.stack(apart, dim=-1))
 
 
 def test_generalised_advantages_does_not_modify_its_arguments_and_keeps_their_precision() -> None:
     for dtype in (torch.float32, torch.float64):
-        deltas, going_on = torch.ones(4, 2, dtype=dtype), torch.ones(4, 1, dtype=dtype)
-        sums = generalised_advantages(deltas, going_on, 0.5)
+        deltas, ended = torch.ones(4, 2, dtype=dtype), torch.zeros(4, 1, dtype=torch.bool)
+        sums = generalised_advantages(deltas, ended, 0.5)
         assert sums.dtype == dtype
         assert sums[:, 0].tolist() == [1.875, 1.75, 1.5, 1.0]
         assert (deltas == 1).all()
-        assert (going_on == 1).all()
+        assert not ended.any()
 
 
 @given(c=collections())
 def test_with_lambda_one_the_advantage_is_the_monte_carlo_return_minus_the_value(c: dict[str, torch.Tensor]) -> None:
     gamma = float(c["gamma"])
     deltas = c["rewards"] + gamma * c["next_values"] - c["values"]
-    advantages = generalised_advantages(deltas, c["going_on"].unsqueeze(-1), gamma)
+    advantages = generalised_advantages(deltas, c["going_on"].logical_not().unsqueeze(-1), gamma)
     steps, worlds, _ = deltas.shape
     for n in range(worlds):
         for t in range(steps):
@@ -106,4 +106,4 @@ def test_steps_without_weight_do_not_count_in_the_normalisation() -> None:
 
 
 def test_equal_advantages_are_normalised_to_zero() -> None:
-    assert normalise(torch.full((4,), 7.0), torch.full((4,), 0.25)).tolist() == [0.0] * 4
+    assert normalise(torch.full((4,), 7.0), torch.ones(4)).tolist() == [0.0] * 4

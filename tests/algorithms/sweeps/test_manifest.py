@@ -203,7 +203,7 @@ def changed(values: Mapping[str, Any], path: tuple[str, ...], value: Any) -> dic
 
 def does_not_affect_the_result(path: tuple[str, ...]) -> bool:
     """Whether a value only affects where a run is trained or what it logs."""
-    return path[0] == "logging" or path in (("training", "device"), ("training", "threads"))
+    return path[0] == "logging" or path in [("training", each) for each in ("device", "seeds", "threads")]
 
 
 def test_the_id_of_a_run_changes_with_every_single_setting_that_affects_its_result(

@@ -38,7 +38,7 @@ def test_policies_are_found_by_name(trained: Trained, home: Path) -> None:
     assert zoo.names() == ["one-a2c", "two-mo_ppo"]
     assert zoo.find("one-a2c") == home / "one-a2c"
     assert Run.open("one-a2c").path == home / "one-a2c"
-    assert Run.open(Path("one-a2c"), device="cpu").experiment == trained("a2c").experiment
+    assert Run.open(Path("one-a2c")).experiment == trained("a2c").experiment
 
 
 def test_a_run_directory_takes_precedence_over_a_policy_of_the_same_name(

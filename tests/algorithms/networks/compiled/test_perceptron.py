@@ -9,8 +9,7 @@ import pytest
 import torch
 from torch import nn
 
-from algorithms.networks.compiled.perceptron import Perceptron
-from algorithms.networks.compiled.tape import Tape, recording
+from algorithms.networks.compiled.perceptron import Perceptron, forward_pass
 from algorithms.networks.threads import set_threads
 
 SIZES = [(5, 8, 4, 3), (5, 4, 8, 1), (3, 16, 16, 16, 6), (22, 64, 32, 22), (22, 128, 64, 4)]
@@ -33,12 +32,11 @@ def _arguments(layer: nn.Module) -> tuple[int, ...]:
     return (layer.in_features, layer.out_features) if isinstance(layer, nn.Linear) else ()
 
 
-def gradients_of(perceptron: Perceptron, tape: Tape, *by_outputs: torch.Tensor) -> list[torch.Tensor]:
-    """The gradients by the parameters, from those by the outputs on the tape."""
-    gradients = {parameter: torch.zeros_like(parameter) for parameter in perceptron.parameters()}
-    pairs = [(out, by.numpy()) for out, by in zip(tape.outputs, by_outputs, strict=True)]
-    tape.add_gradients(pairs, {parameter: gradient.numpy() for parameter, gradient in gradients.items()})
-    return list(gradients.values())
+def gradients_of(network: nn.Module) -> list[torch.Tensor]:
+    """The gradients, which are then 0."""
+    gradients = [parameter.grad.clone() for parameter in network.parameters()]
+    network.zero_grad(set_to_none=False)
+    return gradients
 
 
 def assert_all_close(found: list[torch.Tensor], wanted: tuple[torch.Tensor, ...]) -> None:
@@ -54,13 +52,11 @@ def test_outputs_and_gradients_are_autograds(sizes: tuple[int, ...], rows: int) 
     expected = reference(x)
     with torch.no_grad():
         torch.testing.assert_close(perceptron(x), expected, rtol=1e-5, atol=1e-5)
-    with recording() as tape:
-        outputs = perceptron(x)
-    assert outputs in tape
+    outputs = perceptron(x)
     torch.testing.assert_close(outputs, expected, rtol=1e-5, atol=1e-5)
     by_outputs = torch.randn_like(expected)
-    wanted = torch.autograd.grad(expected, list(reference.parameters()), by_outputs)
-    assert_all_close(gradients_of(perceptron, tape, by_outputs), wanted)
+    outputs.backward(by_outputs)
+    assert_all_close(gradients_of(perceptron), torch.autograd.grad(expected, [*reference.parameters()], by_outputs))
 
 
 @pytest.mark.parametrize("shape", [(), (4,), (3, 4), (2, 1, 3)])
@@ -78,63 +74,44 @@ def test_passes_of_other_sizes_in_between_do_not_disturb_a_pass() -> None:
     x, y = torch.randn(300, 5), torch.randn(300, 5)
     with torch.inference_mode():
         perceptron(torch.randn(900, 5))
-    with recording() as tape:
-        one, other = perceptron(x), perceptron(y)
+    one, other = perceptron(x), perceptron(y)
     with torch.no_grad():
         for rows in (2, 300, 3000):
             perceptron(torch.randn(rows, 5))
-    found = gradients_of(perceptron, tape, torch.ones_like(one), 2.0 * torch.ones_like(other))
-    assert_all_close(
-        found, torch.autograd.grad((reference(x) + 2.0 * reference(y)).sum(), list(reference.parameters()))
-    )
+    (one + 2.0 * other).sum().backward()
+    wanted = torch.autograd.grad((reference(x) + 2.0 * reference(y)).sum(), [*reference.parameters()])
+    assert_all_close(gradients_of(perceptron), wanted)
 
 
-def test_a_pass_over_what_was_kept_takes_its_results() -> None:
-    perceptron, reference = both((5, 8, 4, 3))
-    x = torch.randn(700, 5)
-    kept = perceptron.keep_passes(700)
-    with torch.no_grad():
-        parts = [perceptron(part) for part in x.split([300, 1, 399])]
-    assert kept.done == 700
-    assert torch.equal(torch.from_numpy(kept.outputs).t(), torch.cat(parts))
-    with recording() as tape:
-        outputs = perceptron(x.reshape(7, 100, 5))
-    assert perceptron._spare == []  # no other memory has been needed
-    assert torch.equal(outputs.reshape(700, 3), torch.cat(parts))
-    found = gradients_of(perceptron, tape, torch.ones(700, 3))
-    assert_all_close(found, torch.autograd.grad(reference(x).sum(), list(reference.parameters())))
-    with torch.no_grad():
-        assert torch.equal(perceptron(x), torch.cat(parts))
-    assert perceptron._spare == []  # what is kept is not handed out
+def act_on(perceptron: Perceptron, x: torch.Tensor) -> None:
+    """Keep a pass over ``x``, as a compiled rollout does."""
+    kept = perceptron.keep_passes(len(x))
+    weights, biases = perceptron.parameter_arrays()
+    kept.rows[:] = x.numpy()
+    forward_pass(0, len(x), kept.rows, weights, biases, kept.space.hidden(len(x)), kept.outputs)
+    kept.outputs += 1.0  # a mark
+    kept.done = len(x)
 
 
-@pytest.mark.parametrize("change", ["parameters", "rows", "number of rows", "nothing kept since"])
-def test_a_pass_over_anything_else_is_made(change: str) -> None:
+@pytest.mark.parametrize("change", ["nothing", "parameters", "rows", "number of rows", "nothing kept since"])
+def test_a_pass_over_what_was_kept_takes_its_results_and_one_over_anything_else_is_made(change: str) -> None:
     perceptron, reference = both((5, 8, 3))
-    x = torch.randn(20, 5)
-    perceptron.keep_passes(20)
-    with torch.no_grad():
-        perceptron(x)
-        if change == "parameters":
+    x = torch.randn(700, 5)
+    act_on(perceptron, x)
+    if change == "parameters":
+        with torch.no_grad():
             for network in (perceptron, reference):
                 network[2].bias[1] += 1.0
-        elif change == "rows":
-            x[7, 3] += 1.0
-        elif change == "number of rows":
-            x = x[:19]
-        else:
-            perceptron.keep_passes(20)
-        torch.testing.assert_close(perceptron(x), reference(x), rtol=1e-5, atol=1e-5)
-
-
-def test_more_rows_than_are_to_be_kept_are_passed_as_usual() -> None:
-    perceptron, reference = both((5, 8, 3))
-    x, y = torch.randn(20, 5), torch.randn(20, 5)
-    kept = perceptron.keep_passes(30)
-    with torch.no_grad():
-        perceptron(x)
-        torch.testing.assert_close(perceptron(y), reference(y), rtol=1e-5, atol=1e-5)
-    assert kept.done == 20
+    elif change == "rows":
+        x[7, 3] += 1.0
+    elif change == "number of rows":
+        x = x[:19]
+    elif change == "nothing kept since":
+        perceptron.keep_passes(700)
+    outputs, expected = perceptron(x), reference(x)
+    torch.testing.assert_close(outputs, expected + float(change == "nothing"), rtol=1e-5, atol=1e-5)
+    outputs.sum().backward()
+    assert_all_close(gradients_of(perceptron), torch.autograd.grad(expected.sum(), [*reference.parameters()]))
 
 
 @pytest.mark.slow
@@ -145,9 +122,9 @@ def test_the_number_of_threads_does_not_change_a_bit() -> None:
     results = []
     for count in (1, 2):
         set_threads(count)
-        with recording() as tape:
-            outputs = perceptron(x)
-        results.append([outputs.detach(), *gradients_of(perceptron, tape, torch.ones_like(outputs))])
+        outputs = perceptron(x)
+        outputs.sum().backward()
+        results.append([outputs.detach(), *gradients_of(perceptron)])
     set_threads(1)
     assert all(torch.equal(one, other) for one, other in zip(*results, strict=True))
 
@@ -174,9 +151,7 @@ def test_what_is_not_a_number_stays_so() -> None:
 def test_double_precision_and_gradients_by_the_inputs_are_torchs() -> None:
     perceptron, reference = both((5, 8, 3))
     x = torch.randn(4, 5, requires_grad=True)
-    with recording() as tape:
-        outputs = perceptron(x)
-        assert perceptron.double()(x.double()).dtype == torch.float64
-    assert not tape.outputs
+    outputs = perceptron(x)
+    assert perceptron.double()(x.double()).dtype == torch.float64
     (found,), (wanted,) = (torch.autograd.grad(each.sum(), x) for each in (outputs, reference(x)))
     torch.testing.assert_close(found, wanted)

@@ -1,0 +1,1 @@
+"""Learners that stay on one device, with the seeds of a run as the first axis of every tensor."""
