@@ -15,7 +15,6 @@ from mo_deepdrive.machine import check_memory
 from mo_deepdrive.measures import make_measures
 from mo_deepdrive.observation import layout
 from mo_deepdrive.params import chosen_objectives, make_params, vehicle_record
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation import observation, traffic
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
@@ -97,7 +96,7 @@ class WorldBatch:
 
     def __init__(self, config: EnvConfig, worlds: int, threads: int = 1):
         self.config = config
-        self.scenario = SCENARIOS[config.scenario]
+        self.scenario = config.row
         self.objectives = chosen_objectives(config)
         self.params = make_params(config)
         vehicles, obstacles, cars = self.scenario.vehicles, self.scenario.obstacles, self.scenario.cars
@@ -196,7 +195,8 @@ class WorldBatch:
                 return
         problems = {
             "a bicycle touches the vehicle at its start or is within 1 m of the destination": self.scenario.obstacles,
-            "an oncoming car touches the vehicle at its start": self.scenario.cars,
+            "an oncoming car touches the vehicle at its start": self.scenario.cars and not self.scenario.roads,
+            "vehicles or cars touch, or are not on their first segment": self.scenario.roads,
         }
         problem = ", or ".join(text for text, number in problems.items() if number)
         raise ValueError(f"no valid scenario in {MAX_REDRAWS} draws with these reset options: {problem}")

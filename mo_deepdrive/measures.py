@@ -12,7 +12,6 @@ import numpy as np
 from mo_deepdrive.importing import import_named
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.params import chosen_objectives, make_params, reward_signs, vehicle_record
-from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -77,7 +76,7 @@ def make_measures(config: EnvConfig) -> tuple[Measure, ...]:
     Raises:
         ValueError: naming the objective, if its function cannot be compiled.
     """
-    nothing = np.zeros((0, SCENARIOS[config.scenario].vehicles), dtype=vehicle_record(config))
+    nothing = np.zeros((0, config.row.vehicles), dtype=vehicle_record(config))
     measures = []
     for column, (name, sign) in enumerate(zip(chosen_objectives(config), reward_signs(config), strict=True)):
         function = OBJECTIVES[INDEX[name]].measure

@@ -119,10 +119,10 @@ class DrivingEnv(WorldEnv):
 
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
         config = parse_arguments(scenario, options)
-        if SCENARIOS[config.scenario].vehicles > 1:
+        if (vehicles := config.row.vehicles) > 1:
             raise ValueError(
-                f"scenario = {scenario!r} has two vehicles; use gymnasium.make({SCENARIOS[scenario].id!r}), where they "
-                "take turns, its make_vec, or mo_deepdrive.parallel_env()"
+                f"scenario = {scenario!r} has {vehicles} vehicles; use gymnasium.make({SCENARIOS[scenario].id!r}), "
+                "where they take turns, its make_vec, or mo_deepdrive.parallel_env()"
             )
         super().__init__(config, render_mode)
         self._running = False

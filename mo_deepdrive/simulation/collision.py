@@ -11,7 +11,7 @@ import math
 
 from mo_deepdrive.simulation.geometry import RADIUS, boxes_overlap, distance, segment_touches_box
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import WIDTH, Record, Records
+from mo_deepdrive.simulation.state import RUNNING, WIDTH, Record, Records
 
 LONGEST_MOVE = WIDTH / 4
 
@@ -97,10 +97,21 @@ def vehicles_collide(params: Record, path: Records, a: int, b: int, lane: int) -
 
 
 @jit
-def hits_any_car(vehicle: Record, vehicles: int, params: Record, path: Records, lane: int) -> bool:
-    """Whether the vehicle touches an oncoming car; the paths of the cars follow those of the ``vehicles`` vehicles."""
-    hit = False
-    for k in range(len(vehicle.cars)):
-        present = vehicle.cars[k].present
-        hit = hit or (present and vehicles_collide(params, path, 0, vehicles + k, lane))
-    return hit
+def find_collisions(worlds: Records, i: int, column: int, params: Record, path: Records, lane: int) -> None:
+    """Write 1 to ``objectives[column]`` of every vehicle of world ``i`` on the road that touches something on its way.
+
+    Those are its obstacles, the other vehicles on the road, and the cars that are present.
+    """
+    vehicles = worlds.shape[1]
+    for v in range(vehicles):
+        vehicle = worlds[i, v]
+        if vehicle.end == RUNNING:
+            if params.has_obstacle and hits_any_obstacle(vehicle, params, path, lane):
+                vehicle.objectives[column] = 1.0
+            for other in range(v):
+                if worlds[i, other].end == RUNNING and vehicles_collide(params, path, other, v, lane):
+                    vehicle.objectives[column] = 1.0
+                    worlds[i, other].objectives[column] = 1.0
+            for k in range(len(worlds[i, 0].cars)):
+                if worlds[i, 0].cars[k].present and vehicles_collide(params, path, v, vehicles + k, lane):
+                    vehicle.objectives[column] = 1.0

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mo_deepdrive.simulation import observation, progress, traffic
-from mo_deepdrive.simulation.collision import hits_any_car, hits_any_obstacle, vehicles_collide
+from mo_deepdrive.simulation import observation, progress, road_traffic, traffic
+from mo_deepdrive.simulation.collision import find_collisions
 from mo_deepdrive.simulation.dynamics import drive
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.lanes import LANES
@@ -62,9 +62,11 @@ def ending(vehicle: Record, collided: bool, arrived: bool, params: Record) -> in
         return HARMFUL_JERK
     if params.end_on_lane_violation and min(vehicle.left_lane_distance, vehicle.right_lane_distance) < -LANE_TOLERANCE:
         return OFF_LANE
+    if params.n_routes > 0 and abs(vehicle.lane_offset) > 2 * params.half_lane[vehicle.route]:
+        return OFF_LANE
     if abs(vehicle.heading - vehicle.start_heading) > CIRCLING_LIMIT:
         return CIRCLING
-    if vehicle.n_waypoints > 1 and progress.skipped(vehicle):
+    if params.n_routes == 0 and vehicle.n_waypoints > 1 and progress.skipped(vehicle):
         return SKIPPED_WAYPOINT
     if vehicle.route_distance < vehicle.furthest - BACKWARDS_LIMIT:
         return BACKWARDS
@@ -87,27 +89,17 @@ def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> 
         lane: of the world in ``path``.
     """
     vehicles = worlds.shape[1]
-    all_running = True
     for v in range(vehicles):
-        vehicle = worlds[i, v]
-        for k in range(len(vehicle.objectives)):
-            vehicle.objectives[k] = 0.0
-        all_running = all_running and vehicle.end == RUNNING
+        for k in range(len(worlds[i, v].objectives)):
+            worlds[i, v].objectives[k] = 0.0
+    find_collisions(worlds, i, CRASH, params, path, lane)
 
-    collided = False
-    if params.has_obstacle and all_running:
-        collided = hits_any_obstacle(worlds[i, 0], params, path, lane)
-    if vehicles > 1 and all_running:
-        collided = vehicles_collide(params, path, 0, 1, lane)
-    if len(worlds[i, 0].cars) > 0 and all_running:
-        collided = collided or hits_any_car(worlds[i, 0], vehicles, params, path, lane)
-
-    # Everything that depends on the positions of both vehicles is computed before either can end.
+    # Everything that depends on the positions of several vehicles is computed before any of them can end.
     for v in range(vehicles):
         vehicle = worlds[i, v]
         if vehicle.end == RUNNING:
             before = vehicle.route_distance
-            arrived = progress.follow(vehicle)
+            arrived = progress.follow(vehicle, params)
             vehicle.objectives[DISTANCE] = vehicle.route_distance - before
             vehicle.objectives[DESTINATION] = 1.0 if arrived else 0.0
             if params.has_lanes:
@@ -124,10 +116,10 @@ def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> 
         if vehicle.end == RUNNING:
             vehicle.decisions += 1
             vehicle.objectives[G_FORCE] = vehicle.g_force
-            vehicle.objectives[CRASH] = 1.0 if collided else 0.0
             vehicle.objectives[JERK] = vehicle.jerk
             if params.has_lanes:
                 vehicle.objectives[LANE_VIOLATION] = lane_excess(vehicle, params)
+            collided = vehicle.objectives[CRASH] == 1.0
             arrived = vehicle.objectives[DESTINATION] == 1.0
             vehicle.end = ending(vehicle, collided, arrived, params)
             if vehicle.end != ARRIVED:
@@ -163,9 +155,12 @@ def step_worlds(
         cars: (cars,) of TRAFFIC, scratch.
         path: (vehicles + cars, physics_steps + 1) of POSE, scratch.
     """
+    if params.n_routes > 0:
+        for i in range(first, last):
+            road_traffic.drive(worlds, i, i - first, params, path)
     for v in range(worlds.shape[1]):
         drive(worlds, first, last, v, controls, params, motion, path)
-    if len(worlds[first, 0].cars) > 0:
+    if len(worlds[first, 0].cars) > 0 and params.n_routes == 0:
         traffic.drive(worlds, first, last, params, cars, path)
     for i in range(first, last):
         judge(worlds, i, params, path, i - first)
