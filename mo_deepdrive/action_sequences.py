@@ -98,7 +98,7 @@ def replay(config: EnvConfig, sequences: Iterable[NDArray[Any]]) -> NDArray[np.f
     actions[:] = nothing
     for row, sequence in enumerate(listed):
         actions[: len(sequence), row, 0] = sequence[: config.max_decisions]
-    batch.place(np.arange(len(listed)), lambda rows: np.zeros((len(rows), batch.scenario.draws)))
+    batch.place()
     rewards: list[NDArray[np.float32]] = []
     while not batch.over().all():
         batch.step(actions[len(rewards)])

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive.limits import check_state
@@ -16,17 +14,51 @@ from mo_deepdrive.measures import make_measures
 from mo_deepdrive.observation import layout
 from mo_deepdrive.params import chosen_objectives, make_params, vehicle_record
 from mo_deepdrive.simulation import observation, traffic
+from mo_deepdrive.simulation.actions import find_infinite, find_unknown
+from mo_deepdrive.simulation.autoreset import DONE, MAX_REDRAWS, NEEDS_DRAWS, NEXT_STEP, reset_batch
 from mo_deepdrive.simulation.dynamics import make_scratch
-from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
+from mo_deepdrive.simulation.kernel import batch_step, observe_batch
 from mo_deepdrive.simulation.placing import pin_nothing
-from mo_deepdrive.simulation.state import ENDS, PARAMS, RUNNING, SPAWN, with_room
+from mo_deepdrive.simulation.state import ENDS, PARAMS, SPAWN, with_room
 from mo_deepdrive.thread_pool import ThreadPool
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
     from mo_deepdrive.config import EnvConfig
 
-Draw = Callable[[NDArray[np.int64]], NDArray[np.float64]]
-MAX_REDRAWS = 1000
+
+class Draws:
+    """Random numbers for new episodes, drawn when they are needed.
+
+    Args:
+        worlds: how many worlds.
+        draws: how many uniforms an episode takes.
+        generators: one per world; without them all numbers are zero.
+        block: how many episodes' numbers are drawn at a time.
+
+    Attributes:
+        blocks: (worlds, block, draws) uniforms in [0, 1), a row for every scenario that is drawn.
+        cursors: (worlds,) how many rows of its block each world has used.
+    """
+
+    def __init__(
+        self, worlds: int, draws: int, generators: Sequence[np.random.Generator] | None = None, block: int = 1
+    ):
+        self._generators = generators
+        self.blocks = np.zeros((worlds, block, draws))
+        self.cursors = np.full(worlds, block, dtype=np.int64)
+
+    def refill(self, rows: NDArray[np.int64]) -> None:
+        """Draw a new block for each world in ``rows`` whose block is used up."""
+        empty = rows[self.cursors[rows] == self.blocks.shape[1]]
+        if self._generators is not None:
+            for i in empty:
+                self._generators[i].random(out=self.blocks[i])
+        self.cursors[empty] = 0
+
 
 # The fields of the state that telemetry reports.
 TELEMETRY = (
@@ -68,7 +100,7 @@ class Part:
     rewards: NDArray[np.float32]
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
-    acting: NDArray[np.bool_]
+    acted: NDArray[np.bool_]
 
 
 class WorldBatch:
@@ -85,12 +117,14 @@ class WorldBatch:
         state: (worlds, vehicles) of VEHICLE, with the room of :func:`mo_deepdrive.params.vehicle_record`.
         observations: (worlds, vehicles, size), overwritten by every call.
         rewards: (worlds, vehicles, d), overwritten by every step.
+        acted: (worlds, vehicles) whether a vehicle was on the road before the step, overwritten by every step.
         terminated: (worlds, vehicles), overwritten by every call.
         truncated: (worlds, vehicles), overwritten by every call.
         objectives: names of the d objectives.
         continuous: whether actions are continuous.
         table: (actions, 4) of the discrete actions, none if they are continuous.
-        measures: the objectives that the kernel does not measure.
+        measures: what measures the objectives that the kernel does not measure.
+        step_function: of :func:`mo_deepdrive.simulation.kernel.batch_step`, with these measures.
         no_pins: (1,) of SPAWN that pins nothing.
     """
 
@@ -111,20 +145,25 @@ class WorldBatch:
         self.terminated = np.zeros((worlds, vehicles), dtype=np.bool_)
         self.truncated = np.ones((worlds, vehicles), dtype=np.bool_)  # as the state says
         self._controls = np.zeros((worlds, vehicles, 3))
-        self._acting = np.zeros((worlds, vehicles), dtype=np.bool_)
+        self.acted = np.zeros((worlds, vehicles), dtype=np.bool_)
         self.measures = make_measures(config)
+        self._attempts = np.zeros(worlds, dtype=np.int64)
         self._spawn = np.zeros(1, dtype=with_room(SPAWN, obstacles, cars, 0))
         self._sight = np.zeros(1, dtype=observation.SIGHT)
         self.no_pins = np.zeros_like(self._spawn)
         pin_nothing(self.no_pins)
         self.continuous = config.action_type == action_sets.CONTINUOUS
         self.table = np.zeros((0, 4)) if self.continuous else action_sets.action_table(config.action_type)
+        self.step_function = batch_step(self.measures)
+        self._drawn = np.zeros((1, self.scenario.draws))
         self._threads = ThreadPool()
         self._parts = self.parts(min(threads, worlds))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the parts, which are views of the buffers: a copy makes new ones."""
-        return {**self.__dict__, "_parts": len(self._parts)}
+        """Without the parts, which are views of the buffers, and compiled functions: a copy makes new ones."""
+        state = {**self.__dict__, "_parts": len(self._parts)}
+        del state["measures"], state["step_function"]
+        return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -138,6 +177,8 @@ class WorldBatch:
         ):
             # The dtype of unpickled records only equals this one; Numba would compare their fields at every call.
             setattr(self, name, getattr(self, name).view(dtype))
+        self.measures = make_measures(self.config)
+        self.step_function = batch_step(self.measures)
         self._parts = self.parts(state["_parts"])
 
     def parts(self, count: int) -> list[Part]:
@@ -161,45 +202,57 @@ class WorldBatch:
             rewards=self.rewards[part],
             terminated=self.terminated[part],
             truncated=self.truncated[part],
-            acting=self._acting[part],
+            acted=self.acted[part],
         )
 
-    def place(self, rows: NDArray[np.int64], draw: Draw, pins: NDArray[Any] | None = None) -> None:
-        """Start new episodes in the worlds ``rows``.
+    def place(self, draws: Draws | None = None, rows: NDArray[np.bool_] | None = None, pins: Any = None) -> None:
+        """Start new episodes.
 
         Args:
-            rows: (k,) indices of worlds.
-            draw: returns uniforms in [0, 1) of shape (len(rows), scenario.draws) for the rows it is called with.
+            draws: random numbers, all zero if None.
+            rows: (worlds,) in which worlds; in all if None.
             pins: (1,) of SPAWN; entries that are not NaN are used instead of drawn ones.
 
         Raises:
             ValueError: if no valid scenario is found, because the pins or the scenario's routes allow none.
         """
-        for _ in range(MAX_REDRAWS):
-            fair = np.zeros(len(rows), dtype=np.bool_)
-            reset_batch(
-                self.state,
-                rows,
-                draw(rows),
-                self.no_pins if pins is None else pins,
-                self.params,
-                self._spawn,
-                fair,
-                self._sight,
-                self.observations,
-                self.terminated,
-                self.truncated,
-            )
-            rows = rows[~fair]
-            if not len(rows):
-                return
+        count = len(self.state)
+        waiting = np.ones(count, dtype=np.bool_) if rows is None else rows.copy()
+        self.reset(NEXT_STEP, waiting, draws or Draws(count, self.scenario.draws), pins)
+
+    def reset(self, mode: int, waiting: NDArray[np.bool_], draws: Draws, pins: NDArray[Any] | None = None) -> None:
+        """Start new episodes where the autoreset mode says so.
+
+        Args:
+            mode: NEXT_STEP, SAME_STEP or DISABLED of :mod:`mo_deepdrive.simulation.autoreset`.
+            waiting: (worlds,) whether the episode is over and its world has not been reset; written.
+            draws: random numbers.
+            pins: as of :meth:`place`.
+
+        Raises:
+            ValueError: as :meth:`place`.
+        """
+        worlds = (
+            self.state, mode, waiting, draws.blocks, draws.cursors, self._attempts, self._drawn,
+            self.no_pins if pins is None else pins, self.params, self._spawn, self._sight,
+            self.observations, self.terminated, self.truncated,
+        )  # fmt: skip
+        row, problem = reset_batch(0, *worlds)
+        while problem == NEEDS_DRAWS:
+            draws.refill(np.arange(row, len(self.state))[waiting[row:] if mode == NEXT_STEP else self.over()[row:]])
+            row, problem = reset_batch(row, *worlds)
+        if problem != DONE:
+            raise self.no_scenario()
+
+    def no_scenario(self) -> ValueError:
+        """The error of a reset that finds no valid scenario."""
         problems = {
             "a bicycle touches the vehicle at its start or is within 1 m of the destination": self.scenario.obstacles,
             "an oncoming car touches the vehicle at its start": self.scenario.cars and not self.scenario.roads,
             "vehicles or cars touch, or are not on their first segment": self.scenario.roads,
         }
         problem = ", or ".join(text for text, number in problems.items() if number)
-        raise ValueError(f"no valid scenario in {MAX_REDRAWS} draws with these reset options: {problem}")
+        return ValueError(f"no valid scenario in {MAX_REDRAWS} draws with these reset options: {problem}")
 
     def step(self, actions: NDArray[Any]) -> None:
         """Move every running vehicle by one decision.
@@ -234,44 +287,29 @@ class WorldBatch:
         # Numbers too large for the type become others that are refused, too.
         with np.errstate(over="ignore"):
             actions = np.ascontiguousarray(given, dtype=dtype)
-        row = (
-            action_sets.find_infinite(actions)
-            if self.continuous
-            else action_sets.find_unknown(actions, len(self.table))
-        )
+        row = find_infinite(actions) if self.continuous else find_unknown(actions, len(self.table))
         if row >= 0:
             raise ValueError(f"action {given[row].tolist()} of world {row} is not allowed; expected {allowed}")
         return actions
 
     def _run(self, part: Part, actions: NDArray[Any]) -> None:
-        """Decode the actions of one part and move its worlds."""
-        actions = actions[part.rows]
-        if self.continuous:
-            action_sets.decode_continuous(actions, part.controls)
-            if self.config.action_delay:
-                action_sets.delay(part.worlds, part.controls, part.controls)
-        else:
-            if self.config.action_delay:
-                sent, actions = actions, np.empty_like(actions)
-                action_sets.delay(part.worlds, sent[..., None], actions[..., None])
-            action_sets.decode_discrete(part.worlds, actions, self.table, part.controls)
-        if self.measures:
-            np.equal(part.worlds["end"], RUNNING, out=part.acting)
-        step_batch(
+        """Move the worlds of one part."""
+        self.step_function(
             part.worlds,
-            part.controls,
+            actions[part.rows],
+            self.table,
             self.params,
+            part.controls,
             part.motion,
             part.cars,
             part.path,
             part.sight,
             part.observations,
             part.rewards,
+            part.acted,
             part.terminated,
             part.truncated,
         )
-        for measure in self.measures:
-            measure.write(part.worlds, self.params, part.acting, measure.column, measure.sign, part.rewards)
 
     def over(self) -> NDArray[np.bool_]:
         """The worlds without a vehicle on the road, shape (worlds,)."""

@@ -15,7 +15,6 @@ import numpy as np
 
 from mo_deepdrive.names import check_name
 from mo_deepdrive.plain_values import is_finite, with_plain_fields
-from mo_deepdrive.simulation.state import ARRIVED, RUNNING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,15 +63,6 @@ class Objective:
     reference: float | None = None
 
 
-def _seconds(vehicles: Any, v: int, params: Any) -> float:
-    decisions = 1
-    if params.charge_remaining_time:
-        vehicle = vehicles[v]
-        if vehicle.end != RUNNING and vehicle.end != ARRIVED:
-            decisions += params.max_decisions - vehicle.decisions
-    return float(params.dt * params.physics_steps * decisions)
-
-
 OBJECTIVES: list[Objective] = [
     Objective("distance", "m", +1, 10.0, "route distance gained in the decision", bound="distance", signed=True),
     Objective("destination", "1", +1, 1.0, "1 on the decision that arrives", bound=1.0),
@@ -87,7 +77,7 @@ OBJECTIVES: list[Objective] = [
         30.0,
         "duration of the decision; under charge_remaining_time also what an early end leaves of the time limit",
         bound="time",
-        measure=_seconds,
+        measure="mo_deepdrive.simulation.duration:duration",
         reference=-60.0,
     ),
     Objective(

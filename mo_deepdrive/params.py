@@ -16,6 +16,7 @@ from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.state import (
     BRAKE_FRICTION,
     KERNEL_NAMES,
+    MAX_OBJECTIVES,
     PARAMS,
     SPEED_FRICTION,
     VEHICLE,
@@ -92,7 +93,7 @@ def make_params(config: EnvConfig) -> np.ndarray:
     """The parameters of a configuration, shape (1,) of dtype PARAMS.
 
     Raises:
-        ValueError: if a setting has no effect in the scenario.
+        ValueError: if a setting has no effect in the scenario, or there are too many objectives.
     """
     scenario = config.row
     settings = _has_effect(scenario)
@@ -118,9 +119,12 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.has_lanes = scenario.lanes or scenario.roads
     row.vehicles = scenario.vehicles
     row.conflict_time = scenario.conflict_time
-    columns = [column for column, name in enumerate(names) if name in KERNEL_NAMES]
-    row.n_objectives = len(columns)
-    row.objective_index[: len(columns)] = [INDEX[names[column]] for column in columns]
+    if len(names) > MAX_OBJECTIVES:
+        raise ValueError(f"objectives has {len(names)} names; at most {MAX_OBJECTIVES} are allowed")
+    kernel = [column for column, name in enumerate(names) if name in KERNEL_NAMES]
+    columns = [*kernel, *(column for column in range(len(names)) if column not in kernel)]
+    row.n_objectives = len(kernel)
+    row.objective_index[: len(kernel)] = [INDEX[names[column]] for column in kernel]
     row.objective_column[: len(columns)] = columns
     row.objective_sign[: len(columns)] = reward_signs(config)[columns]
     if scenario.roads:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive.quiet_pygame import INVISIBLE_DRIVERS, pygame
+from mo_deepdrive.simulation.actions import DECREASE, INCREASE, MAINTAIN, decode_discrete
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Record
 
 if TYPE_CHECKING:
@@ -96,11 +97,11 @@ def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
         outermost = max if keys.left else min
         steer = outermost((group for group in groups if not group.decay), key=target_steer)
     if keys.brake:
-        change = action_sets.DECREASE
+        change = DECREASE
     elif keys.accelerate:
-        change = action_sets.INCREASE
+        change = INCREASE
     else:  # the first "decrease" only releases the throttle
-        change = action_sets.DECREASE if vehicle.throttle > 0.0 else action_sets.MAINTAIN
+        change = DECREASE if vehicle.throttle > 0.0 else MAINTAIN
     return names.index(f"{steer.name}, {action_sets.SPEED_CHANGES[change]}")
 
 
@@ -255,7 +256,8 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
     def _continuous(self, chosen: NDArray[np.int64]) -> NDArray[np.float32]:
         """The continuous actions (1, V, 3) with the same target controls as the discrete ones ``chosen`` (1, V)."""
         controls = np.zeros((*chosen.shape, len(action_sets.CONTINUOUS_NAMES)))
-        action_sets.decode_discrete(self.vector_env.batch.state, chosen, self._table, controls)
+        for v, action in enumerate(chosen[0]):
+            decode_discrete(self.vector_env.batch.state, 0, v, action, self._table, controls)
         scaled = controls / (STEER_RANGE, MAX_ACCELERATION, MAX_ACCELERATION / 2) - (0.0, 0.0, 1.0)
         return scaled.astype(np.float32)
 

@@ -27,8 +27,9 @@ from mo_deepdrive.measures import make_measures
 from mo_deepdrive.objectives import INDEX, OBJECTIVES, signs
 from mo_deepdrive.params import chosen_objectives, make_params
 from mo_deepdrive.quiet_pygame import INVISIBLE_DRIVERS, pygame
+from mo_deepdrive.simulation.kernel import batch_rewards
 from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
-from mo_deepdrive.simulation.state import ARRIVED, ENDS, KERNEL_NAMES, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
+from mo_deepdrive.simulation.state import ARRIVED, ENDS, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -284,8 +285,9 @@ class Viewer:
         self.scenario = config.row
         self._roads = self.scenario.routes if self.scenario.roads else ()
         self.objectives = chosen_objectives(config)
-        self._measures = make_measures(config)
-        self._params = make_params(config)
+        # With this sign the rewards are the magnitudes.
+        self._params = make_params(config.model_copy(update={"cost_sign": "paper"}))
+        self._write_rewards = batch_rewards(make_measures(config))
         trail_length = 1 + round(TRAIL_SECONDS * config.decision_frequency)
         self._trace = EpisodeTrace(self.scenario.vehicles, len(self.objectives), trail_length)
         reward_signs = signs(self.objectives) if config.cost_sign == "maximise" else np.ones(len(self.objectives))
@@ -317,16 +319,10 @@ class Viewer:
 
     def _magnitudes(self, world: NDArray[Any]) -> NDArray[np.float64]:
         """The magnitudes (vehicles, objectives) of the last decision; zero for vehicles that had ended before."""
-        magnitudes = np.zeros((len(world), len(self.objectives)))
-        for k, name in enumerate(self.objectives):
-            if name in KERNEL_NAMES:
-                magnitudes[:, k] = world["objectives"][:, INDEX[name]]
         decisions = world["decisions"]
         acted = (decisions > 0) & (decisions == decisions.max())
-        measured = np.zeros((1, *magnitudes.shape), dtype=np.float32)
-        for measure in self._measures:
-            measure.write(world[None], self._params, acted[None], measure.column, 1.0, measured)
-            magnitudes[:, measure.column] = measured[0, :, measure.column]
+        magnitudes = np.zeros((len(world), len(self.objectives)))
+        self._write_rewards(world[None], self._params, acted[None], magnitudes[None])
         return magnitudes
 
     def close(self) -> None:

@@ -12,19 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.actions import (
-    CONTINUOUS,
-    CURL,
-    DECAY,
-    DECREASE,
-    INCREASE,
-    MAINTAIN,
-    OFFSET,
-    SPEED_CHANGE,
-    action_table,
-)
+from mo_deepdrive.actions import CONTINUOUS, action_table
 from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, MAX_ACCELERATION, STEER_RANGE
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from algorithms.driving.left_turn_rules import CURVATURE_PER_STEER, DRAG
 from algorithms.planning.plans import FULL_SCALE
-from mo_deepdrive.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE
 from mo_deepdrive.observation import OWN
+from mo_deepdrive.simulation.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ import numpy as np
 
 from algorithms.planning.driving_rules import RULE, follow_rule
 from algorithms.planning.plans import CRITERIA, FULL_SCALE, EvaluatedPlans, PlanFormat, Plans
-from mo_deepdrive.actions import decode_continuous, decode_discrete
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.observation import layout
 from mo_deepdrive.reference_fronts import front_config
 from mo_deepdrive.simulation import observation, traffic
+from mo_deepdrive.simulation.actions import decode_continuous, decode_discrete
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import step_worlds
 from mo_deepdrive.simulation.state import RUNNING
@@ -36,8 +36,6 @@ def simulate_plans(
     sight: NDArray[Any],
     seen: NDArray[Any],
     controls: NDArray[Any],
-    discrete: NDArray[Any],
-    continuous: NDArray[Any],
     weights: NDArray[Any],
     returns: NDArray[Any],
     lengths: NDArray[Any],
@@ -56,8 +54,6 @@ def simulate_plans(
         sight: (1,) of SIGHT, scratch.
         seen: (n, 1, size) float32, scratch for observations.
         controls: (n, 1, 3) scratch.
-        discrete: (1, 1) integers, scratch.
-        continuous: (1, 1, 3) scratch.
         weights: (criteria, decisions) discount of each decision.
         returns: (criteria, n, d), added to.
         lengths: (n,), written: decisions until the episode ended.
@@ -70,12 +66,10 @@ def simulate_plans(
                 observation.write(worlds, i, i + 1, 0, params[0], sight, seen)
                 follow_rule(seen[i, 0], rules[i], t * decision, table, plans[i, t])
             if len(table):
-                discrete[0, 0] = plans[i, t, 0]
-                decode_discrete(worlds[i : i + 1], discrete, table, controls[i : i + 1])
+                decode_discrete(worlds, i, 0, plans[i, t, 0], table, controls)
             else:
-                for axis in range(3):
-                    continuous[0, 0, axis] = plans[i, t, axis] / FULL_SCALE
-                decode_continuous(continuous, controls[i : i + 1])
+                steer, acceleration, brake = plans[i, t, 0], plans[i, t, 1], plans[i, t, 2]
+                decode_continuous(i, 0, steer / FULL_SCALE, acceleration / FULL_SCALE, brake / FULL_SCALE, controls)
             step_worlds(worlds, i, i + 1, controls, params[0], motion, cars, path)
             for k in range(params[0].n_objectives):
                 value = params[0].objective_sign[k] * vehicle.objectives[params[0].objective_index[k]]
@@ -105,7 +99,7 @@ class PlanEvaluator:
         if time_limit is not None:
             config = config.model_copy(update={"time_limit": time_limit})
         self.batch = WorldBatch(config, 1)
-        self.batch.place(np.arange(1), lambda rows: np.zeros((len(rows), self.batch.scenario.draws)))
+        self.batch.place()
         self.format = PlanFormat(action_type, config.max_decisions)
         self.simulated_decisions = 0
         motion, path = make_scratch(1, config.physics_steps)
@@ -140,8 +134,6 @@ class PlanEvaluator:
             *self._scratch,
             np.zeros((n, 1, self._observed), dtype=np.float32),
             np.zeros((n, 1, 3)),
-            np.zeros((1, 1), dtype=np.int64),
-            np.zeros((1, 1, 3)),
             self._weights,
             returns,
             lengths,

@@ -14,7 +14,7 @@ import numpy as np
 from algorithms.planning.driving_rules import random_calm_rules
 from algorithms.planning.plans import CRITERIA, Criterion, EvaluatedPlans
 from algorithms.planning.variation import make_offspring
-from mo_deepdrive.actions import decode_discrete
+from mo_deepdrive.simulation.actions import decode_discrete
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def as_continuous(evaluator: PlanEvaluator, start: NDArray[Any], actions: NDArra
     batch.state[0] = start
     controls, found = np.zeros((1, 1, 3)), []
     for action in actions:
-        decode_discrete(batch.state, np.full((1, 1), action), batch.table, controls)
+        decode_discrete(batch.state, 0, 0, action, batch.table, controls)
         steer, throttle, brake = controls[0, 0]
         found.append((steer / STEER_RANGE, throttle / MAX_ACCELERATION, 2.0 * brake / MAX_ACCELERATION - 1.0))
         batch.step(np.full((1, 1), action))

@@ -168,37 +168,3 @@ class Episodes:
         """All episodes of ``parts``, in order."""
         columns = zip(*(vars(part).values() for part in (cls.none(objectives), *parts)), strict=True)
         return cls(*(np.concatenate(column) for column in columns))
-
-
-class Buffers(NamedTuple):
-    """What a collector writes: the rollout, the episodes that end, and those that go on.
-
-    Attributes:
-        observations, final, rewards, accrued, discounts: of :class:`Rollout`.
-        flags: (3, T, N, V) terminated, truncated and acted.
-        ended, succeeded: (T, N, V) whether a vehicle's episode ended, and whether it then reached its goal.
-        ended_returns, ended_values: (T, N, V, d) undiscounted and accrued return of an episode, where one ended.
-        ended_decisions: (T, N, V) its decisions.
-        value, running_discounts, decisions: of the AccruedReward of the running episodes.
-        returns: (N, V, d) their undiscounted returns.
-        accrued_discounts: (V,) g.
-        shares: (V, d) by which rewards are multiplied.
-    """
-
-    observations: NDArray[np.float32]
-    final: NDArray[np.float32]
-    rewards: NDArray[np.float32]
-    accrued: NDArray[np.float32]
-    discounts: NDArray[np.float32]
-    flags: NDArray[np.bool_]
-    ended: NDArray[np.bool_]
-    succeeded: NDArray[np.bool_]
-    ended_returns: NDArray[np.float64]
-    ended_values: NDArray[np.float64]
-    ended_decisions: NDArray[np.int64]
-    value: NDArray[np.float32]
-    running_discounts: NDArray[np.float32]
-    decisions: NDArray[np.int64]
-    returns: NDArray[np.float64]
-    accrued_discounts: NDArray[np.float32]
-    shares: NDArray[np.float32]

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from algorithms.rollouts.buffers import Buffers, Episodes, Rollout
+from algorithms.rollouts.buffers import Episodes, Rollout
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.faults import NotFinite, check_vehicles
-from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.rollout import Buffers, follow_episodes
 
 if TYPE_CHECKING:
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
@@ -22,58 +22,6 @@ ROUNDING, TINY = 1e-3, 1e-6
 
 # act(observations (N, V, o), accrued_reward) -> actions (N, V) or (N, V, k)
 Act = Callable[[NDArray[np.float32], AccruedReward], NDArray[Any]]
-
-
-@jit
-def follow_episodes(
-    rewards: NDArray[np.float32],
-    learnt: NDArray[np.float32],
-    ended: NDArray[np.bool_],
-    acted: NDArray[np.bool_],
-    accrued_discounts: NDArray[np.float32],
-    value: NDArray[np.float32],
-    discounts: NDArray[np.float32],
-    decisions: NDArray[np.int64],
-    returns: NDArray[np.float64],
-    ended_returns: NDArray[np.float64],
-    ended_values: NDArray[np.float64],
-    ended_decisions: NDArray[np.int64],
-) -> None:
-    """Add a step to the running episodes; note those that ended, and begin new ones.
-
-    Args:
-        rewards: (N, V, d) of the environment.
-        learnt: (N, V, d) of which the accrued reward consists.
-        ended: (N, V) whether the vehicle's episode ended in this step.
-        acted: (N, V); who did not act has no episode under way.
-        accrued_discounts: (V,) g.
-        value: (N, V, d) of AccruedReward, changed.
-        discounts: (N, V) of AccruedReward, changed.
-        decisions: (N, V) of AccruedReward, changed.
-        returns: (N, V, d) undiscounted, changed.
-        ended_returns: (N, V, d) of the episodes that ended, written where ``ended``; so are the others.
-        ended_values: (N, V, d) their accrued rewards.
-        ended_decisions: (N, V).
-    """
-    n, v, d = rewards.shape
-    for i in range(n):
-        for j in range(v):
-            for k in range(d):
-                value[i, j, k] += discounts[i, j] * learnt[i, j, k]
-                returns[i, j, k] += rewards[i, j, k]
-            discounts[i, j] *= accrued_discounts[j]
-            decisions[i, j] += 1
-            if ended[i, j]:
-                for k in range(d):
-                    ended_returns[i, j, k] = returns[i, j, k]
-                    ended_values[i, j, k] = value[i, j, k]
-                ended_decisions[i, j] = decisions[i, j]
-            if ended[i, j] or not acted[i, j]:
-                for k in range(d):
-                    value[i, j, k] = 0.0
-                    returns[i, j, k] = 0.0
-                discounts[i, j] = 1.0
-                decisions[i, j] = 0
 
 
 class Collector:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.utils import seeding
 
+from mo_deepdrive.batch import Draws
 from mo_deepdrive.plain_values import whole_number
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def checked_seed(seed: Any, name: str = "seed") -> int | None:
     return whole_number(name, seed, 0, allowed="None or a non-negative integer")
 
 
-class Streams:
+class Streams(Draws):
     """Generators, one per world, which draw the same numbers as a single environment with the same seed.
 
     Args:
@@ -36,19 +37,13 @@ class Streams:
 
     Attributes:
         seeds: the seed of every world.
-        blocks: (N, BLOCK, draws) uniforms in [0, 1).
-        cursors: (N,) how many episodes of its block each world has had.
     """
 
     def __init__(self, seeds: list[int | None], draws: int):
-        self._generators: list[np.random.Generator] = []
-        self.seeds: list[int] = []
-        for seed in seeds:
-            generator, used = seeding.np_random(seed)
-            self._generators.append(generator)
-            self.seeds.append(used)
-        self.blocks = np.zeros((len(seeds), BLOCK, draws))
-        self.cursors = np.full(len(seeds), BLOCK, dtype=np.int64)
+        pairs = [seeding.np_random(seed) for seed in seeds]
+        self._generators: list[np.random.Generator] = [generator for generator, _ in pairs]
+        self.seeds: list[int] = [used for _, used in pairs]
+        super().__init__(len(seeds), draws, self._generators, BLOCK)
 
     @property
     def generators(self) -> tuple[np.random.Generator, ...]:
@@ -62,20 +57,6 @@ class Streams:
                 self._generators[i], self.seeds[i] = seeding.np_random(seeds[i])
                 self.cursors[i] = BLOCK
 
-    def draw(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-        """The next uniforms of each world in ``rows``, shape (len(rows), draws)."""
-        self.refill(rows)
-        cursors = self.cursors[rows]
-        self.cursors[rows] = cursors + 1
-        return self.blocks[rows, cursors]
-
-    def refill(self, rows: NDArray[np.int64]) -> None:
-        """Draw a new block for each world in ``rows`` whose block is used up."""
-        empty = rows[self.cursors[rows] == BLOCK]
-        for i in empty:
-            self._generators[i].random(out=self.blocks[i])
-        self.cursors[empty] = 0
-
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Generator states (N, 4) uint64 (PCG64 state and increment, high and low words), blocks and cursors."""
         words = np.zeros((len(self._generators), 4), dtype=np.uint64)
@@ -86,7 +67,7 @@ class Streams:
 
     @staticmethod
     def check(state: dict[str, NDArray[Any]]) -> None:
-        """Refuse blocks and cursors that :meth:`draw` cannot take, and generators that repeat themselves too soon.
+        """Refuse blocks and cursors that no drawing leads to, and generators that repeat themselves too soon.
 
         Raises:
             ValueError: naming the array, its value and its range.

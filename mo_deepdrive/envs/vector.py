@@ -19,12 +19,14 @@ from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.streams import Streams, checked_seed
 from mo_deepdrive.envs.world import KnownFront
 from mo_deepdrive.plain_values import whole_number
+from mo_deepdrive.simulation.autoreset import DISABLED, NEXT_STEP, SAME_STEP
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 END_NAMES = np.array(ENDS, dtype=object)
+_MODES = {AutoresetMode.NEXT_STEP: NEXT_STEP, AutoresetMode.DISABLED: DISABLED}
 
 
 def _positive(name: str, value: Any) -> int:
@@ -211,7 +213,7 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
         else:
             self.streams.reseed(seeds, mask)
         try:
-            self.batch.place(np.flatnonzero(mask), self.streams.draw, pins)
+            self.batch.place(self.streams, mask, pins)
         except ValueError:
             if before is not None:
                 state, self.streams.seeds = before
@@ -271,20 +273,18 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
         """
         self.check_ready()
         batch = self.batch
-        acted = ~(batch.terminated | batch.truncated)
         batch.step(actions)
-        if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._over.any():
-            batch.place(np.flatnonzero(self._over), self.streams.draw)
+        at_once = self.autoreset_mode is AutoresetMode.SAME_STEP
+        if not at_once:
+            batch.reset(_MODES[self.autoreset_mode], self._over, self.streams)
         over = batch.over()
         final = observations = batch.observations.copy()
-        taken = batch.rewards.copy(), batch.terminated.copy(), batch.truncated.copy(), acted, over
+        flags = batch.terminated.copy(), batch.truncated.copy(), batch.acted.copy(), over
         ends = batch.state["end"].copy()
-        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
-            self._over = over.copy()  # reset() writes into it
-        elif len(rows := np.flatnonzero(over)):
-            batch.place(rows, self.streams.draw)
+        if at_once and over.any():
+            batch.reset(SAME_STEP, self._over, self.streams)
             observations = batch.observations.copy()
-        return Transition(observations, final, *taken, ends)
+        return Transition(observations, final, batch.rewards.copy(), *flags, ends)
 
     def check_ready(self) -> None:
         """Refuse to step worlds that have to be reset first.

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from mo_deepdrive.batch import WorldBatch
+from mo_deepdrive.batch import Draws, WorldBatch
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.spaces import action_space, observation_scales, observation_space, reward_space
 from mo_deepdrive.envs.streams import checked_seed
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from mo_deepdrive.config import EnvConfig
 
 RENDER_MODES = ["rgb_array", "human"]
-_WORLD = np.zeros(1, dtype=np.int64)
 
 
 class World:
@@ -57,10 +56,9 @@ class World:
             ValueError: for options without a valid scenario; the world and the generator are unchanged.
         """
         pins = make_pins(options, self.config)
-        draws = self.batch.scenario.draws
         stream = generator.bit_generator.state
         try:
-            self.batch.place(_WORLD, lambda _: generator.random((1, draws)), pins)
+            self.batch.place(Draws(1, self.batch.scenario.draws, [generator]), pins=pins)
         except ValueError:
             generator.bit_generator.state = stream
             raise

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from mo_deepdrive.simulation.jit import jit
 
+
+@jit
 def energy(vehicles: Any, v: int, params: Any) -> float:
     """The positive work of the traction force per mass in the decision (J/kg).
 

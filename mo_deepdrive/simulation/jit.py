@@ -10,12 +10,12 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import caching
+from numba.core import caching, types
 from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -38,8 +38,26 @@ HERE = Path(__file__).parent
 def _folders(function: Any) -> frozenset[Path]:
     """Where the sources of a function are, and of the compiled functions that it calls."""
     named = (function.__globals__.get(name) for name in function.__code__.co_names)
-    called = (each.py_func for each in named if isinstance(each, Dispatcher))
+    held = (cell.cell_contents for cell in function.__closure__ or ())
+    called = (each.py_func for each in (*named, *held) if isinstance(each, Dispatcher))
     return frozenset({Path(function.__code__.co_filename).parent}).union(*map(_folders, called))
+
+
+def _closure(function: Any) -> list[Any]:
+    """What a function holds: of compiled functions, whose code is in the stamp, their names and what these hold."""
+    held = (cell.cell_contents for cell in function.__closure__ or ())
+    return [
+        (each.py_func.__module__, each.py_func.__qualname__, _closure(each.py_func))
+        if isinstance(each, Dispatcher)
+        else each
+        for each in held
+    ]
+
+
+def _can_be_cached(function: Any) -> bool:
+    """Whether all compiled functions that a function holds are of :func:`jit`: changes of others go unnoticed."""
+    held = (cell.cell_contents for cell in function.__closure__ or ())
+    return all(isinstance(vars(each)["_cache"], _Cache) for each in held if isinstance(each, Dispatcher))
 
 
 class _PackageStamp:
@@ -72,6 +90,11 @@ class _Cache(caching.FunctionCache):
 
     _impl_class = _CacheImpl
 
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        """As Numba's, which would tell functions in a closure apart by the process that made them."""
+        code, names = self._py_func.__code__.co_code, repr(_closure(self._py_func))
+        return sig, codegen.magic_tuple(), hashlib.sha256(code + names.encode()).hexdigest()
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]  # Numba has no types
@@ -92,7 +115,8 @@ def jit(function: F) -> F:
     """Compile ``function`` in nopython mode, without the GIL, with IEEE arithmetic and a disk cache.
 
     Functions are inlined into their callers, because a call passes every array as seven words and counts a reference.
-    If no cache directory is writable, the function is compiled in every process.
+    If no cache directory is writable, the function is compiled in every process; so is one that holds a compiled
+    function of somebody else in its closure.
 
     Args:
         function: the function; its annotations are for readers and type checkers alone.
@@ -115,10 +139,37 @@ def parallel_jit(function: F) -> F:
 
 def _compiled(function: F, **options: Any) -> F:
     compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
-    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # Numba has no types
+    if not numba.config.DISABLE_JIT and _can_be_cached(function):  # type: ignore[attr-defined]  # Numba has no types
         try:
             compiled._cache = _Cache(function)  # type: ignore[no-untyped-call]  # Numba has no types
         except RuntimeError as error:
             if "no locator available" not in str(error):
                 raise
     return cast("F", compiled)
+
+
+class Pointer(types.WrapperAddressProtocol):
+    """A pointer to a compiled function, for arguments of compiled functions.
+
+    A function that is passed as it is would be compiled again within what it is passed to, or its address looked up at
+    every call.
+
+    Args:
+        function: the function.
+        arguments: like those that it will be called with.
+    """
+
+    def __init__(self, function: Any, arguments: Sequence[Any]):
+        signature = tuple(map(numba.typeof, arguments))
+        function.compile(signature)
+        compiled = function.overloads[signature]
+        self.type = types.FunctionType(compiled.signature.return_type(*signature))
+        self._function = function  # keeps the code alive
+        self._address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name)
+
+    def __wrapper_address__(self) -> int:
+        return int(self._address)
+
+    def signature(self) -> Any:
+        """Of the function."""
+        return self.type.signature

@@ -1,20 +1,21 @@
-"""The kernel: place worlds, and move a batch of worlds by one decision.
+"""The kernel: move worlds by one decision, and write observations, rewards and flags.
 
 Every buffer belongs to the caller and has the shape (worlds, vehicles, ...). The kernel allocates nothing, draws no
-random numbers, reads no global state and never resets a world by itself. A single world and a row of a batch run
-through the same code.
+random numbers, reads no global state and never resets a world by itself; :mod:`.autoreset` does. A single world and a
+row of a batch run through the same code, and so can the worlds of a CUDA kernel.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import functools
+from typing import TYPE_CHECKING, Any
 
 from mo_deepdrive.simulation import observation, progress, road_traffic, traffic
+from mo_deepdrive.simulation.actions import decode
 from mo_deepdrive.simulation.collision import find_collisions
 from mo_deepdrive.simulation.dynamics import drive
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.lanes import LANES
-from mo_deepdrive.simulation.placing import draw_spawn, place, spawn_is_fair
 from mo_deepdrive.simulation.state import (
     ARRIVED,
     BACKWARDS,
@@ -38,6 +39,8 @@ from mo_deepdrive.simulation.state import (
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    Measures = tuple[Any, ...]
 
 # Indices of the objectives within vehicle.objectives.
 DISTANCE, DESTINATION, G_FORCE, CRASH, JERK, LANE_VIOLATION = range(len(KERNEL_NAMES))
@@ -196,82 +199,166 @@ def observe_batch(
 
 
 @jit
-def step_batch(
-    worlds: Records,
-    controls: NDArray[np.float64],
-    params: Records,
-    motion: Records,
-    cars: Records,
-    path: Records,
-    sight: Records,
-    observations: NDArray[np.float32],
-    rewards: NDArray[np.float32],
-    terminated: NDArray[np.bool_],
-    truncated: NDArray[np.bool_],
+def write_nothing(
+    worlds: Records, i: int, v: int, params: Records, acted: NDArray[np.bool_], k: int, rewards: NDArray[np.float32]
 ) -> None:
-    """Move a batch of worlds by one decision.
+    """Measure no further objective."""
+
+
+def _measuring(measures: Measures) -> Any:
+    """What writes the rewards of vehicle ``v`` of world ``i`` from the ``k``-th objective of PARAMS on by ``measures``.
+
+    A chain of functions, because compiled code cannot index functions.
+    """
+    if not measures:
+        return write_nothing
+    measure, write_rest = measures[0], _measuring(measures[1:])
+
+    @jit
+    def write_measured(
+        worlds: Records, i: int, v: int, params: Records, acted: NDArray[np.bool_], k: int, rewards: NDArray[np.float32]
+    ) -> None:
+        sign = params[0].objective_sign[k]
+        rewards[i, v, params[0].objective_column[k]] = (
+            sign * measure(worlds[i], v, params[0]) + 0.0 if acted[i, v] else 0.0
+        )
+        write_rest(worlds, i, v, params, acted, k + 1, rewards)
+
+    return write_measured
+
+
+@functools.cache
+def rewarding(measures: Measures) -> Any:
+    """The function that writes the rewards of a world.
 
     Args:
-        worlds: (worlds, vehicles) of VEHICLE, changed in place.
-        controls: (worlds, vehicles, 3) target controls, from actions.decode_*.
-        params: (1,) of PARAMS. (Records enter as arrays: unpacking a bare one costs several microseconds.)
-        motion: (1,) of MOTION, scratch.
-        cars: (cars,) of TRAFFIC, scratch.
-        path: (vehicles + cars, physics_steps + 1) of POSE, scratch.
-        sight: (1,) of SIGHT, scratch.
-        observations: (worlds, vehicles, size) float32, written.
-        rewards: (worlds, vehicles, objectives) float32, written but for the columns of objectives that the kernel
-            does not measure; zero for vehicles that had ended before.
-        terminated: (worlds, vehicles) bool, written; stays True until the world is placed again.
-        truncated: likewise.
+        measures: compiled functions, of the objectives that have a measure of their own, in the order of the rewards.
+
+    Returns:
+        ``write_rewards(worlds, i, params, acted, rewards)``, compiled; see :func:`deciding` for the arguments.
     """
-    for first in range(0, worlds.shape[0], LANES):
-        last = min(first + LANES, worlds.shape[0])
+    write_measured = _measuring(measures)
+
+    @jit
+    def write_rewards(
+        worlds: Records, i: int, params: Records, acted: NDArray[np.bool_], rewards: NDArray[np.float32]
+    ) -> None:
+        for v in range(worlds.shape[1]):
+            for k in range(params[0].n_objectives):
+                # Adding zero turns a cost of -0.0 into 0.0.
+                rewards[i, v, params[0].objective_column[k]] = (
+                    params[0].objective_sign[k] * worlds[i, v].objectives[params[0].objective_index[k]] + 0.0
+                )
+            write_measured(worlds, i, v, params, acted, params[0].n_objectives, rewards)
+
+    return write_rewards
+
+
+@functools.cache
+def deciding(measures: Measures) -> Any:
+    """The function that moves worlds by one decision.
+
+    A thread of a device calls it with one world, a CPU with a block of them. It is a closure over the measures because
+    compiled code takes no functions as arguments.
+
+    Args:
+        measures: as of :func:`rewarding`.
+
+    Returns:
+        ``decide(worlds, first, last, actions, ..., truncated)``, compiled.
+    """
+    write_rewards = rewarding(measures)
+
+    @jit
+    def decide(
+        worlds: Records,
+        first: int,
+        last: int,
+        actions: NDArray[Any],
+        table: NDArray[np.float64],
+        params: Records,
+        controls: NDArray[np.float64],
+        motion: Records,
+        cars: Records,
+        path: Records,
+        sight: Records,
+        observations: NDArray[np.float32],
+        rewards: NDArray[np.float32],
+        acted: NDArray[np.bool_],
+        terminated: NDArray[np.bool_],
+        truncated: NDArray[np.bool_],
+    ) -> None:
+        """Move the worlds ``first`` to ``last`` - 1, at most LANES, by one decision.
+
+        Args:
+            worlds: (worlds, vehicles) of VEHICLE, changed in place.
+            first: the first world.
+            last: the world after the last one.
+            actions: as of :func:`mo_deepdrive.simulation.actions.decode`; so is table.
+            table: (actions, 4).
+            params: (1,) of PARAMS. (Records enter as arrays: unpacking a bare one costs several microseconds.)
+            controls: (worlds, vehicles, 3), scratch.
+            motion: (1,) of MOTION, scratch.
+            cars: (cars,) of TRAFFIC, scratch.
+            path: (vehicles + cars, physics_steps + 1) of POSE, scratch.
+            sight: (1,) of SIGHT, scratch.
+            observations: (worlds, vehicles, size) float32, written.
+            rewards: (worlds, vehicles, objectives) float32, written; zero for vehicles that had ended before.
+            acted: (worlds, vehicles) bool, written: whether the vehicle was on the road before.
+            terminated: (worlds, vehicles) bool, written; stays True until the world is placed again.
+            truncated: likewise.
+        """
+        for i in range(first, last):
+            for v in range(worlds.shape[1]):
+                acted[i, v] = worlds[i, v].end == RUNNING
+                decode(worlds, i, v, actions, table, controls)
         step_worlds(worlds, first, last, controls, params[0], motion, cars, path)
         observe_worlds(worlds, first, last, params[0], sight, observations, terminated, truncated)
         for i in range(first, last):
-            for v in range(worlds.shape[1]):
-                for k in range(params[0].n_objectives):
-                    # Adding zero turns a cost of -0.0 into 0.0.
-                    rewards[i, v, params[0].objective_column[k]] = (
-                        params[0].objective_sign[k] * worlds[i, v].objectives[params[0].objective_index[k]] + 0.0
-                    )
+            write_rewards(worlds, i, params, acted, rewards)
+
+    return decide
 
 
-@jit
-def reset_batch(
-    worlds: Records,
-    rows: NDArray[np.int64],
-    draws: NDArray[np.float64],
-    pins: Records,
-    params: Records,
-    spawn: Records,
-    fair: NDArray[np.bool_],
-    sight: Records,
-    observations: NDArray[np.float32],
-    terminated: NDArray[np.bool_],
-    truncated: NDArray[np.bool_],
-) -> None:
-    """Start new episodes in the worlds ``rows``.
+@functools.cache
+def batch_step(measures: Measures) -> Any:
+    """The function ``step(worlds, actions, ..., truncated)`` that does what :func:`deciding` says for all worlds."""
+    decide = deciding(measures)
 
-    Args:
-        worlds: (worlds, vehicles) of VEHICLE.
-        rows: (k,) indices of the worlds to place.
-        draws: (k, draws) uniforms in [0, 1).
-        pins: (1,) of SPAWN; entries that are not NaN replace what would be drawn.
-        params: (1,) of PARAMS.
-        spawn: (1,) of SPAWN, scratch.
-        fair: (k,) bool, written; False where the draw is not a valid scenario. Such a world is unchanged and must be
-            drawn again.
-        sight: (1,) of SIGHT, scratch.
-        observations: as in step_batch, written for the worlds placed.
-        terminated: likewise.
-        truncated: likewise.
-    """
-    for j in range(len(rows)):
-        i = rows[j]
-        draw_spawn(draws, j, params[0], pins[0], spawn[0])
-        fair[j] = spawn_is_fair(spawn[0], params[0])
-        if fair[j]:
-            place(worlds, i, spawn[0], params[0])
-            observe_worlds(worlds, i, i + 1, params[0], sight, observations, terminated, truncated)
+    @jit
+    def step(
+        worlds: Records,
+        actions: NDArray[Any],
+        table: NDArray[np.float64],
+        params: Records,
+        controls: NDArray[np.float64],
+        motion: Records,
+        cars: Records,
+        path: Records,
+        sight: Records,
+        observations: NDArray[np.float32],
+        rewards: NDArray[np.float32],
+        acted: NDArray[np.bool_],
+        terminated: NDArray[np.bool_],
+        truncated: NDArray[np.bool_],
+    ) -> None:
+        for first in range(0, worlds.shape[0], LANES):
+            decide(
+                worlds, first, min(first + LANES, worlds.shape[0]), actions, table, params, controls, motion, cars,
+                path, sight, observations, rewards, acted, terminated, truncated,
+            )  # fmt: skip
+
+    return step
+
+
+@functools.cache
+def batch_rewards(measures: Measures) -> Any:
+    """The function ``write(worlds, params, acted, rewards)`` that does what :func:`rewarding` says for all worlds."""
+    write_rewards = rewarding(measures)
+
+    @jit
+    def write(worlds: Records, params: Records, acted: NDArray[np.bool_], rewards: NDArray[np.float32]) -> None:
+        for i in range(worlds.shape[0]):
+            write_rewards(worlds, i, params, acted, rewards)
+
+    return write

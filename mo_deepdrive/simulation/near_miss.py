@@ -28,6 +28,7 @@ def is_near(me: Record, other: Record, vx: float, vy: float, conflict_time: floa
     return time < conflict_time
 
 
+@jit
 def near_miss(vehicles: Any, v: int, params: Any) -> float:
     """1 if the least time to collision with another vehicle or a car is below ``params.conflict_time``, else 0.
 

@@ -33,6 +33,7 @@ def forced_braking(me: Record, other: Record, speed: float, params: Record) -> f
     return braking
 
 
+@jit
 def right_of_way(vehicles: Any, v: int, params: Any) -> float:
     """The most that entering forces anybody with right of way to brake, times the decision's duration (m/s)."""
     me = vehicles[v]

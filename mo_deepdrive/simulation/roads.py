@@ -38,7 +38,7 @@ def offset(segment: Record, x: float, y: float) -> float:
     ahead, left = ahead_and_left(segment, x, y)
     if segment.curvature == 0.0:
         return left
-    radius = 1.0 / segment.curvature  # negative to the right
+    radius: float = 1.0 / segment.curvature  # negative to the right
     away = math.sqrt((radius - left) * (radius - left) + ahead * ahead)
     return radius - math.copysign(away, radius)
 

@@ -20,6 +20,7 @@ Records: TypeAlias = NDArray[Any]
 KERNEL_NAMES = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
 
 MAX_VEHICLES = 16  # of a world, cars included; of routes of waypoints two
+MAX_OBJECTIVES = 32  # of a vehicle's reward
 MAX_WAYPOINTS = 3
 MAX_ROUTES = 16  # of segments, of a scenario
 MAX_SEGMENTS = 8  # of a route
@@ -243,11 +244,12 @@ PARAMS = np.dtype(
             ("charge_remaining_time", np.bool_),
             ("has_obstacle", np.bool_),
             ("has_lanes", np.bool_),
-            # the objectives of the kernel that are emitted: indices, columns of the reward, and signs
+            # the objectives that are emitted: columns of the reward, and signs; first the ``n_objectives`` that the
+            # kernel measures, with their indices, then those with a measure of their own
             ("n_objectives", np.int64),
             ("objective_index", np.int64, (len(KERNEL_NAMES),)),
-            ("objective_column", np.int64, (len(KERNEL_NAMES),)),
-            ("objective_sign", _FLOAT, (len(KERNEL_NAMES),)),
+            ("objective_column", np.int64, (MAX_OBJECTIVES,)),
+            ("objective_sign", _FLOAT, (MAX_OBJECTIVES,)),
             # the scenario: see scenarios.py
             ("vehicles", np.int64),
             ("conflict_time", _FLOAT),

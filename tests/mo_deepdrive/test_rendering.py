@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive import rendering
-from mo_deepdrive.batch import WorldBatch
+from mo_deepdrive.batch import Draws, WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.drawing import TRAFFIC_PAINT
 from mo_deepdrive.rendering import EpisodeTrace, Panel, Viewer
@@ -28,11 +28,18 @@ SPEED_UP = 3
 BLUE, ORANGE, YELLOW, RED = (38, 116, 232), (240, 126, 38), (255, 244, 190), (255, 36, 40)
 
 
+def place(batch: WorldBatch, number: float) -> None:
+    """Start an episode for which ``number`` is drawn again and again."""
+    draws = Draws(1, batch.scenario.draws)
+    draws.blocks[:] = number
+    batch.place(draws)
+
+
 def start(scenario: str) -> tuple[WorldBatch, Viewer]:
     """A world at the start of an episode, and a viewer of it."""
     config = parse(EnvConfig, {"scenario": scenario, "harmful_g_force": None}, "settings")
     batch = WorldBatch(config, 1)
-    batch.place(np.array([0]), lambda rows: np.full((len(rows), batch.scenario.draws), 0.5))
+    place(batch, 0.5)
     return batch, Viewer(config, "rgb_array")
 
 
@@ -166,7 +173,7 @@ def test_the_panel_shows_the_return_with_the_sign_of_the_rewards(
 ) -> None:
     config = parse(EnvConfig, {"scenario": "one_waypoint", "cost_sign": cost_sign}, "settings")
     batch = WorldBatch(config, 1)
-    batch.place(np.array([0]), lambda rows: np.full((len(rows), batch.scenario.draws), 0.5))
+    place(batch, 0.5)
     viewer = Viewer(config, "rgb_array")
     viewer.draw(batch.state[0])
     returns = np.zeros(len(viewer.objectives))
@@ -209,7 +216,7 @@ def test_a_new_episode_is_noticed_even_if_its_first_decisions_are_not_shown() ->
     for _ in range(5):
         drive(batch)
         trace.follow(batch.state[0], batch.state[0]["objectives"])
-    batch.place(np.array([0]), lambda rows: np.full((len(rows), batch.scenario.draws), 0.9))
+    place(batch, 0.9)
     drive(batch, 8)
     trace.follow(batch.state[0], batch.state[0]["objectives"])
     assert not trace.complete.any()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 import torch
@@ -15,7 +16,6 @@ from algorithms.actor_critic import ActorCritic
 from algorithms.mo_a2c import MOA2CLearner
 from algorithms.networks.actors import CategoricalActor
 from algorithms.networks.threads import set_threads
-from algorithms.rollouts import compiled_collection
 from algorithms.rollouts.compiled_collection import CompiledCollection
 from tests.helpers.agents import (
     CONTINUOUS,
@@ -103,7 +103,7 @@ def test_threads_share_the_worlds() -> None:
         agent.begin()
         for _ in range(3):
             agent.update(0.0)
-        assert len(agent._compiled._worlds) == count
+        assert len(agent._compiled._rollout.parts) == count
         states.append(state(agent))
     assert same(states[0], states[1])
     assert same(states[1], states[2])
@@ -155,7 +155,7 @@ def test_a_scenario_that_is_never_valid_is_an_error(monkeypatch: pytest.MonkeyPa
     agent = make_agent(PPO, STATIC_OBSTACLE, env=SHORT)
     agent.begin()
     agent.update(0.0)
-    worlds = agent._compiled._worlds[0]
+    worlds = agent._compiled._rollout.parts[0]
     worlds.pins["obstacle"][0, :] = worlds.params["starts"][0, 0, :2]  # the bicycle is under the vehicle
     with pytest.raises(ValueError, match="no valid scenario in 1000 draws"):
         agent.update(0.0)
@@ -254,5 +254,5 @@ def test_what_acts_otherwise_is_not_compiled(
 def test_nothing_is_compiled_where_numba_is_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
     agent = make_agent(A2C)
     assert agent._can_be_compiled()
-    monkeypatch.setattr(compiled_collection.numba.config, "DISABLE_JIT", 1)
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
     assert not agent._can_be_compiled()
