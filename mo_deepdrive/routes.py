@@ -161,7 +161,7 @@ def lane_problem(v: int, route: Route) -> str:
     if not isinstance(segments, (tuple, list)) or not all(isinstance(each, Segment) for each in segments):
         return f"segments = {segments!r} of route {v} must be a tuple of Segment"
     if len(route.waypoints):
-        return f"route {v} has waypoints and segments; it must have one of them"
+        return f"route {v} has waypoints; where routes have segments, none may"
     if not 1 <= len(segments) <= MAX_SEGMENTS:
         return f"segments of route {v} has {len(segments)} entries; an entry needs 1 to {MAX_SEGMENTS} to its exit"
     if not is_finite(route.lane_width) or not WIDTH < route.lane_width <= 20.0:

@@ -102,7 +102,7 @@ class Scenario:
     @property
     def roads(self) -> bool:
         """Whether the routes are of segments."""
-        return any(len(route.segments) > 0 for route in self.routes)
+        return any(bool(route.segments) for route in self.routes)
 
     @property
     def others(self) -> bool:

@@ -22,7 +22,7 @@ HEADWAY = (0.8, 1.8)  # s
 ACCEPTED_GAP = (4.2, 5.9)  # s
 ACCEPTED_GAPS = (0.0, 60.0)  # s, what reset options may set
 
-SIGHT = 60.0  # m, within which others are seen
+SIGHT = 40.0  # m, within which others are seen
 STANDING = 1.0  # m/s; at less than this others are taken to come at this speed
 _FREE = 1e9  # m; the gap to nobody
 
@@ -63,10 +63,10 @@ def gap_on_route(params: Record, car: Record, x: float, y: float, half: float) -
     route = car.route
     for k in range(params.n_segments[route]):
         segment = params.segments[route, k]
-        if segment.along + segment.length > car.route_distance:
+        ahead = segment.along + segment.length > car.route_distance
+        if ahead and abs(roads.offset(segment, x, y)) < params.half_lane[route]:
             along = roads.projection(segment, x, y)
-            within = 0.0 <= along < segment.length
-            if within and abs(roads.offset(segment, x, y)) < params.half_lane[route]:
+            if 0.0 <= along < segment.length:
                 gap = segment.along + along - car.route_distance
                 return gap - half if gap > 0.0 else _FREE
     return _FREE
