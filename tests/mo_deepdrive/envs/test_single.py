@@ -80,7 +80,9 @@ def assert_equal(first: Any, second: Any) -> None:
 # ------------------------------------------------------------------------------------------------------ conformance
 
 
-@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+@pytest.mark.parametrize(
+    ("scenario", "action_type"), [*EVERY, ("roundabout", "discrete"), ("roundabout_solo", "continuous")]
+)
 def test_gymnasiums_checker_warns_of_the_vector_reward_alone(
     make_single: Make, scenario: str, action_type: str
 ) -> None:
