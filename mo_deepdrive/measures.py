@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +16,26 @@ from mo_deepdrive.simulation.kernel import batch_rewards
 
 if TYPE_CHECKING:
     from mo_deepdrive.config import EnvConfig
+    from mo_deepdrive.simulation.state import Record, Records
 
 REASON_LENGTH = 300  # of a message of Numba, which may have hundreds of lines
 
-_compiled: dict[Any, Any] = {}  # by plain functions
+
+@functools.cache
+def _compiled(function: Any) -> Any:
+    """A measure of a user, as the package's own ones are, with a world to itself.
+
+    It is not in the disk cache, whose files would not notice a change of the function.
+    """
+    options = {"nogil": True, "error_model": "numpy"}
+    own = numba.njit(**options)(function) if inspect.isfunction(function) else function
+
+    @numba.njit(**options)
+    def measure(worlds: Records, i: int, v: int, params: Record) -> float:
+        magnitude: float = own(worlds[i], v, params)
+        return magnitude
+
+    return measure
 
 
 def make_measures(config: EnvConfig) -> tuple[Any, ...]:
@@ -33,19 +50,17 @@ def make_measures(config: EnvConfig) -> tuple[Any, ...]:
         if isinstance(measure, str):
             measures.append(import_named(f"objective {name!r}: measure", measure))
         elif measure is not None:
-            measures.append(_compile(name, measure, config))
+            measures.append(_checked(name, _compiled(measure), config))
     return tuple(measures)
 
 
-def _compile(name: str, function: Any, config: EnvConfig) -> Any:
-    """A measure that is not the package's; it is not in the disk cache, whose files would not notice a change of it."""
-    if inspect.isfunction(function):
-        function = _compiled.setdefault(function, numba.njit(nogil=True, error_model="numpy")(function))
+def _checked(name: str, measure: Any, config: EnvConfig) -> Any:
+    """The measure, if it can be compiled for the worlds of a configuration."""
     nothing = np.zeros((0, config.row.vehicles), dtype=vehicle_record(config))
     flags, rewards = np.zeros(nothing.shape, dtype=np.bool_), np.zeros((*nothing.shape, 1), dtype=np.float32)
     try:
-        batch_rewards((function,))(nothing, make_params(config), flags, rewards)
+        batch_rewards((measure,))(nothing, make_params(config), flags, rewards)
     except Exception as error:  # Numba raises KeyError for a field that does not exist
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:REASON_LENGTH]
         raise ValueError(f"objective {name!r}: its measure cannot be compiled: {reason}") from None
-    return function
+    return measure

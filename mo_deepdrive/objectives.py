@@ -43,7 +43,8 @@ class Objective:
             ``params`` of ``PARAMS``, both to be read only. A plain function, which Numba compiles on its first use, or
             one with ``numba.njit``. It is not called for vehicles that had ended before; their magnitude is zero.
             Every scenario can have such an objective. None if the kernel measures it, where the scenario lists it.
-            In a row of the package it may be the path ``package.module:name``, which is imported when it is needed.
+            In a row of the package it may be the path ``package.module:name`` of a compiled function of (worlds, i, v,
+            params), which is imported when it is needed.
         needs_others: whether only scenarios with other vehicles or cars can have it.
         needs_roads: whether only scenarios on roads of segments can have it.
         reference: coordinate of the reference point for hypervolumes, maximised, for every discount factor; None where

@@ -147,7 +147,8 @@ class TurnBasedEnv(WorldEnv):
     ## Version History
 
     - v1: v0 with ``time`` as the last objective and ``charge_remaining_time=True``, so that ending early saves no time.
-    - v0: initial release; Roundabout with ``time`` and ``charge_remaining_time=True``, as the others in v1. ``docs/simulator.md`` lists the departures from the published code.
+    - v0: initial release; Roundabout with ``time`` and ``charge_remaining_time=True``, as the others in v1.
+      ``docs/simulator.md`` lists the departures from the published code.
 
     The version is raised by every change of what an agent experiences: dynamics, rewards, observations, spaces and
     termination. Changes of speed, rendering and documentation keep it.

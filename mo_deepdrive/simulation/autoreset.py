@@ -45,32 +45,43 @@ def draw_from_blocks(
 
 
 @jit
-def is_over(terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], i: int) -> bool:
-    """Whether no vehicle of world ``i`` is on the road."""
+def is_due(
+    i: int, mode: int, waiting: NDArray[np.bool_], terminated: NDArray[np.bool_], truncated: NDArray[np.bool_]
+) -> bool:
+    """Whether world ``i`` is to be reset now, after a decision.
+
+    Args:
+        i: which world.
+        mode: NEXT_STEP, SAME_STEP or DISABLED.
+        waiting: (worlds,) whether the episode is over and its world has not been reset; read and written.
+        terminated: (worlds, vehicles) of the decision.
+        truncated: likewise.
+    """
     over = True
     for v in range(terminated.shape[1]):
         over = over and (terminated[i, v] or truncated[i, v])
-    return over
+    due = mode != DISABLED and (waiting[i] if mode == NEXT_STEP else over)
+    waiting[i] = over or due
+    return due
 
 
 @functools.cache
 def resetting(draw: Any) -> Any:
-    """The function that resets a world when it is due.
+    """The function that resets a world.
 
     Args:
         draw: compiled; ``draw(source, cursors, i, drawn)`` writes uniforms for a scenario of world ``i``, and returns
             False if there are none: :func:`draw_from_blocks`, or a generator that counts.
 
     Returns:
-        ``reset(worlds, i, mode, waiting, ..., truncated)``, compiled; it returns DONE, NEEDS_DRAWS (and can then be
-        called again) or NO_VALID_SCENARIO.
+        ``reset(worlds, i, waiting, ..., truncated)``, compiled; it returns DONE, NEEDS_DRAWS (and can then be called
+        again) or NO_VALID_SCENARIO.
     """
 
     @jit
     def reset(
         worlds: Records,
         i: int,
-        mode: int,
         waiting: NDArray[np.bool_],
         source: Any,
         cursors: NDArray[np.int64],
@@ -84,13 +95,12 @@ def resetting(draw: Any) -> Any:
         terminated: NDArray[np.bool_],
         truncated: NDArray[np.bool_],
     ) -> int:
-        """Start a new episode in world ``i`` if ``mode`` says so; call it after every decision.
+        """Start a new episode in world ``i``.
 
         Args:
             worlds: (worlds, vehicles) of VEHICLE, changed in place.
             i: which world.
-            mode: NEXT_STEP, SAME_STEP or DISABLED.
-            waiting: (worlds,) whether the episode is over and its world has not been reset; read and written.
+            waiting: as of :func:`is_due`, written.
             source: what ``draw`` draws from; so is cursors.
             cursors: (worlds,).
             attempts: (worlds,) draws in a row that were not fair, zero at first.
@@ -99,14 +109,10 @@ def resetting(draw: Any) -> Any:
             params: (1,) of PARAMS.
             spawn: (1,) of SPAWN, scratch.
             sight: (1,) of SIGHT, scratch.
-            observations: (worlds, vehicles, size) of a new episode, written.
-            terminated: (worlds, vehicles) as of the decision, or of a new episode; read and written.
+            observations: (worlds, vehicles, size), written.
+            terminated: (worlds, vehicles), written.
             truncated: likewise.
         """
-        over = is_over(terminated, truncated, i)
-        if mode == DISABLED or not (waiting[i] if mode == NEXT_STEP else over):
-            waiting[i] = over
-            return DONE
         while attempts[i] < MAX_REDRAWS:
             if not draw(source, cursors, i, drawn):
                 return NEEDS_DRAWS
@@ -145,16 +151,17 @@ def reset_batch(
     terminated: NDArray[np.bool_],
     truncated: NDArray[np.bool_],
 ) -> tuple[int, int]:
-    """Do what :func:`resetting` says for the worlds from ``start`` on.
+    """Reset the worlds from ``start`` on that are due; see :func:`is_due` and :func:`resetting` for the arguments.
 
     Returns:
         The world that has not been reset, and why; (worlds, DONE) at the end.
     """
     for i in range(start, worlds.shape[0]):
-        problem = _reset(
-            worlds, i, mode, waiting, blocks, cursors, attempts, drawn, pins, params, spawn, sight, observations,
-            terminated, truncated,
-        )  # fmt: skip
-        if problem != DONE:
-            return i, problem
+        if is_due(i, mode, waiting, terminated, truncated):
+            problem = _reset(
+                worlds, i, waiting, blocks, cursors, attempts, drawn, pins, params, spawn, sight, observations,
+                terminated, truncated,
+            )  # fmt: skip
+            if problem != DONE:
+                return i, problem
     return worlds.shape[0], DONE

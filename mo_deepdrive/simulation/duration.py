@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import ARRIVED, RUNNING
+from mo_deepdrive.simulation.state import ARRIVED, RUNNING, Record, Records
 
 
 @jit
-def duration(vehicles: Any, v: int, params: Any) -> float:
+def duration(worlds: Records, i: int, v: int, params: Record) -> float:
     """The seconds of a decision; under ``charge_remaining_time`` also those that an end before the arrival leaves."""
+    vehicle = worlds[i, v]
     decisions = 1
-    if params.charge_remaining_time and vehicles[v].end != RUNNING and vehicles[v].end != ARRIVED:
-        decisions += params.max_decisions - vehicles[v].decisions
+    if params.charge_remaining_time and vehicle.end != RUNNING and vehicle.end != ARRIVED:
+        decisions += params.max_decisions - vehicle.decisions
     return float(params.dt * params.physics_steps * decisions)

@@ -220,7 +220,7 @@ def _measuring(measures: Measures) -> Any:
     ) -> None:
         sign = params[0].objective_sign[k]
         rewards[i, v, params[0].objective_column[k]] = (
-            sign * measure(worlds[i], v, params[0]) + 0.0 if acted[i, v] else 0.0
+            sign * measure(worlds, i, v, params[0]) + 0.0 if acted[i, v] else 0.0
         )
         write_rest(worlds, i, v, params, acted, k + 1, rewards)
 
@@ -232,7 +232,8 @@ def rewarding(measures: Measures) -> Any:
     """The function that writes the rewards of a world.
 
     Args:
-        measures: compiled functions, of the objectives that have a measure of their own, in the order of the rewards.
+        measures: of the objectives that have a measure of their own, in the order of the rewards: compiled functions of
+            (worlds, i, v, params) that return the magnitude for vehicle ``v`` of world ``i``.
 
     Returns:
         ``write_rewards(worlds, i, params, acted, rewards)``, compiled; see :func:`deciding` for the arguments.

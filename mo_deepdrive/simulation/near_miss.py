@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from mo_deepdrive.simulation.geometry import RADIUS, time_to_collision
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import COLLISION, RUNNING, Record
+from mo_deepdrive.simulation.state import COLLISION, RUNNING, Record, Records
 
 # Below this time to collision encounters in towns are conflicts: the threshold of A. R. A. van der Horst and J.
 # Hogema, "Time-to-collision and collision avoidance systems", ICTCT workshop, 1993, and the default of the Surrogate
@@ -29,20 +28,21 @@ def is_near(me: Record, other: Record, vx: float, vy: float, conflict_time: floa
 
 
 @jit
-def near_miss(vehicles: Any, v: int, params: Any) -> float:
+def near_miss(worlds: Records, i: int, v: int, params: Record) -> float:
     """1 if the least time to collision with another vehicle or a car is below ``params.conflict_time``, else 0.
 
     It is taken after the decision; every box keeps its velocity and its heading
     (:func:`mo_deepdrive.simulation.geometry.time_to_collision`). Cars whose paths do not meet have none.
     """
-    me = vehicles[v]
-    for k in range(len(vehicles)):
+    me = worlds[i, v]
+    for k in range(worlds.shape[1]):
         # A vehicle that has collided has done so in this decision.
-        there = k != v and (vehicles[k].end == RUNNING or vehicles[k].end == COLLISION)
-        if there and is_near(me, vehicles[k], vehicles[k].vx, vehicles[k].vy, params.conflict_time):
+        other = worlds[i, k]
+        there = k != v and (other.end == RUNNING or other.end == COLLISION)
+        if there and is_near(me, other, other.vx, other.vy, params.conflict_time):
             return 1.0
-    for k in range(len(vehicles[0].cars)):
-        car = vehicles[0].cars[k]
+    for k in range(len(worlds[i, 0].cars)):
+        car = worlds[i, 0].cars[k]
         vx, vy = -car.sin_heading * car.speed, car.cos_heading * car.speed
         if car.present and is_near(me, car, vx, vy, params.conflict_time):
             return 1.0

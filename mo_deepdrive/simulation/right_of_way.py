@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from mo_deepdrive.simulation import roads
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import LENGTH, RUNNING, Record
+from mo_deepdrive.simulation.state import LENGTH, RUNNING, Record, Records
 from mo_deepdrive.simulation.traffic import MAX_BRAKING, SHORTEST_GAP
 
 # Who entered is entering until the front is this far beyond the point of entry (m).
@@ -34,15 +32,17 @@ def forced_braking(me: Record, other: Record, speed: float, params: Record) -> f
 
 
 @jit
-def right_of_way(vehicles: Any, v: int, params: Any) -> float:
+def right_of_way(worlds: Records, i: int, v: int, params: Record) -> float:
     """The most that entering forces anybody with right of way to brake, times the decision's duration (m/s)."""
-    me = vehicles[v]
+    me = worlds[i, v]
     most = 0.0
     if me.entered >= 0 and me.route_distance < params.priority[me.route, 0] + ENTERING:
-        for k in range(len(vehicles)):
-            if k != v and vehicles[k].end == RUNNING:
-                most = max(most, forced_braking(me, vehicles[k], vehicles[k].speed, params))
-        for k in range(len(vehicles[0].cars)):
-            if vehicles[0].cars[k].present:
-                most = max(most, forced_braking(me, vehicles[0].cars[k], vehicles[0].cars[k].speed, params))
+        for k in range(worlds.shape[1]):
+            other = worlds[i, k]
+            if k != v and other.end == RUNNING:
+                most = max(most, forced_braking(me, other, other.speed, params))
+        for k in range(len(worlds[i, 0].cars)):
+            car = worlds[i, 0].cars[k]
+            if car.present:
+                most = max(most, forced_braking(me, car, car.speed, params))
     return float(most * params.dt * params.physics_steps)
