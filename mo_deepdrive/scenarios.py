@@ -263,8 +263,9 @@ def _problem(scenario: Scenario) -> str:
         return f"destination_span = {scenario.destination_span!r} must be (x, y): finite numbers in m"
     for v, route in enumerate(routes):
         span = scenario.destination_span if v == 0 else (0.0, 0.0)
-        own = lane_problem(v, route) if roads else waypoints_problem(v, route, span)
-        if problem := start_problem(v, route) or own:
+        problem = start_problem(v, route)
+        problem = problem or (lane_problem(v, route) if roads else waypoints_problem(v, route, span))
+        if problem:
             return problem
     for name in (*scenario.objectives, *scenario.reference):
         if name not in INDEX:
