@@ -35,7 +35,7 @@ register_scenario(
                 end=END,
                 lane_width=3.5,
                 start_span=10.0,
-                priority=(RAMP + BEND - 10.0, RAMP + BEND + LANE),  # gives way up to 10 m before the joint
+                priority=(RAMP, RAMP + BEND + LANE),  # those on the ramp give way, as the bend is too close to the lane
             ),
         ),
         number=2,

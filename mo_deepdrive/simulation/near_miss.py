@@ -6,13 +6,14 @@ import math
 
 from mo_deepdrive.simulation.geometry import RADIUS, time_to_collision
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import COLLISION, RUNNING, Record, Records
+from mo_deepdrive.simulation.state import KERNEL_NAMES, RUNNING, Record, Records
 
 # Below this time to collision encounters in towns are conflicts: the threshold of A. R. A. van der Horst and J.
 # Hogema, "Time-to-collision and collision avoidance systems", ICTCT workshop, 1993, and the default of the Surrogate
 # Safety Assessment Model (D. Gettman et al., FHWA-HRT-08-051, 2008).
 CONFLICT_TIME = 1.5  # s
 MARGIN = 0.01  # m, for rounding
+CRASH = KERNEL_NAMES.index("collision")
 
 
 @jit
@@ -36,9 +37,9 @@ def near_miss(worlds: Records, i: int, v: int, params: Record) -> float:
     """
     me = worlds[i, v]
     for k in range(worlds.shape[1]):
-        # A vehicle that has collided has done so in this decision.
+        # A vehicle that has collided in this decision counts.
         other = worlds[i, k]
-        there = k != v and (other.end == RUNNING or other.end == COLLISION)
+        there = k != v and (other.end == RUNNING or other.objectives[CRASH] == 1.0)
         if there and is_near(me, other, other.vx, other.vy, params.conflict_time):
             return 1.0
     for k in range(len(worlds[i, 0].cars)):

@@ -222,7 +222,7 @@ def test_the_ramp_of_the_documentation_joins_a_lane_with_right_of_way(examples: 
     env = make_vector("merge", 1, time_limit=60.0)
     names = [entry.name for entry in layout(SCENARIOS["merge"])]
     # The vehicles stand; one car comes along the lane, and one along the ramp, which lets it pass.
-    env.reset(seed=0, options={"routes": [0, 1, 0, 1], "distances": [6.0, 6.0, 30.0, 34.0], "accepted_gaps": [9, 9]})
+    env.reset(seed=0, options={"routes": [0, 1, 0, 1], "distances": [6.0, 6.0, 30.0, 24.0], "accepted_gaps": [9, 9]})
     joint = 35.0 + 21.0
     first_there = None
     while env.batch.state[0, 0].cars["present"].any():

@@ -119,8 +119,9 @@ def test_only_those_who_touch_collide_and_then_they_leave_the_road(make_vector: 
     worlds = saved["state"].view(env.batch.state.dtype)
     worlds[0, 2].x, worlds[0, 2].y = worlds[0, 0].x, worlds[0, 0].y
     env.set_state(saved)
-    drive(env, {}, 1)
+    _, rewards = drive(env, {}, 1)
     assert env.batch.end_names(0)[2] != "collision"
+    assert rewards[2, env.objectives.index("near_miss")] == 0.0
 
 
 def test_leaving_the_road_ends_the_episode(make_vector: Any) -> None:
