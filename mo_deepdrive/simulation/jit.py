@@ -85,10 +85,33 @@ class _CacheImpl(caching.CompileResultCacheImpl):
     _locator_classes = [_UserProvided, _InTree, _UserWide]
 
 
+class _Files(caching.IndexDataCacheFile):
+    """The files of a cache, with names that tell versions apart.
+
+    Numba counts them: of two processes that compile at the same time, or with other sources, one may then load what
+    the other has written under the same number, and crash.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        index: dict[Any, str] = self._load_index()  # type: ignore[no-untyped-call]  # Numba has no types
+        pattern = self._data_name_pattern.replace("{number:d}", "{}")
+        if not index:
+            for outdated in Path(self._cache_path).glob(pattern.format("*")):
+                outdated.unlink(missing_ok=True)
+        name = pattern.format(hashlib.sha256(repr((self._source_stamp, key)).encode()).hexdigest()[:16])
+        self._save_data(name, data)  # type: ignore[no-untyped-call]
+        self._save_index({**index, key: name})  # type: ignore[no-untyped-call]
+
+
 class _Cache(caching.FunctionCache):
     """A cache whose broken files, such as those of a full disk, are as good as absent."""
 
     _impl_class = _CacheImpl
+
+    def __init__(self, function: Any):
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        locator = self._impl.locator
+        self._cache_file = _Files(self._cache_path, self._impl.filename_base, locator.get_source_stamp())  # type: ignore[no-untyped-call]
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         """As Numba's, which would tell functions in a closure apart by the process that made them."""
@@ -141,7 +164,7 @@ def _compiled(function: F, **options: Any) -> F:
     compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
     if not numba.config.DISABLE_JIT and _can_be_cached(function):  # type: ignore[attr-defined]  # Numba has no types
         try:
-            compiled._cache = _Cache(function)  # type: ignore[no-untyped-call]  # Numba has no types
+            compiled._cache = _Cache(function)
         except RuntimeError as error:
             if "no locator available" not in str(error):
                 raise
