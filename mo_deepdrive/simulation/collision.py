@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from mo_deepdrive.simulation.geometry import RADIUS, boxes_overlap, distance, segment_touches_box
-from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.jit import jit, separate_jit
 from mo_deepdrive.simulation.state import RUNNING, WIDTH, Record, Records
 
 LONGEST_MOVE = WIDTH / 4
@@ -96,13 +96,15 @@ def vehicles_collide(params: Record, path: Records, a: int, b: int, lane: int) -
     return False
 
 
-@jit
+@separate_jit
 def find_collisions(worlds: Records, i: int, column: int, params: Record, path: Records, lane: int) -> None:
-    """Write 1 to ``objectives[column]`` of every vehicle of world ``i`` on the road that touches something on its way.
+    """Write to ``objectives[column]`` of every vehicle of world ``i`` whether it touches something on its way: 1 or 0.
 
-    Those are its obstacles, the other vehicles on the road, and the cars that are present.
+    That is one of its obstacles, another vehicle on the road, or a car that is present; only vehicles on the road do.
     """
     vehicles = worlds.shape[1]
+    for v in range(vehicles):
+        worlds[i, v].objectives[column] = 0.0
     for v in range(vehicles):
         vehicle = worlds[i, v]
         if vehicle.end == RUNNING:

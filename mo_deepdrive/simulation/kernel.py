@@ -10,11 +10,11 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING, Any
 
-from mo_deepdrive.simulation import observation, progress, road_traffic, traffic
+from mo_deepdrive.simulation import observation, progress, road_traffic, roads, traffic
 from mo_deepdrive.simulation.actions import decode
 from mo_deepdrive.simulation.collision import find_collisions
 from mo_deepdrive.simulation.dynamics import drive
-from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.jit import jit, separate_jit
 from mo_deepdrive.simulation.lanes import LANES
 from mo_deepdrive.simulation.state import (
     ARRIVED,
@@ -81,31 +81,34 @@ def ending(vehicle: Record, collided: bool, arrived: bool, params: Record) -> in
 
 
 @jit
-def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> None:
+def judge(worlds: Records, i: int, params: Record, on_roads: bool) -> None:
     """Measure the objectives of the running vehicles of world ``i`` after they have moved, and end their episodes.
 
     Args:
-        worlds: (worlds, vehicles) of VEHICLE, changed in place; vehicles that have ended stay as they are.
+        worlds: (worlds, vehicles) of VEHICLE, changed in place; vehicles that have ended stay as they are. Collisions
+            have been found.
         i: which world. (Arrays are passed whole: a view costs an atomic reference count.)
         params: record of dtype PARAMS.
-        path: (vehicles + cars, physics_steps + 1) of POSE, from ``drive`` and ``traffic.drive``.
-        lane: of the world in ``path``.
+        on_roads: whether routes are of segments. A constant: where it is False, nothing here is a call, which would
+            take the registers of everything around it.
     """
     vehicles = worlds.shape[1]
     for v in range(vehicles):
         for k in range(len(worlds[i, v].objectives)):
-            worlds[i, v].objectives[k] = 0.0
-    find_collisions(worlds, i, CRASH, params, path, lane)
+            if k != CRASH:
+                worlds[i, v].objectives[k] = 0.0
 
     # Everything that depends on the positions of several vehicles is computed before any of them can end.
     for v in range(vehicles):
         vehicle = worlds[i, v]
         if vehicle.end == RUNNING:
             before = vehicle.route_distance
-            arrived = progress.follow(vehicle, params)
+            arrived = roads.follow(vehicle, params) if on_roads else progress.follow(vehicle)
             vehicle.objectives[DISTANCE] = vehicle.route_distance - before
             vehicle.objectives[DESTINATION] = 1.0 if arrived else 0.0
-            if params.has_lanes:
+            if on_roads:
+                roads.find_lane(vehicle, params)
+            elif params.has_lanes:
                 progress.find_lane(vehicle, params)
         else:
             vehicle.approaching = False
@@ -133,6 +136,12 @@ def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> 
         for v in range(vehicles):
             if worlds[i, v].end == RUNNING:
                 worlds[i, v].end = OTHER_VEHICLE
+
+
+@separate_jit
+def judge_on_roads(worlds: Records, i: int, params: Record) -> None:
+    """As :func:`judge`, on roads of segments."""
+    judge(worlds, i, params, True)
 
 
 @jit
@@ -165,8 +174,15 @@ def step_worlds(
         drive(worlds, first, last, v, controls, params, motion, path)
     if len(worlds[first, 0].cars) > 0 and params.n_routes == 0:
         traffic.drive(worlds, first, last, params, cars, path)
-    for i in range(first, last):
-        judge(worlds, i, params, path, i - first)
+    if params.has_obstacle or worlds.shape[1] > 1 or len(worlds[first, 0].cars) > 0:
+        for i in range(first, last):
+            find_collisions(worlds, i, CRASH, params, path, i - first)
+    if params.n_routes > 0:
+        for i in range(first, last):
+            judge_on_roads(worlds, i, params)
+    else:
+        for i in range(first, last):
+            judge(worlds, i, params, False)
 
 
 @jit

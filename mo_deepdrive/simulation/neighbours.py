@@ -54,21 +54,28 @@ def write(
     out[i, v, position + 1] = params.route_length[me.route] - me.route_distance
     out[i, v, position + 2] = me.heading_error
     column = position + ROAD_ENTRIES
-    before, last = -1.0, -1  # square of the distance, and number, of the neighbour written before
-    for _ in range(NEIGHBOURS):
-        nearest, found = math.inf, -1
-        for b in range(bodies):
-            if b < vehicles:
-                present = b != v and worlds[i, b].end == RUNNING
-                dx, dy = worlds[i, b].x - me.x, worlds[i, b].y - me.y
-            else:
-                present = worlds[i, 0].cars[b - vehicles].present
-                dx, dy = worlds[i, 0].cars[b - vehicles].x - me.x, worlds[i, 0].cars[b - vehicles].y - me.y
-            square = dx * dx + dy * dy
-            beyond = square > before or (square == before and b > last)
-            if present and beyond and square < nearest:
-                nearest, found = square, b
-        before, last = nearest, found
+    # The squares of the distances and the numbers of the nearest five, the nearest one first.
+    s0, s1, s2, s3, s4 = math.inf, math.inf, math.inf, math.inf, math.inf
+    n0, n1, n2, n3, n4 = -1, -1, -1, -1, -1
+    for b in range(bodies):
+        if b < vehicles:
+            present = b != v and worlds[i, b].end == RUNNING
+            dx, dy = worlds[i, b].x - me.x, worlds[i, b].y - me.y
+        else:
+            present = worlds[i, 0].cars[b - vehicles].present
+            dx, dy = worlds[i, 0].cars[b - vehicles].x - me.x, worlds[i, 0].cars[b - vehicles].y - me.y
+        square = dx * dx + dy * dy
+        if present and square < s4:
+            s4, n4 = square, b
+            if s4 < s3:
+                s3, s4, n3, n4 = s4, s3, n4, n3
+            if s3 < s2:
+                s2, s3, n2, n3 = s3, s2, n3, n2
+            if s2 < s1:
+                s1, s2, n1, n2 = s2, s1, n2, n1
+            if s1 < s0:
+                s0, s1, n0, n1 = s1, s0, n1, n0
+    for found in (n0, n1, n2, n3, n4):
         if found < 0:
             for entry in range(NEIGHBOUR_ENTRIES):
                 out[i, v, column + entry] = 0.0

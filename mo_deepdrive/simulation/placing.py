@@ -256,9 +256,13 @@ def place(worlds: Records, i: int, spawn: Record, params: Record) -> None:
         vehicle.lane_offset = 0.0
         vehicle.heading_error = 0.0
         vehicle.entered = NEVER
-        progress.follow(vehicle, params)
-        if params.has_lanes:
-            progress.find_lane(vehicle, params)
+        if params.n_routes > 0:
+            roads.follow(vehicle, params)
+            roads.find_lane(vehicle, params)
+        else:
+            progress.follow(vehicle)
+            if params.has_lanes:
+                progress.find_lane(vehicle, params)
         vehicle.furthest = max(0.0, vehicle.route_distance)
     if params.n_routes > 0:
         road_traffic.place(worlds, i, spawn, params)

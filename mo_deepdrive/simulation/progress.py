@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mo_deepdrive.simulation import geometry, roads
+from mo_deepdrive.simulation import geometry
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.map import HALF_LANE
@@ -10,22 +10,13 @@ from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, Record
 
 
 @jit
-def follow(vehicle: Record, params: Record) -> bool:
+def follow(vehicle: Record) -> bool:
     """Update the front point, the next waypoint and the distances.
+
+    Route distance = distance along the waypoints to the next one - ``|front -> next waypoint|``.
 
     Returns:
         Whether the destination is reached.
-    """
-    if params.n_routes > 0:
-        return roads.follow(vehicle, params)
-    return follow_waypoints(vehicle)
-
-
-@jit
-def follow_waypoints(vehicle: Record) -> bool:
-    """As :func:`follow`, along waypoints.
-
-    Route distance = distance along the waypoints to the next one - ``|front -> next waypoint|``.
     """
     vehicle.front_x = vehicle.x - vehicle.sin_heading * HALF_LENGTH
     vehicle.front_y = vehicle.y + vehicle.cos_heading * HALF_LENGTH
@@ -62,9 +53,6 @@ def find_lane(vehicle: Record, params: Record) -> None:
 
     A route of one waypoint runs straight down its lane; one of more turns left between the first and the second.
     """
-    if params.n_routes > 0:
-        roads.find_lane(vehicle, params)
-        return
     x = vehicle.x
     y = vehicle.y
     cos = vehicle.cos_heading

@@ -11,7 +11,7 @@ import pytest
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.params import make_params
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
-from mo_deepdrive.simulation.progress import find_lane, follow_waypoints, skipped
+from mo_deepdrive.simulation.progress import find_lane, follow, skipped
 from mo_deepdrive.simulation.state import LANE_WIDTH, VEHICLE
 
 PARAMS = make_params(EnvConfig(scenario="intersection"))[0]
@@ -38,7 +38,7 @@ JUST_INSIDE = float(np.nextafter(1.0, 0.0))
 def test_a_destination_is_reached_within_a_metre_and_not_at_a_metre() -> None:
     for away, arrived in ((1.0, False), (JUST_INSIDE, True), (0.0, True)):
         vehicle = at((0.0, 0.0), 0.0, (0.0, away))
-        assert follow_waypoints(vehicle) is arrived
+        assert follow(vehicle) is arrived
         assert (vehicle.next_waypoint, vehicle.next_distance) == (0, away)
         assert vehicle.route_distance == 10.0 - away
 
@@ -46,14 +46,14 @@ def test_a_destination_is_reached_within_a_metre_and_not_at_a_metre() -> None:
 def test_a_waypoint_is_passed_within_a_metre_and_not_at_a_metre() -> None:
     for away, passed in ((1.0, False), (JUST_INSIDE, True)):
         vehicle = at((0.0, 0.0), 0.0, (0.0, away), (0.0, 7.0))
-        assert follow_waypoints(vehicle) is False, "it is not the destination"
+        assert follow(vehicle) is False, "it is not the destination"
         assert (vehicle.next_waypoint, vehicle.next_distance) == ((1, 7.0) if passed else (0, 1.0))
         assert vehicle.route_distance == (20.0 - 7.0 if passed else 10.0 - 1.0)
 
 
 def test_one_waypoint_is_passed_at_a_time() -> None:
     vehicle = at((0.0, 0.0), 0.0, (0.0, 0.5), (0.0, -0.5), (0.0, 0.25))
-    assert [follow_waypoints(vehicle), follow_waypoints(vehicle), follow_waypoints(vehicle)] == [False, False, True]
+    assert [follow(vehicle), follow(vehicle), follow(vehicle)] == [False, False, True]
 
 
 @pytest.mark.parametrize(
