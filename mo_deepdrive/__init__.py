@@ -1,9 +1,10 @@
 """MO-DeepDrive: multi-objective driving environments for Gymnasium, MO-Gymnasium, PettingZoo and MOMAland.
 
 Importing the package registers ``mo-deepdrive-one-waypoint-v1``, ``mo-deepdrive-static-obstacle-v1``,
-``mo-deepdrive-intersection-v1`` and ``mo-deepdrive-left-turn-v1``, and the same with ``v0``. :func:`parallel_env` and
-:func:`env` make the multi-agent environments, :func:`reference_point` and :func:`reference_front` are what returns are
-compared with. :func:`register_objective` and :func:`register_scenario` add one's own.
+``mo-deepdrive-intersection-v1`` and ``mo-deepdrive-left-turn-v1``, and the same with ``v0``, and
+``mo-deepdrive-roundabout-v0`` and ``mo-deepdrive-roundabout-solo-v0``. :func:`parallel_env` and :func:`env` make the
+multi-agent environments, :func:`reference_point` and :func:`reference_front` are what returns are compared with.
+:func:`register_objective` and :func:`register_scenario` add one's own.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 from mo_deepdrive.objectives import Objective, register_objective
-from mo_deepdrive.scenarios import SCENARIOS, Route, Scenario, register_id, register_scenario
+from mo_deepdrive.routes import Route, Segment
+from mo_deepdrive.scenarios import SCENARIOS, Scenario, register_id, register_scenario
 
 if TYPE_CHECKING:
     from pettingzoo import AECEnv
@@ -26,6 +28,7 @@ __all__ = [
     "Objective",
     "Route",
     "Scenario",
+    "Segment",
     "env",
     "parallel_env",
     "raw_env",

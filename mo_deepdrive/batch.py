@@ -13,7 +13,6 @@ from mo_deepdrive.machine import check_memory
 from mo_deepdrive.measures import make_measures
 from mo_deepdrive.observation import layout
 from mo_deepdrive.params import chosen_objectives, make_params, vehicle_record
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation import observation, traffic
 from mo_deepdrive.simulation.actions import find_infinite, find_unknown
 from mo_deepdrive.simulation.autoreset import DONE, MAX_REDRAWS, NEEDS_DRAWS, NEXT_STEP, reset_batch
@@ -131,7 +130,7 @@ class WorldBatch:
 
     def __init__(self, config: EnvConfig, worlds: int, threads: int = 1):
         self.config = config
-        self.scenario = SCENARIOS[config.scenario]
+        self.scenario = config.row
         self.objectives = chosen_objectives(config)
         self.params = make_params(config)
         vehicles, obstacles, cars = self.scenario.vehicles, self.scenario.obstacles, self.scenario.cars
@@ -249,7 +248,8 @@ class WorldBatch:
         """The error of a reset that finds no valid scenario."""
         problems = {
             "a bicycle touches the vehicle at its start or is within 1 m of the destination": self.scenario.obstacles,
-            "an oncoming car touches the vehicle at its start": self.scenario.cars,
+            "an oncoming car touches the vehicle at its start": self.scenario.cars and not self.scenario.roads,
+            "vehicles or cars touch, or are not on their first segment": self.scenario.roads,
         }
         problem = ", or ".join(text for text, number in problems.items() if number)
         return ValueError(f"no valid scenario in {MAX_REDRAWS} draws with these reset options: {problem}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
 import pydantic
@@ -10,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX
 from mo_deepdrive.plain_values import plain
-from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.state import NEAREST_CARS, YAW_FRICTION
+from mo_deepdrive.scenarios import SCENARIOS, Scenario, fit_problem
+from mo_deepdrive.simulation.state import MAX_VEHICLES, NEAREST_CARS, YAW_FRICTION
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -182,6 +183,10 @@ class EnvConfig(Settings):
     """Decisions by which actions arrive late; until the first one arrives, a vehicle idles."""
     observed_cars: int = Field(default=NEAREST_CARS, ge=0, le=NEAREST_CARS)
     """How many of the nearest oncoming cars are observed; the others look as if there were none (LeftTurn)."""
+    vehicles: int | None = Field(default=None, ge=2, le=MAX_VEHICLES)
+    """How many vehicles there are, 2 to 16; None for the scenario's number (Roundabout)."""
+    cars: int | None = Field(default=None, ge=0, lt=MAX_VEHICLES)
+    """How many cars with scripted drivers join them; None for the scenario's number (Roundabout)."""
     traffic: Traffic = "default"
     """Flow of the oncoming cars, "none", or "light", "default" or "dense" with a mean headway of 9, 4.5 or 2.5 s
     (LeftTurn)."""
@@ -204,6 +209,8 @@ class EnvConfig(Settings):
             raise ValueError(
                 f"time_limit = {self.time_limit} must be at least one decision of 1/{self.decision_frequency} s"
             )
+        if self.row.roads and (problem := fit_problem(self.row)):
+            raise ValueError(problem)
         if self.objectives is not None:
             if not self.objectives or len(set(self.objectives)) != len(self.objectives):
                 raise ValueError(f"objectives = {list(self.objectives)} must be one or more distinct names")
@@ -214,6 +221,13 @@ class EnvConfig(Settings):
                         "module, which an id of the form 'module:ID' imports"
                     )
         return self
+
+    @property
+    def row(self) -> Scenario:
+        """The scenario, with as many vehicles and cars as the configuration says."""
+        scenario = SCENARIOS[self.scenario]
+        number = scenario.number if self.vehicles is None else self.vehicles
+        return replace(scenario, number=number, cars=scenario.cars if self.cars is None else self.cars)
 
     @property
     def physics_steps(self) -> int:

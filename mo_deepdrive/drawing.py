@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from mo_deepdrive.quiet_pygame import gfxdraw, pygame
 from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, LANE_WIDTH, LENGTH, RUNNING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mo_deepdrive.routes import Pose, Route
 
 Colour = tuple[int, ...]  # red, green, blue and possibly alpha, each 0 to 255
 Points = NDArray[np.float64]  # (points, 2), m
@@ -27,7 +32,7 @@ BLACK, WHITE, GREY, SHADOW, SHADOW_OFFSET = (0, 0, 0), (255, 255, 255), (190, 19
 TYRE, GLASS, HEADLIGHT = (24, 26, 30), (34, 46, 62), (255, 244, 190)
 TAIL_LIGHT, BRAKE_LIGHT, GLOW = (122, 22, 28), (255, 36, 40), (255, 36, 40, 90)
 SIGNAL_LIGHT, SIGNAL_GLOW = (255, 176, 0), (255, 176, 0, 120)
-TRAFFIC_PAINT = (222, 224, 228)  # of oncoming cars
+TRAFFIC_PAINT = (222, 224, 228)  # of cars with scripted drivers
 OBSTACLE, WARNING = (196, 30, 84), (196, 30, 84, 30)
 
 CIRCLE = np.stack([np.cos(np.linspace(0.0, math.tau, 49)), np.sin(np.linspace(0.0, math.tau, 49))], axis=1)
@@ -55,7 +60,6 @@ LEFT = SIDES[1]
 # Deceleration (m/s^2) above which an oncoming car shows its braking lights: below it, a car that slows down without its
 # brakes must not (UN Regulation No. 13-H, paragraph 5.2.22.4).
 BRAKE_LIGHT_DECELERATION = 0.7
-ONCOMING_HEADING = math.pi
 # The tubes of a bicycle that is 1 long (along it, above its axles): rear triangle, front triangle, fork, saddle.
 FRAME = (
     np.array([(0.2, 0.0), (0.46, 0.0), (0.37, 0.26), (0.2, 0.0)]),
@@ -151,6 +155,34 @@ class Canvas:
                 origin = MAP_CENTRE + side * right
                 self.line(origin + start * out, origin + end * out, 0.14, colour)
 
+    def strip(self, line: Sequence[Pose], width: float, colour: Colour) -> None:
+        """A strip of road along poses (x, y, heading)."""
+        poses = np.array(line)
+        side = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1) * width / 2
+        self.polygon(np.concatenate([poses[:, :2] + side, (poses[:, :2] - side)[::-1]]), colour)
+
+    def lanes(self, routes: Sequence[Route]) -> None:
+        """Roads of segments, with a line where those wait who have no right of way."""
+        lines = [(route.lane_width, route.traced()) for route in routes]
+        for more, colour in ((0.8, KERB), (0.0, EDGE_LINE), (-0.28, ASPHALT)):
+            for width, line in lines:
+                for piece in (line[k : k + 12] for k in range(0, len(line) - 1, 11)):  # none bends back on itself
+                    self.strip(piece, width + more, colour)
+        for route in routes:
+            if route.priority is not None and route.priority[0] > 0.0:
+                x, y, heading = route.traced(route.priority[0], 0.1)[0]
+                right = np.array([math.cos(heading), math.sin(heading)])
+                for side in np.arange(-route.lane_width / 2 + 0.6, route.lane_width / 2 - 0.3, 0.9):
+                    self.line((x, y) + (side - 0.25) * right, (x, y) + (side + 0.25) * right, 0.3, EDGE_LINE)
+
+    def way(self, route: Route, vehicle: Any, colour: Colour) -> None:
+        """What is left of a vehicle's way along a route of segments, and its end."""
+        if vehicle.end == RUNNING:
+            self.strip(route.traced(vehicle.route_distance), 0.3, (*colour, 120))
+        self.ring(
+            np.array(route.joints()[-1][:2]), ARRIVAL_RADIUS, 0.3, (*colour, 255 if vehicle.end == RUNNING else 90)
+        )
+
     def route(self, vehicle: Any, colour: Colour) -> None:
         """Waypoints: rings of the arrival radius; the next is filled, reached ones are ticked, the last has two."""
         reached = vehicle.n_waypoints if vehicle.end == ARRIVED else vehicle.next_waypoint
@@ -216,12 +248,13 @@ class Canvas:
         if number is not None:
             self.number(number, position + turned(ROOF_CENTRE, vehicle.heading))
 
-    def oncoming_car(self, car: Any) -> None:
-        """An oncoming car, a record of dtype CAR; nothing if it is out of view."""
+    def scripted_car(self, car: Any) -> None:
+        """A car with a scripted driver, a record of dtype CAR; nothing if it is out of view."""
         # gfxdraw takes coordinates of 16 bits, and a car may be kilometres away.
         if abs(car.y - MAP_CENTRE) < self.reach + LENGTH:
             brakes = car.acceleration < -BRAKE_LIGHT_DECELERATION
-            self._car(np.array([car.x, car.y]), ONCOMING_HEADING, TRAFFIC_PAINT, brakes=brakes)
+            heading = math.atan2(car.sin_heading, car.cos_heading)
+            self._car(np.array([car.x, car.y]), heading, TRAFFIC_PAINT, brakes=brakes)
 
     def _car(
         self,

@@ -14,13 +14,14 @@ from mo_deepdrive.actions import CONTINUOUS, action_table
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.observation import FAR
 from mo_deepdrive.plain_values import is_finite
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.map import MAP_SIZE
+from mo_deepdrive.simulation.road_traffic import ACCEPTED_GAPS
 from mo_deepdrive.simulation.state import (
     ENDS,
     GRAVITY,
     LENGTH,
     MAX_ACCELERATION,
+    NEVER,
     RUNNING,
     STEER_RANGE,
     TOP_SPEED,
@@ -49,9 +50,9 @@ ROUNDING = 1e-6  # relative
 _SIGNED = {
     "m": (
         *("x", "y", "front_x", "front_y", "route_distance", "furthest", "lane_centre"),
-        *("left_lane_distance", "right_lane_distance", "waypoints", "obstacle"),
+        *("left_lane_distance", "right_lane_distance", "waypoints", "obstacle", "lane_offset"),
     ),
-    "rad": ("heading", "start_heading", "yaw_step"),
+    "rad": ("heading", "start_heading", "yaw_step", "heading_error"),
     "m/s": ("speed", "previous_speed", "vx", "vy"),
     "m/s^2": ("ax", "ay"),
     "1": ("cos_heading", "sin_heading", "cos_before", "sin_before"),
@@ -80,11 +81,19 @@ def limits(config: EnvConfig) -> dict[str, float]:
         "g": acceleration / GRAVITY,
         "steer": STEER_RANGE,
         "throttle": TOP_THROTTLE,
-        # The distance of one decision, the swing of the front, and the change to the next waypoint.
-        "distance": speed / config.decision_frequency + 2 * LENGTH + 2.0,
+        # The distance of one decision, the swing of the front, and the change to the next waypoint. In a bend the inner
+        # edge of the road is shorter than its line.
+        "distance": speed / config.decision_frequency + 2 * LENGTH + 2.0 + _longest_route(config),
         "lane_violation": 2 * FAR + 2 * config.lane_margin,
+        "right_of_way": MAX_BRAKING / config.decision_frequency,
+        "energy": TOP_THROTTLE * speed / config.decision_frequency,
         "time": (config.max_decisions if config.charge_remaining_time else 1) / config.decision_frequency,
     }
+
+
+def _longest_route(config: EnvConfig) -> float:
+    """The length (m) of the longest lane of segments; 0 where there is none."""
+    return max(route.length for route in config.row.routes)
 
 
 def objective_bound(name: str, config: EnvConfig) -> float:
@@ -124,6 +133,9 @@ def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str
         "n_waypoints": (n_waypoints, n_waypoints),
         "crossing": (0, 1),
         "approaching": (0, 1),
+        "route": (0, max(len(config.row.routes) - 1, 0)),
+        "segment": (0, max(max(len(route.segments) for route in config.row.routes) - 1, 0)),
+        "entered": (NEVER, config.max_decisions),
         "decisions": (0, config.max_decisions),
         "end": (0, len(ENDS) - 1),
         "pending": _pending_range(config),
@@ -143,12 +155,18 @@ def _car_ranges(config: EnvConfig, most: dict[str, float]) -> dict[str, tuple[fl
     longest_gap = HEADWAYS[1] * DESIRED_SPEEDS[1] + STANDSTILL_GAP + LENGTH
     return {
         "x": (-most["m"], most["m"]),
-        "y": (-most["m"], MAP_SIZE + SCENARIOS[config.scenario].cars * longest_gap),
+        "y": (-most["m"], MAP_SIZE + config.row.cars * longest_gap),
+        "cos_heading": (-most["1"], most["1"]),
+        "sin_heading": (-most["1"], most["1"]),
+        "route": (0, len(config.row.routes) - 1),
+        "route_distance": (-most["m"], most["m"]),
+        "entered": (NEVER, config.max_decisions),
         "speed": (0.0, most["m/s"]),
         "acceleration": (-MAX_BRAKING * (1 + ROUNDING), MAX_ACCELERATION * (1 + ROUNDING)),
         "driver.desired_speed": DESIRED_SPEEDS,
         "driver.headway": HEADWAYS,
         "driver.yielding": YIELDINGS,
+        "driver.accepted_gap": ACCEPTED_GAPS,
         "present": (0, 1),
     }
 

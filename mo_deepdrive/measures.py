@@ -12,7 +12,6 @@ import numpy as np
 from mo_deepdrive.importing import import_named
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.params import chosen_objectives, make_params, vehicle_record
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.kernel import batch_rewards
 
 if TYPE_CHECKING:
@@ -57,7 +56,7 @@ def make_measures(config: EnvConfig) -> tuple[Any, ...]:
 
 def _checked(name: str, measure: Any, config: EnvConfig) -> Any:
     """The measure, if it can be compiled for the worlds of a configuration."""
-    nothing = np.zeros((0, SCENARIOS[config.scenario].vehicles), dtype=vehicle_record(config))
+    nothing = np.zeros((0, config.row.vehicles), dtype=vehicle_record(config))
     flags, rewards = np.zeros(nothing.shape, dtype=np.bool_), np.zeros((*nothing.shape, 1), dtype=np.float32)
     try:
         batch_rewards((measure,))(nothing, make_params(config), flags, rewards)

@@ -46,6 +46,7 @@ class Objective:
             In a row of the package it may be the path ``package.module:name`` of a compiled function of (worlds, i, v,
             params), which is imported when it is needed.
         needs_others: whether only scenarios with other vehicles or cars can have it.
+        needs_roads: whether only scenarios on roads of segments can have it.
         reference: coordinate of the reference point for hypervolumes, maximised, for every discount factor; None where
             ``data/reference_points.yaml`` has it, or for none.
     """
@@ -59,6 +60,7 @@ class Objective:
     signed: bool = False
     measure: Callable[[Any, int, Any], float] | str | None = None
     needs_others: bool = False
+    needs_roads: bool = False
     reference: float | None = None
 
 
@@ -84,11 +86,33 @@ OBJECTIVES: list[Objective] = [
         "1",
         -1,
         5.0,
-        "1 on a decision after which the time to collision is below 1.5 s",
+        "1 on a decision after which the time to collision is below 1.5 s (0.95 s in Roundabout)",
         bound=1.0,
         measure="mo_deepdrive.simulation.near_miss:near_miss",
         needs_others=True,
         reference=-15.0,
+    ),
+    Objective(
+        "right_of_way",
+        "m/s^2 s",
+        -1,
+        5.0,
+        "deceleration that entering forces on who has right of way, times the duration of the decision",
+        bound="right_of_way",
+        measure="mo_deepdrive.simulation.right_of_way:right_of_way",
+        needs_others=True,
+        needs_roads=True,
+        reference=-10.0,
+    ),
+    Objective(
+        "energy",
+        "J/kg",
+        -1,
+        50.0,
+        "positive work of the traction force per mass in the decision",
+        bound="energy",
+        measure="mo_deepdrive.simulation.energy:energy",
+        reference=-200.0,
     ),
 ]
 INDEX: dict[str, int] = {objective.name: index for index, objective in enumerate(OBJECTIVES)}
@@ -124,6 +148,7 @@ def register_objective(objective: Objective) -> None:
         ("bound", callable(objective.bound) or _is_positive(objective.bound), "a positive number or a function"),
         ("signed", isinstance(objective.signed, bool), "True or False"),
         ("needs_others", isinstance(objective.needs_others, bool), "True or False"),
+        ("needs_roads", isinstance(objective.needs_roads, bool), "True or False"),
         ("measure", _is_measure(objective.measure), "a function of (vehicles, v, params)"),
         ("reference", objective.reference is None or is_finite(objective.reference), "a finite number or None"),
     ):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mo_deepdrive.simulation.neighbours import NEIGHBOURS
 from mo_deepdrive.simulation.observation import SIGHT_DISTANCE
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, NEAREST_CARS
 
@@ -94,10 +95,37 @@ ONCOMING: tuple[Entry, ...] = (
     Entry("oncoming_distance", "m", -(2 * LANE_WIDTH + LENGTH), SIGHT_DISTANCE, 20.0),
     Entry("oncoming_speed", "m/s", 0.0, None, 5.0),
 )
+# Of the route, on roads of segments: along it, from the front to where it has right of way (0 from there on) and to its
+# end.
+ROAD: tuple[Entry, ...] = (
+    Entry("entry_distance", "m", 0.0, FAR, 20.0),
+    Entry("remaining_distance", "m", -FAR, FAR, 20.0),
+    Entry("heading_error", "rad", -_TURN, _TURN, 1.0),
+)
+# Of each of the nearest vehicles and cars there, in the frame of the vehicle: from centre to centre, and whether it is
+# on the stretch with right of way, whether it has right of way over the vehicle, and whether it is there at all.
+NEIGHBOUR: tuple[Entry, ...] = (
+    Entry("near_right", "m", -FAR, FAR, 20.0),
+    Entry("near_ahead", "m", -FAR, FAR, 20.0),
+    Entry("near_v_right", "m/s", None, None, 5.0),
+    Entry("near_v_ahead", "m/s", None, None, 5.0),
+    Entry("near_cos_heading", "1", -1.0, 1.0, 1.0),
+    Entry("near_sin_heading", "1", -1.0, 1.0, 1.0),
+    Entry("near_inside", "1", 0.0, 1.0, 1.0),
+    Entry("near_right_of_way", "1", 0.0, 1.0, 1.0),
+    Entry("near_present", "1", 0.0, 1.0, 1.0),
+)
 
 
 def layout(scenario: Scenario) -> tuple[Entry, ...]:
     """The entries that are observed in ``scenario``, in order."""
+    if scenario.roads:
+        near = [
+            replace(entry, name=entry.name.replace("near", f"near_{number}"))
+            for number in range(1, NEIGHBOURS + 1)
+            for entry in NEIGHBOUR
+        ]
+        return (*OWN, *ROAD, *near)
     obstacles = [
         replace(entry, name=entry.name.replace("obstacle", f"obstacle_{number}" if number > 1 else "obstacle"))
         for number in range(1, scenario.obstacles + 1)

@@ -9,7 +9,9 @@ import numpy as np
 
 from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX, OBJECTIVES, signs
+from mo_deepdrive.routes import JOINT, Route, entries, entry_room
 from mo_deepdrive.scenarios import SCENARIOS, Scenario
+from mo_deepdrive.simulation import roads
 from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.state import (
     BRAKE_FRICTION,
@@ -36,11 +38,18 @@ def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
     Raises:
         ValueError: if the scenario does not have one of them.
     """
-    scenario = SCENARIOS[config.scenario]
+    scenario = config.row
     if config.objectives is None:
         return scenario.objectives
     measured = (each for each in OBJECTIVES if each.measure is not None)
-    known = {*scenario.objectives, *(each.name for each in measured if scenario.others or not each.needs_others)}
+    known = {
+        *scenario.objectives,
+        *(
+            each.name
+            for each in measured
+            if (scenario.others or not each.needs_others) and (scenario.roads or not each.needs_roads)
+        ),
+    }
     for name in config.objectives:
         if name not in known:
             raise ValueError(f"objectives has {name!r}, which {scenario.title} does not have; {nearest(name, known)}")
@@ -58,23 +67,25 @@ def _has_effect(scenario: Scenario) -> dict[str, bool]:
     return {
         "fixed_destination": any(scenario.destination_span),
         "fixed_obstacle": scenario.obstacles > 0,
-        "lane_margin": scenario.lanes,
-        "end_on_lane_violation": scenario.lanes,
+        "lane_margin": scenario.lanes or scenario.roads,
+        "end_on_lane_violation": scenario.lanes or scenario.roads,
         "yield_to_oncoming": scenario.lanes and scenario.others,
         "end_together": scenario.vehicles > 1,
-        "traffic": scenario.cars > 0,
-        "observed_cars": scenario.cars > 0,
+        "traffic": scenario.cars > 0 and not scenario.roads,
+        "observed_cars": scenario.cars > 0 and not scenario.roads,
+        "vehicles": scenario.roads and SCENARIOS[scenario.name].number > 1,
+        "cars": scenario.roads,
     }
 
 
 def cars_in_traffic(config: EnvConfig) -> int:
     """How many oncoming cars an episode has, unless a reset option says otherwise."""
-    return 0 if config.traffic == "none" else SCENARIOS[config.scenario].cars
+    return 0 if config.traffic == "none" else config.row.cars
 
 
 def vehicle_record(config: EnvConfig) -> np.dtype[Any]:
     """The record VEHICLE with the room that a configuration needs."""
-    scenario = SCENARIOS[config.scenario]
+    scenario = config.row
     return with_room(VEHICLE, scenario.obstacles, scenario.cars, config.action_delay)
 
 
@@ -84,7 +95,7 @@ def make_params(config: EnvConfig) -> np.ndarray:
     Raises:
         ValueError: if a setting has no effect in the scenario, or there are too many objectives.
     """
-    scenario = SCENARIOS[config.scenario]
+    scenario = config.row
     settings = _has_effect(scenario)
     for name, effect in settings.items():
         if not effect and getattr(config, name) != type(config).model_fields[name].default:
@@ -102,10 +113,12 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.harmful_g_force = math.inf if config.harmful_g_force is None else config.harmful_g_force
     row.harmful_jerk = math.inf if config.harmful_jerk is None else config.harmful_jerk
     copied = ("constrain_controls", "ignore_brake", "charge_remaining_time", *settings)
-    for name in (name for name in copied if name != "traffic"):
+    for name in (name for name in copied if name not in ("traffic", "vehicles", "cars")):
         row[name] = getattr(config, name)
     row.has_obstacle = scenario.obstacles > 0
-    row.has_lanes = scenario.lanes
+    row.has_lanes = scenario.lanes or scenario.roads
+    row.vehicles = scenario.vehicles
+    row.conflict_time = scenario.conflict_time
     if len(names) > MAX_OBJECTIVES:
         raise ValueError(f"objectives has {len(names)} names; at most {MAX_OBJECTIVES} are allowed")
     kernel = [column for column, name in enumerate(names) if name in KERNEL_NAMES]
@@ -114,7 +127,9 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.objective_index[: len(kernel)] = [INDEX[names[column]] for column in kernel]
     row.objective_column[: len(columns)] = columns
     row.objective_sign[: len(columns)] = reward_signs(config)[columns]
-    for v, route in enumerate(scenario.routes):
+    if scenario.roads:
+        _fill_roads(row, scenario)
+    for v, route in enumerate(() if scenario.roads else scenario.routes):
         row.n_waypoints[v] = len(route.waypoints)
         row.starts[v] = route.start
         row.lane_centre[v] = route.start[0]
@@ -127,3 +142,48 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.mean_headway = MEAN_HEADWAY.get(config.traffic, MEAN_HEADWAY["default"])
     row.driver_draw = scenario.driver_draw
     return params
+
+
+def _fill_roads(row: Any, scenario: Scenario) -> None:
+    """Write the routes of segments and their entries into the record PARAMS."""
+    row.yield_to_oncoming = False
+    row.n_waypoints[:] = 2  # the two points of its route that a vehicle observes
+    row.n_routes = len(scenario.routes)
+    row.entry[: len(scenario.routes)] = entries(scenario.routes)
+    row.n_entries = row.entry.max() + 1
+    for r, route in enumerate(scenario.routes):
+        row.n_segments[r] = len(route.segments)
+        row.route_length[r] = route.length
+        row.half_lane[r] = route.lane_width / 2
+        row.priority[r] = (0.0, math.inf) if route.priority is None else route.priority
+        along = 0.0
+        for k, (segment, (x, y, heading)) in enumerate(zip(route.segments, route.joints(), strict=False)):
+            half = abs(segment.curvature) * segment.length / 2
+            row.segments[r, k] = (
+                *(x, y, heading, math.cos(heading), math.sin(heading)),
+                *(segment.length, segment.curvature, along, math.cos(half), math.sin(half)),
+            )
+            along += segment.length
+        entry = row.entry[r]
+        if row.n_routes_there[entry] == 0:
+            row.first_route[entry] = r
+            row.entry_room[entry] = entry_room(route)
+            row.entry_span[entry] = route.start_span
+            row.entry_length[entry] = route.segments[0].length
+        row.n_routes_there[entry] += 1
+    for r, route in enumerate(scenario.routes):
+        for other in range(len(scenario.routes)):
+            row.joins[r, other] = _where_it_joins(row, r, route, other)
+
+
+def _where_it_joins(row: Any, r: int, route: Route, other: int) -> float:
+    """How far along another lane (m) a lane joins it, at its first joint with right of way; NaN if it does not."""
+    for k, (x, y, heading) in enumerate(route.joints()):
+        if row.segments[r, k].along >= row.priority[r, 0] and 0 < k < len(route.segments):
+            for segment in row.segments[other, : row.n_segments[other]]:
+                along = roads.projection(segment, x, y)
+                if abs(roads.offset(segment, x, y)) < JOINT[0] and -JOINT[0] <= along <= segment.length + JOINT[0]:
+                    cos, sin = roads.direction(segment, x, y)
+                    if abs(math.sin(heading) * cos - math.cos(heading) * sin) < JOINT[1]:
+                        return float(segment.along + along)
+    return math.nan

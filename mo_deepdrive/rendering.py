@@ -27,15 +27,17 @@ from mo_deepdrive.measures import make_measures
 from mo_deepdrive.objectives import INDEX, OBJECTIVES, signs
 from mo_deepdrive.params import chosen_objectives, make_params
 from mo_deepdrive.quiet_pygame import INVISIBLE_DRIVERS, pygame
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.kernel import batch_rewards
 from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
 from mo_deepdrive.simulation.state import ARRIVED, ENDS, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from mo_deepdrive.config import EnvConfig
+    from mo_deepdrive.routes import Route
 
 RENDER_MODES = ("rgb_array", "human")
 PANEL_PIXELS = 336
@@ -44,7 +46,11 @@ TRAIL_SECONDS = 5.0
 VEHICLE_MARGIN = 3.0  # m visible around a vehicle's centre; more than half its diagonal
 FLASHES = 1.5  # of a turn signal per second (UN Regulation No. 48, paragraph 6.5.9.1: 90 +- 30 per minute)
 
-VEHICLE_COLOURS = ((38, 116, 232), (240, 126, 38))
+VEHICLE_COLOURS = (
+    *((38, 116, 232), (240, 126, 38), (46, 160, 84), (214, 52, 92), (142, 86, 214), (0, 164, 180), (196, 160, 0)),
+    *((232, 110, 180), (120, 84, 56), (84, 104, 140), (148, 190, 40), (250, 156, 120), (110, 60, 130), (0, 112, 96)),
+    *((160, 160, 170), (150, 20, 30)),
+)
 PANEL, TILE, RULE, TEXT, DIM = (24, 28, 36), (36, 42, 53), (54, 62, 76), (240, 243, 248), (150, 160, 176)
 FAILURE, NEUTRAL = (204, 58, 62), (96, 106, 124)
 END_COLOURS = {RUNNING: TILE, ARRIVED: (38, 150, 92), TIME_LIMIT: (170, 122, 34), OTHER_VEHICLE: NEUTRAL}
@@ -66,9 +72,13 @@ def reward_text(value: float) -> str:
     return f"{round(float(value), 2) + 0.0:,.2f}"
 
 
-def reach_of(world: NDArray[Any]) -> float:
-    """Visible distance (m) from the map's centre: at least the map, and all vehicles and waypoints."""
-    reaches = [MAP_SIZE / 2]
+def reach_of(world: NDArray[Any], roads: Sequence[Route] = ()) -> float:
+    """Visible distance (m) from the map's centre: at least the map or all roads, and all vehicles and waypoints."""
+    reaches = [MAP_SIZE / 2] if not roads else []
+    for route in roads:
+        reaches.append(float(np.abs(np.array(route.joints())[:, :2] - MAP_CENTRE).max()) + VEHICLE_MARGIN)
+    if roads:
+        return max(reaches)
     for vehicle in world:
         reaches.append(max(abs(vehicle.x - MAP_CENTRE), abs(vehicle.y - MAP_CENTRE)) + VEHICLE_MARGIN)
         reaches.extend(np.abs(vehicle.waypoints[: vehicle.n_waypoints] - MAP_CENTRE).ravel() + DESTINATION_RADIUS)
@@ -106,6 +116,8 @@ class Panel:
         self._vehicles = vehicles
         self._decision_frequency = decision_frequency
         self._alone = vehicles == 1
+        self._many = vehicles > 2
+        self._spacing = min(44.0, 620.0 / vehicles)  # of the rows of many vehicles
         self._pitch = 1.6 if self._alone else 1.0  # factor of vertical distances
         self._row = min(22.0, (230.0 if self._alone else 158.0) / len(objectives))  # height of an objective
         self._fonts: dict[int, pygame.font.Font] = {}
@@ -122,8 +134,21 @@ class Panel:
         self._surface.blit(self._labels, (0, 0))
         self._write(f"{world['decisions'].max() / self._decision_frequency:.1f} s", -316, 34, 34, TEXT)
         for v, vehicle in enumerate(world):
-            self._draw_readings(v, vehicle, trace)
+            if self._many:
+                self._draw_row(v, vehicle)
+            else:
+                self._draw_readings(v, vehicle, trace)
         return self._surface
+
+    def _draw_row(self, v: int, vehicle: Any) -> None:
+        """The speed of one of many vehicles and what remains of its route, or how it ended."""
+        row = 86 + self._spacing * v
+        if vehicle.end == RUNNING:
+            self._write(f"{vehicle.speed:,.1f} m/s", -220, row, 20, TEXT)
+            self._write(f"{vehicle.route_distance:,.0f} m", -306, row, 20, DIM)
+        else:
+            end = f"{titled(ENDS[vehicle.end])}, {vehicle.decisions / self._decision_frequency:.1f} s"
+            self._write(end, -306, row, 20, TEXT, END_COLOURS.get(int(vehicle.end), FAILURE))
 
     def _height(self, v: int, offset: float) -> float:
         """Vertical position of a point ``offset`` below the top of the section of vehicle ``v``."""
@@ -137,7 +162,11 @@ class Panel:
         self._surface.fill(PANEL)
         self._write(self._title, 20, 34, 34, TEXT)
         self._rectangle(20, 60, 296, 1, RULE)
-        for v in range(self._vehicles):
+        for v in range(self._vehicles if self._many else 0):
+            row = 86 + self._spacing * v
+            self._rectangle(20, row - 7, 14, 14, VEHICLE_COLOURS[v], radius=4)
+            self._write(f"Vehicle {v}", 44, row, 20, TEXT)
+        for v in range(0 if self._many else self._vehicles):
             row = self._height(v, 12)
             self._rectangle(20, row - 7, 14, 14, VEHICLE_COLOURS[v], radius=4)
             self._write("Vehicle" if self._alone else f"Vehicle {v}", 44, row, 24, TEXT)
@@ -253,7 +282,8 @@ class Viewer:
             raise ValueError(f"render_mode = {render_mode!r} must be one of {list(RENDER_MODES)}")
         self.config = config
         self.render_mode = render_mode
-        self.scenario = SCENARIOS[config.scenario]
+        self.scenario = config.row
+        self._roads = self.scenario.routes if self.scenario.roads else ()
         self.objectives = chosen_objectives(config)
         # With this sign the rewards are the magnitudes.
         self._params = make_params(config.model_copy(update={"cost_sign": "paper"}))
@@ -329,21 +359,25 @@ class Viewer:
         warnings.warn(f"render_mode='human' has no display and shows no window ({reason})", stacklevel=2)
 
     def _draw_map(self, world: NDArray[Any]) -> None:
-        reach = reach_of(world)
+        reach = reach_of(world, self._roads)
         if reach != self._ground.reach:
             self._draw_ground(reach)
         canvas = Canvas(self._map, reach)
         for vehicle, positions, colour in zip(world, self._trace.trails, VEHICLE_COLOURS, strict=False):
-            canvas.route(vehicle, colour)
+            if self._roads:
+                canvas.way(self._roads[vehicle.route], vehicle, colour)
+            else:
+                canvas.route(vehicle, colour)
             if len(positions) > 1:
                 canvas.trail(np.array(positions), colour, self._sheet)
         for k in range(self.scenario.obstacles):
             canvas.bicycle(world[0].obstacle[2 * k : 2 * k + 2])
         for car in world[0].cars:
             if car.present:
-                canvas.oncoming_car(car)
-        # A vehicle that has ended is off the road, so the other one is drawn on top of it.
-        for v in np.argsort(world["end"] == RUNNING, kind="stable"):
+                canvas.scripted_car(car)
+        # A vehicle that has ended is off the road: others are drawn on top of it, and where there are many it is gone.
+        order = np.argsort(world["end"] == RUNNING, kind="stable")
+        for v in order if len(world) <= 2 else order[world["end"][order] == RUNNING]:
             number = int(v) if len(world) > 1 else None
             canvas.vehicle(world[v], VEHICLE_COLOURS[v], number, signals=self._signal_is_lit(world[v]))
         self._frame.blit(self._small_ground, (0, 0))
@@ -356,12 +390,14 @@ class Viewer:
     def _signal_is_lit(self, vehicle: Any) -> bool:
         """Whether the left turn signal of a vehicle is lit; those who face oncoming cars have one, which flashes."""
         flashes = FLASHES * vehicle.decisions / self.config.decision_frequency
-        return self.scenario.cars > 0 and signals_left(vehicle) and flashes % 1.0 < 0.5
+        return self.scenario.cars > 0 and not self._roads and signals_left(vehicle) and flashes % 1.0 < 0.5
 
     def _draw_ground(self, reach: float) -> None:
         self._ground = Canvas(self._ground.surface, reach)
-        self._ground.surface.fill(GRASS if self.scenario.lanes else GROUND)
-        if self.scenario.lanes:
+        self._ground.surface.fill(GRASS if self.scenario.lanes or self._roads else GROUND)
+        if self._roads:
+            self._ground.lanes(self._roads)
+        elif self.scenario.lanes:
             self._ground.roads()
         else:
             self._ground.grid()

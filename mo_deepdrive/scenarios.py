@@ -4,7 +4,10 @@ A scenario is one row of SCENARIOS. All random numbers of an episode are ``scena
 caller passes in: vehicle v starts ``draws[v] * start_span[v]`` m further along y; the first vehicle's last waypoint
 moves by ``draws[k : k + 2] * destination_span`` with k = ``destination_draw``; ``draws[2 + 3 j : 5 + 3 j]`` place the
 bicycle j; ``draws[k + 3 j : k + 3 + 3 j]`` with k = ``driver_draw`` are the desired speed, headway and yielding of the
-oncoming car j. A scenario that does not use a draw has a span of zero. ``simulation/placing.py`` does all this.
+oncoming car j. A scenario that does not use a draw has a span of zero. On roads of segments, ``draws[0]`` is who queues
+first, ``draws[1 + 3 b : 4 + 3 b]`` are entry, route and place of the vehicle or car b, and of the driver of the car j
+``draws[k + 3 j : k + 3 + 3 j]`` with k = ``driver_draw`` are the desired speed, the time gap and the accepted gap.
+``simulation/placing.py`` does all this.
 """
 
 from __future__ import annotations
@@ -14,19 +17,31 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
-import numpy as np
 
 from mo_deepdrive.names import check_name, nearest
 from mo_deepdrive.objectives import INDEX
-from mo_deepdrive.plain_values import finite_numbers, with_plain_fields
+from mo_deepdrive.plain_values import with_plain_fields
+from mo_deepdrive.roundabout import roundabout_routes
+from mo_deepdrive.routes import (
+    Route,
+    as_tuples,
+    capacity,
+    lane_problem,
+    lanes_problem,
+    shape_of,
+    start_problem,
+    waypoints_problem,
+)
 from mo_deepdrive.simulation.map import HALF_LANE, MAP_CENTRE, MAP_ORIGIN, MAP_UNIT
-from mo_deepdrive.simulation.state import LANE_WIDTH, MAX_VEHICLES, MAX_WAYPOINTS
+from mo_deepdrive.simulation.near_miss import CONFLICT_TIME
+from mo_deepdrive.simulation.state import LANE_WIDTH, MAX_VEHICLES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 MAX_CARS = 100  # oncoming cars; more than pass the crossing in a minute
-FARTHEST = 250.0  # m; largest coordinate of a start or waypoint, so that observations stay in their space
+ON_WAYPOINTS = 2  # vehicles; more drive on roads of segments
+COMFORTABLE_TIME = 0.95  # s, the least time to collision of nuPlan (H. Caesar et al., arXiv:2106.11810, in its metrics)
 
 
 def metres(p: float) -> float:
@@ -35,34 +50,22 @@ def metres(p: float) -> float:
 
 
 @dataclass(frozen=True)
-class Route:
-    """Where a vehicle starts, and where it drives.
-
-    Attributes:
-        start: x, y (m) and heading (rad).
-        waypoints: (x, y) of one to three points (m), the last of which is the destination.
-        start_span: range of the start along y (m).
-    """
-
-    start: tuple[float, float, float]
-    waypoints: tuple[tuple[float, float], ...]
-    start_span: float = 0.0
-
-
-@dataclass(frozen=True)
 class Scenario:
     """One scenario as data.
 
     Attributes:
         name: the name in ids and configurations.
-        routes: one per vehicle: one or two.
+        routes: of waypoints, one per vehicle: one or two. Of segments, those from which one is drawn for every vehicle
+            and episode: first an entry, then one of the routes that start there.
         objectives: names of the objectives, in order.
         title: the name in titles and messages.
         destination_span: range of the first vehicle's destination along x and y (m).
         obstacles: how many bicycles are on the way of the vehicle; only where it is alone.
         lanes: whether the roads of the crossing are there, and with them lane distances.
-        cars: how many oncoming cars come down the lane opposite to a left-turner; only where the vehicle is alone, and
-            there are lanes.
+        cars: how many cars have scripted drivers: on roads of segments they drive along drawn routes; otherwise, where
+            the vehicle is alone and there are lanes, they come down the lane opposite to a left-turner.
+        number: how many vehicles there are on roads of segments; the argument ``vehicles`` changes it if it is above 1.
+        conflict_time: the time to collision below which a decision is a near miss (s).
         reference: coordinates of the reference point for hypervolumes by objective, maximised, for every discount
             factor; ``data/reference_points.yaml`` has those of the package's own scenarios.
     """
@@ -75,6 +78,8 @@ class Scenario:
     obstacles: int = 0
     lanes: bool = False
     cars: int = 0
+    number: int = 1
+    conflict_time: float = CONFLICT_TIME
     reference: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -92,7 +97,12 @@ class Scenario:
     @property
     def vehicles(self) -> int:
         """How many vehicles there are."""
-        return len(self.routes)
+        return self.number if self.roads else len(self.routes)
+
+    @property
+    def roads(self) -> bool:
+        """Whether the routes are of segments."""
+        return any(bool(route.segments) for route in self.routes)
 
     @property
     def others(self) -> bool:
@@ -111,7 +121,9 @@ class Scenario:
 
     @property
     def driver_draw(self) -> int:
-        """The first of the draws of the oncoming cars, three of each."""
+        """The first of the draws of the cars' drivers, three of each."""
+        if self.roads:
+            return 1 + 3 * (self.vehicles + self.cars)
         return 2 + 3 * max(1, self.obstacles) + (2 if self._own_destination_draws else 0)
 
     @property
@@ -131,6 +143,14 @@ _LEFT_TURN = Route(  # unprotected
         (1.840549443086846, MAP_CENTRE + HALF_LANE),
     ),
 )
+_ROUNDABOUT: Any = {
+    "routes": roundabout_routes(),
+    "conflict_time": COMFORTABLE_TIME,
+    "objectives": (
+        *("distance", "destination", "time", "g_force", "jerk"),
+        *("lane_violation", "collision", "near_miss", "right_of_way", "energy"),
+    ),
+}
 
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
@@ -172,6 +192,8 @@ SCENARIOS: dict[str, Scenario] = {
             lanes=True,
             cars=5,
         ),
+        Scenario(name="roundabout", title="Roundabout", number=4, **_ROUNDABOUT),
+        Scenario(name="roundabout_solo", title="Roundabout solo", cars=7, **_ROUNDABOUT),
     )
 }
 
@@ -189,7 +211,8 @@ VERSIONS: dict[str, dict[str, dict[str, Any]]] = {
         },
     }
     for name, scenario in SCENARIOS.items()
-}
+    if not scenario.roads
+} | {name: {"v0": {"charge_remaining_time": True}} for name in ("roundabout", "roundabout_solo")}
 
 
 def register_id(scenario: Scenario) -> None:
@@ -233,63 +256,65 @@ def _problem(scenario: Scenario) -> str:
     routes = scenario.routes
     if not isinstance(routes, (tuple, list)) or not all(isinstance(route, Route) for route in routes):
         return f"routes = {routes!r} must be a tuple of Route, one per vehicle"
-    if not 1 <= len(routes) <= MAX_VEHICLES:
-        return f"routes has {len(routes)} entries; it must have one per vehicle, at most {MAX_VEHICLES}"
-    if _shape(scenario.destination_span) != (2,):
+    roads = scenario.roads
+    if not routes or (not roads and len(routes) > ON_WAYPOINTS):
+        return f"routes has {len(routes)} entries; it must have one per vehicle, at most {ON_WAYPOINTS}"
+    if shape_of(scenario.destination_span) != (2,):
         return f"destination_span = {scenario.destination_span!r} must be (x, y): finite numbers in m"
     for v, route in enumerate(routes):
-        if _shape(route.start) != (3,):
-            return f"start = {route.start!r} of route {v} must be (x, y, heading): finite numbers in m and rad"
-        shape = _shape(route.waypoints)
-        if not shape or (shape[1:] != (2,) and shape != (0,)):
-            return f"waypoints = {route.waypoints!r} of route {v} must be (x, y) pairs of finite numbers in m"
-        if not 1 <= shape[0] <= MAX_WAYPOINTS:
-            return f"waypoints of route {v} has {shape[0]} points; it must have 1 to {MAX_WAYPOINTS}"
-        if _shape(route.start_span) != ():
-            return f"start_span = {route.start_span!r} of route {v} must be a finite number in m"
-        x, y, _ = route.start
         span = scenario.destination_span if v == 0 else (0.0, 0.0)
-        points = (*route.waypoints, np.add(route.waypoints[-1], span))
-        if np.abs(np.array([(x, y), (x, y + route.start_span), *points])).max() > FARTHEST:
-            return f"route {v} with its spans leaves [-{FARTHEST:g}, {FARTHEST:g}] m"
+        problem = start_problem(v, route)
+        problem = problem or (lane_problem(v, route) if roads else waypoints_problem(v, route, span))
+        if problem:
+            return problem
     for name in (*scenario.objectives, *scenario.reference):
         if name not in INDEX:
             return f"objective {name!r} is unknown; {nearest(name, INDEX)}"
     if not scenario.objectives or len(set(scenario.objectives)) != len(scenario.objectives):
         return f"objectives = {list(scenario.objectives)} must be one or more distinct names"
-    if isinstance(scenario.obstacles, bool) or not isinstance(scenario.obstacles, int) or scenario.obstacles < 0:
+    if not _is_count(scenario.obstacles):
         return f"obstacles = {scenario.obstacles!r} must be a number of bicycles: 0, 1, 2, ..."
-    if scenario.obstacles and scenario.vehicles > 1:
-        return f"obstacles = {scenario.obstacles} must be 0 where there are two vehicles"
-    if isinstance(scenario.cars, bool) or not isinstance(scenario.cars, int) or not 0 <= scenario.cars <= MAX_CARS:
-        return f"cars = {scenario.cars!r} must be a number of oncoming cars: 0, 1, ... or {MAX_CARS}"
+    if scenario.obstacles and (scenario.vehicles > 1 or roads):
+        return f"obstacles = {scenario.obstacles} must be 0 where there are two vehicles or roads of segments"
+    if not _is_count(scenario.cars) or scenario.cars > MAX_CARS:
+        return f"cars = {scenario.cars!r} must be a number of cars: 0, 1, ... or {MAX_CARS}"
+    if roads:
+        return _roads_problem(scenario)
     if scenario.cars and (scenario.vehicles > 1 or not scenario.lanes):
         return f"cars = {scenario.cars} must be 0 where there are two vehicles or no lanes"
-    if any(_shape(value) != () for value in scenario.reference.values()):
+    return _reference_problem(scenario)
+
+
+def _roads_problem(scenario: Scenario) -> str:
+    """What is wrong with a scenario on roads of segments; "" if nothing is."""
+    if scenario.lanes or any(scenario.destination_span):
+        return "lanes and destination_span have no effect on roads of segments; omit them"
+    if not _is_count(scenario.number) or scenario.number < 1:
+        return f"number = {scenario.number!r} must be a number of vehicles: 1, 2, ..."
+    return lanes_problem(scenario.routes) or fit_problem(scenario) or _reference_problem(scenario)
+
+
+def fit_problem(scenario: Scenario) -> str:
+    """Why there is no room for the vehicles and cars of a scenario on roads of segments; "" if there is."""
+    room = min(capacity(scenario.routes), MAX_VEHICLES)
+    if scenario.vehicles + scenario.cars > room:
+        cars = f" and cars = {scenario.cars}" if scenario.cars else ""
+        return f"vehicles = {scenario.vehicles}{cars} are more than {scenario.title} holds: {room} together"
+    return ""
+
+
+def _reference_problem(scenario: Scenario) -> str:
+    if any(shape_of(value) != () for value in scenario.reference.values()):
         return f"reference = {dict(scenario.reference)!r} must have a finite number per objective"
     return ""
 
 
+def _is_count(value: Any) -> bool:
+    return not isinstance(value, bool) and isinstance(value, int) and value >= 0
+
+
 def _with_tuples(scenario: Scenario) -> Scenario:
     """The same scenario with nested tuples, which can be compared, instead of arrays and lists."""
-    routes = tuple(
-        replace(
-            route,
-            start=_tuple(route.start),
-            waypoints=tuple(_tuple(point) for point in route.waypoints),
-            start_span=float(route.start_span),
-        )
-        for route in scenario.routes
-    )
-    objectives, span = tuple(scenario.objectives), _tuple(scenario.destination_span)
-    return replace(scenario, routes=routes, objectives=objectives, destination_span=span)
-
-
-def _tuple(numbers: Any) -> Any:
-    return tuple(float(number) for number in numbers)
-
-
-def _shape(value: Any) -> tuple[int, ...] | None:
-    """The shape of finite numbers; None for anything else."""
-    numbers = finite_numbers(value)
-    return None if numbers is None else numbers.shape
+    objectives, span = tuple(scenario.objectives), tuple(float(each) for each in scenario.destination_span)
+    routes = tuple(map(as_tuples, scenario.routes))
+    return replace(scenario, routes=routes, objectives=objectives, destination_span=(span[0], span[1]))

@@ -26,6 +26,7 @@ from mo_deepdrive.importing import import_named
 from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.plain_values import finite_numbers, is_finite
+from mo_deepdrive.simulation.state import GRAVITY
 
 Function = Callable[[Any], Any]
 
@@ -197,6 +198,11 @@ class RiskAversion:
         return -self.tolerance * np.log1p(-utility / self.tolerance)
 
 
+# Limits of comfort of nuPlan (H. Caesar et al., "nuPlan: a closed-loop ML-based planning benchmark for autonomous
+# vehicles", arXiv:2106.11810, 2021, in its metrics): longitudinal acceleration of at least -4.05 m/s^2, and jerk.
+COMFORTABLE_BRAKING = 4.05  # m/s^2
+COMFORTABLE_JERK = 8.37  # m/s^3
+
 # Linear utilities: weights of the magnitudes. Those of the first three scenarios are the paper's.
 LINEAR: dict[str, dict[str, float]] = {
     "one_waypoint_linear": {"distance": 0.5, "destination": 1.0, "g_force": -0.03, "jerk": -3.3e-5},
@@ -238,6 +244,21 @@ LINEAR: dict[str, dict[str, float]] = {
         "jerk": -0.0006,
         "lane_violation": -0.06,
         "time": -0.1,
+    },
+    # The way there pays as much as getting there: 0.1 per metre of about 100. Prices of collisions, lanes and time are
+    # those of left_turn_linear. A decision on a limit of comfort costs 0.02, and forcing somebody to brake on it for a
+    # second 2; a near miss, which is below nuPlan's least time to collision of 0.95 s, costs 0.5.
+    "roundabout_linear": {
+        "distance": 0.1,
+        "destination": 10.0,
+        "time": -0.1,
+        "g_force": -0.02 / (COMFORTABLE_BRAKING / GRAVITY),
+        "jerk": -0.02 / COMFORTABLE_JERK,
+        "lane_violation": -0.06,
+        "collision": -10.0,
+        "near_miss": -0.5,
+        "right_of_way": -2.0 / COMFORTABLE_BRAKING,
+        "energy": -0.01,
     },
 }
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     """The options of this script."""
-    open_roads = [name for name, scenario in SCENARIOS.items() if not scenario.lanes]
+    open_roads = [name for name, scenario in SCENARIOS.items() if not (scenario.lanes or scenario.roads)]
     parser = make_parser("Search for a best-known front.")
     add = parser.add_argument
     add("--scenario", choices=open_roads, default="one_waypoint", help="(default: %(default)s)")

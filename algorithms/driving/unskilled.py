@@ -15,7 +15,6 @@ from algorithms.driving.intersection_rules import as_in_left_turn
 from algorithms.driving.left_turn_rules import GapRule, LeftTurner
 from mo_deepdrive.action_sequences import idle
 from mo_deepdrive.actions import CONTINUOUS, action_names
-from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,7 +61,7 @@ def unskilled_policies(config: EnvConfig) -> dict[str, Function]:
     Args:
         config: of the environment.
     """
-    scenario = SCENARIOS[config.scenario]
+    scenario = config.row
     axes = (scenario.vehicles,) if scenario.vehicles > 1 else ()
     found: dict[str, Function] = {
         "stands still": _holding(idle(config.action_type), axes),

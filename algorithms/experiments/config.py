@@ -21,7 +21,6 @@ from mo_deepdrive.extras import EXTRAS
 from mo_deepdrive.importing import import_module
 from mo_deepdrive.machine import check_device
 from mo_deepdrive.names import nearest
-from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -408,7 +407,7 @@ def _front_evaluation(experiment: Experiment, arguments: Mapping[str, Any]) -> d
         from mo_deepdrive.reference_points import default_discount
 
         gamma = default_discount(chosen_objectives(config))
-    if given is not None or SCENARIOS[config.scenario].vehicles > 1:
+    if given is not None or config.row.vehicles > 1:
         return {"gamma": gamma, "reference_point": given}
     try:
         point = mo_deepdrive.reference_point(config.scenario, config.action_type, gamma, config.objectives)

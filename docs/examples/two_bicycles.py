@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-import energy  # noqa: F401  (registers the objective, which two_bicycles.yaml selects)
+import effort  # noqa: F401  (registers the objective, which two_bicycles.yaml selects)
 
 from mo_deepdrive import Route, Scenario, register_scenario
 

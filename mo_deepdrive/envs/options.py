@@ -9,8 +9,9 @@ import numpy as np
 from mo_deepdrive.names import nearest
 from mo_deepdrive.params import cars_in_traffic
 from mo_deepdrive.plain_values import finite_numbers, whole_number
-from mo_deepdrive.scenarios import FARTHEST, SCENARIOS, Scenario
+from mo_deepdrive.routes import FARTHEST
 from mo_deepdrive.simulation.placing import pin_nothing
+from mo_deepdrive.simulation.road_traffic import ACCEPTED_GAPS
 from mo_deepdrive.simulation.state import SPAWN, with_room
 from mo_deepdrive.simulation.traffic import DESIRED_SPEEDS, HEADWAYS, YIELDINGS
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from mo_deepdrive.config import EnvConfig
+    from mo_deepdrive.scenarios import Scenario
 
 MOST_TURNED = 250.0  # rad; largest heading
 
@@ -27,10 +29,18 @@ DRIVERS: dict[str, tuple[str, tuple[float, float], str]] = {
     "headways": ("headway", HEADWAYS, "s"),
     "yielding": ("yielding", YIELDINGS, "m/s^2"),
 }
+# The same on roads of segments.
+ROAD_DRIVERS: dict[str, tuple[str, tuple[float, float], str]] = {
+    "desired_speeds": ("desired_speed", DESIRED_SPEEDS, "m/s"),
+    "headways": ("headway", HEADWAYS, "s"),
+    "accepted_gaps": ("accepted_gap", ACCEPTED_GAPS, "s"),
+}
 
 
 def option_names(scenario: Scenario) -> tuple[str, ...]:
     """The names of the reset options of a scenario."""
+    if scenario.roads:
+        return ("routes", "distances", *(ROAD_DRIVERS if scenario.cars else ()))
     if scenario.vehicles > 1:
         return ("starts",)
     obstacles = ("obstacle",) if scenario.obstacles == 1 else ("obstacles",) if scenario.obstacles else ()
@@ -52,12 +62,17 @@ def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.nda
 
 def _pin_cars(pins: Any, options: Mapping[str, Any], config: EnvConfig) -> None:
     """Set the number of oncoming cars and what is known of their drivers, the first car first."""
-    scenario = SCENARIOS[config.scenario]
+    scenario = config.row
     allowed = f"a number of oncoming cars from 0 to {scenario.cars}"
     given = options.get("cars", cars_in_traffic(config))
     cars = whole_number("reset option 'cars'", given, 0, scenario.cars, allowed)
     pins.n_cars = cars
-    for name, (field, (low, high), unit) in DRIVERS.items():
+    _pin_drivers(pins, options, cars, DRIVERS)
+
+
+def _pin_drivers(pins: Any, options: Mapping[str, Any], cars: int, known: Mapping[str, Any]) -> None:
+    """Set what is ``known`` of the drivers of the cars, the first car first."""
+    for name, (field, (low, high), unit) in known.items():
         if name in options:
             value = options[name]
             shape = np.asarray(value, dtype=object).shape
@@ -69,6 +84,25 @@ def _pin_cars(pins: Any, options: Mapping[str, Any], config: EnvConfig) -> None:
             pins.drivers[field][: len(numbers)] = numbers
 
 
+def _pin_queues(pins: Any, options: Mapping[str, Any], scenario: Scenario) -> None:
+    """Set routes, and distances along them, of the vehicles and then the cars; of fewer numbers the rest are drawn."""
+    bodies = scenario.vehicles + scenario.cars
+    most = max(route.segments[0].length for route in scenario.routes)
+    for name, high, unit in (("routes", len(scenario.routes) - 1, ""), ("distances", most, " m")):
+        if name in options:
+            value = options[name]
+            numbers = finite_numbers(value)
+            fine = numbers is not None and numbers.ndim == 1 and 1 <= len(numbers) <= bodies
+            if numbers is None or not fine or numbers.min() < 0 or numbers.max() > high:
+                raise ValueError(
+                    f"reset option {name!r} = {value!r} must have a number in [0, {high:g}]{unit} per vehicle and car, "
+                    f"at most {bodies}"
+                )
+            if name == "routes" and (numbers % 1).any():
+                raise ValueError(f"reset option 'routes' = {value!r} must have whole numbers")
+            pins[name][: len(numbers)] = numbers
+
+
 def make_pins(options: Mapping[str, Any] | None, config: EnvConfig) -> np.ndarray | None:
     """The reset options as an array (1,) of SPAWN, with NaN for what is drawn; None for no options.
 
@@ -77,7 +111,7 @@ def make_pins(options: Mapping[str, Any] | None, config: EnvConfig) -> np.ndarra
     """
     if not options:
         return None
-    scenario = SCENARIOS[config.scenario]
+    scenario = config.row
     known = option_names(scenario)
     for name in options:
         if name not in known:
@@ -88,7 +122,7 @@ def make_pins(options: Mapping[str, Any] | None, config: EnvConfig) -> np.ndarra
     if "start" in options:
         pins.starts[0] = _numbers("start", options["start"], (3,), "(x, y, heading)")
     if "starts" in options:
-        pins.starts[:] = _numbers("starts", options["starts"], (2, 3), "((x, y, heading), (x, y, heading))")
+        pins.starts[:2] = _numbers("starts", options["starts"], (2, 3), "((x, y, heading), (x, y, heading))")
     if "destination" in options:
         last = len(scenario.routes[0].waypoints) - 1
         pins.waypoints[0, last] = _numbers("destination", options["destination"], (2,), "(x, y)")
@@ -97,6 +131,9 @@ def make_pins(options: Mapping[str, Any] | None, config: EnvConfig) -> np.ndarra
     if "obstacles" in options:
         shape, form = (scenario.obstacles, 2, 2), f"{scenario.obstacles} times ((x, y), (x, y))"
         pins.obstacle[:] = _numbers("obstacles", options["obstacles"], shape, form).reshape(-1, 2)
-    if scenario.cars:
+    if scenario.roads:
+        _pin_queues(pins, options, scenario)
+        _pin_drivers(pins, options, scenario.cars, ROAD_DRIVERS)
+    elif scenario.cars:
         _pin_cars(pins, options, config)
     return array

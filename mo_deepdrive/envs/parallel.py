@@ -21,6 +21,7 @@ from mo_deepdrive.envs.streams import checked_seed
 from mo_deepdrive.envs.world import RENDER_MODES, World
 from mo_deepdrive.extras import needed_for
 from mo_deepdrive.names import nearest
+from mo_deepdrive.scenarios import VERSIONS
 
 if TYPE_CHECKING:
     from gymnasium import spaces
@@ -34,15 +35,15 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
     ## Description
 
     At the intersection ``vehicle_0`` turns left across the path of ``vehicle_1``, which drives straight on; the other
-    scenarios have only ``vehicle_0``. All vehicles move together, and neither sees the other's choice. Action,
-    observation and reward spaces and starting states are those of the Gymnasium environments (see
-    :class:`mo_deepdrive.envs.turn_based.TurnBasedEnv` and :class:`mo_deepdrive.envs.single.DrivingEnv`).
+    scenarios have only ``vehicle_0``, but for Roundabout, which has 2 to 16. All vehicles move together, and none sees
+    another's choice. Action, observation and reward spaces and starting states are those of the Gymnasium environments
+    (see :class:`mo_deepdrive.envs.turn_based.TurnBasedEnv` and :class:`mo_deepdrive.envs.single.DrivingEnv`).
 
     ## Episode End
 
     When a vehicle ends, the step returns its last observation and reward, its ``terminated`` or ``truncated`` flag and
-    ``infos[agent] = {"end": why, "success": whether it arrived}``, and removes it from ``agents``. The other vehicle
-    continues. The episode is over when ``agents`` is empty.
+    ``infos[agent] = {"end": why, "success": whether it arrived}``, and removes it from ``agents``. The others
+    continue. The episode is over when ``agents`` is empty.
 
     ## Version History
 
@@ -89,7 +90,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
     ):
         if not isinstance(keep_finished, (bool, np.bool_)):
             raise ValueError(f"keep_finished = {keep_finished!r} must be True or False")
-        config = parse_arguments(scenario, options)
+        config = parse_arguments(scenario, {**VERSIONS.get(str(scenario), {"v0": {}})["v0"], **options})
         self.config = config
         self.render_mode = render_mode
         self.keep_finished = bool(keep_finished)

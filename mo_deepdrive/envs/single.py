@@ -21,10 +21,11 @@ class DrivingEnv(WorldEnv):
     ## Description
 
     A car drives to a destination in the plane (OneWaypoint), around a bicycle on its way (StaticObstacle), or turns
-    left at a crossing while up to five cars come one after another down the opposite lane (LeftTurn). Based on
-    DeepDrive Zero and its multi-objective extension (Ajridi et al., "Deconstructing Reinforcement Learning
-    Benchmarks: Revealing the Objectives", ECAI 2023). The car is a kinematic bicycle with friction, simulated at
-    60 Hz; the agent decides at 10 Hz.
+    left at a crossing while up to five cars come one after another down the opposite lane (LeftTurn). In Roundabout
+    solo it passes a roundabout among seven cars with scripted drivers; what differs there is described in
+    :class:`mo_deepdrive.envs.turn_based.TurnBasedEnv`. Based on DeepDrive Zero and its multi-objective extension
+    (Ajridi et al., "Deconstructing Reinforcement Learning Benchmarks: Revealing the Objectives", ECAI 2023). The car is
+    a kinematic bicycle with friction, simulated at 60 Hz; the agent decides at 10 Hz.
 
     In LeftTurn the oncoming cars follow one another by the Intelligent Driver Model, straight on in their lane. If the
     agent is in their way, some of their drivers let it pass, and some hardly brake. Who is who cannot be seen: desired
@@ -119,10 +120,10 @@ class DrivingEnv(WorldEnv):
 
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
         config = parse_arguments(scenario, options)
-        if SCENARIOS[config.scenario].vehicles > 1:
+        if (vehicles := config.row.vehicles) > 1:
             raise ValueError(
-                f"scenario = {scenario!r} has two vehicles; use gymnasium.make({SCENARIOS[scenario].id!r}), where they "
-                "take turns, its make_vec, or mo_deepdrive.parallel_env()"
+                f"scenario = {scenario!r} has {vehicles} vehicles; use gymnasium.make({SCENARIOS[scenario].id!r}), "
+                "where they take turns, its make_vec, or mo_deepdrive.parallel_env()"
             )
         super().__init__(config, render_mode)
         self._running = False

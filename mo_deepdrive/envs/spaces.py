@@ -11,7 +11,6 @@ from mo_deepdrive import actions, observation
 from mo_deepdrive.limits import limits, objective_bound
 from mo_deepdrive.objectives import INDEX, OBJECTIVES, signs
 from mo_deepdrive.params import chosen_objectives
-from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,19 +20,19 @@ if TYPE_CHECKING:
 
 def observation_space(config: EnvConfig) -> spaces.Box:
     """The observation of one vehicle: float32, shape (size,), SI units; entries in ``observation.layout``."""
-    low, high = observation.bounds(SCENARIOS[config.scenario], limits(config))
+    low, high = observation.bounds(config.row, limits(config))
     return spaces.Box(low, high, dtype=np.float32)
 
 
 def observation_scales(config: EnvConfig) -> NDArray[np.float32]:
     """Nominal magnitudes of the observation of one vehicle, by which learners divide: (size,)."""
-    return observation.scales(SCENARIOS[config.scenario]).astype(np.float32)
+    return observation.scales(config.row).astype(np.float32)
 
 
 def joint_observation_space(config: EnvConfig) -> spaces.Box:
     """The concatenated observations of all vehicles: float32, shape (vehicles * size,)."""
     space = observation_space(config)
-    vehicles = SCENARIOS[config.scenario].vehicles
+    vehicles = config.row.vehicles
     return spaces.Box(np.tile(space.low, vehicles), np.tile(space.high, vehicles), dtype=np.float32)
 
 

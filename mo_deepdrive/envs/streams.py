@@ -13,7 +13,8 @@ from mo_deepdrive.plain_values import whole_number
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-BLOCK = 16
+BLOCK = 16  # episodes for which a world draws at once, at most
+BLOCK_SIZE = 200  # uniforms; an episode of many vehicles takes dozens
 _WORD = (1 << 64) - 1
 
 
@@ -43,7 +44,7 @@ class Streams(Draws):
         pairs = [seeding.np_random(seed) for seed in seeds]
         self._generators: list[np.random.Generator] = [generator for generator, _ in pairs]
         self.seeds: list[int] = [used for _, used in pairs]
-        super().__init__(len(seeds), draws, self._generators, BLOCK)
+        super().__init__(len(seeds), draws, self._generators, max(1, min(BLOCK, BLOCK_SIZE // draws)))
 
     @property
     def generators(self) -> tuple[np.random.Generator, ...]:
@@ -55,7 +56,7 @@ class Streams(Draws):
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
                 self._generators[i], self.seeds[i] = seeding.np_random(seeds[i])
-                self.cursors[i] = BLOCK
+                self.cursors[i] = self.blocks.shape[1]
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Generator states (N, 4) uint64 (PCG64 state and increment, high and low words), blocks and cursors."""
@@ -75,7 +76,7 @@ class Streams(Draws):
         blocks, cursors = state["blocks"], state["cursors"]
         for name, array, fine, allowed in (
             ("blocks", blocks, (blocks >= 0.0) & (blocks < 1.0), "in [0, 1)"),
-            ("cursors", cursors, (cursors >= 0) & (cursors <= BLOCK), f"between 0 and {BLOCK}"),
+            ("cursors", cursors, (cursors >= 0) & (cursors <= blocks.shape[1]), f"between 0 and {blocks.shape[1]}"),
         ):
             if not fine.all():
                 raise ValueError(f"state {name!r} has {array[~fine][0]}; it must be {allowed}")

@@ -1,4 +1,4 @@
-"""The turn-based Gymnasium environment, in which two vehicles take turns."""
+"""The turn-based Gymnasium environment, in which several vehicles take turns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class TurnBasedEnv(WorldEnv):
-    """Two cars at an intersection, which take turns.
+    """Two cars at an intersection, or up to 16 at a roundabout, which take turns.
 
     ## Description
 
@@ -41,8 +41,13 @@ class TurnBasedEnv(WorldEnv):
     | ``step(c0)`` | waits | final observation, reward of b1, ``"end": "arrived"`` | 1 |
     | ``step(any)`` | moves by c0; vehicle 0 arrives | final observation, reward of c0, ``"end"``, terminated | 0 |
 
-    So every vehicle receives all of its observations and rewards. If both end in the same move, vehicle 0 has its last
-    turn before vehicle 1.
+    So every vehicle receives all of its observations and rewards. If several end in the same move, they have their last
+    turns in the order of their numbers.
+
+    In Roundabout four vehicles (``vehicles``: 2 to 16) enter a compact urban roundabout with one lane and four arms
+    from drawn arms, and leave it at drawn others. Who is inside has right of way. ``cars`` more have scripted drivers,
+    which follow the Intelligent Driver Model and give way by gaps; how fast they drive, how close they follow and which
+    gap they accept is drawn and hidden.
 
     ## Action Space
 
@@ -57,7 +62,7 @@ class TurnBasedEnv(WorldEnv):
 
     ## Observation Space
 
-    ``Box`` of float32 in SI units, 29 numbers.
+    ``Box`` of float32 in SI units, 29 numbers (Roundabout 63).
 
     | index | observation | unit |
     |---|---|---|
@@ -76,6 +81,19 @@ class TurnBasedEnv(WorldEnv):
 
     A vehicle that has left the road is observed straight ahead, at rest, at a distance of 100 m.
 
+    In Roundabout the waypoints are the points of the route 6 and 15 m ahead of the front, the crossing is the
+    roundabout, and there are, instead of 15 to 28:
+
+    | index | observation | unit |
+    |---|---|---|
+    | 15, 16 | along the route, from the front to the roundabout (0 from there on), and to the end | m |
+    | 17 | heading from the direction of the lane, positive to the left | rad |
+    | 18, 19 | nearest vehicle or car: its centre to the right and ahead of one's own | m |
+    | 20, 21 | its velocity to the right and ahead | m/s |
+    | 22, 23 | cosine and sine of its heading from one's own, positive to the left | 1 |
+    | 24, 25, 26 | whether it is inside, whether it has right of way, whether it is there | 0 or 1 |
+    | 27 to 62 | the same of the next four | |
+
     ## Reward Space
 
     ``Box`` of float32, every component to be maximised (magnitudes with ``cost_sign="paper"``).
@@ -88,19 +106,32 @@ class TurnBasedEnv(WorldEnv):
     | collision | -1 on the decision that collides, for both vehicles |
     | jerk | minus the jerk at the end of the decision (m/s^3) |
     | lane_violation | minus the distance outside the lane at the end of the decision (m) |
-    | time | in v1: minus the duration of the decision, and the time that an early end leaves (s) |
+    | time | in v1 and Roundabout: minus the duration of the decision, and the time that an early end leaves (s) |
+    | near_miss | Roundabout: -1 on a decision after which the time to collision is below 0.95 s |
+    | right_of_way | Roundabout: minus the braking that entering forces on those inside, times the duration (m/s^2 s) |
+    | energy | Roundabout: minus the positive work of the traction force per mass (J/kg) |
+
+    In Roundabout the order is distance, destination, time, g_force, jerk, lane_violation, collision, near_miss,
+    right_of_way, energy, and distance is the route distance that was gained.
 
     ## Starting State
 
     Both cars are at rest in their lanes, each at a random distance from the crossing. ``reset(options={"starts": ((x,
     y, heading), (x, y, heading))})`` sets where, for that episode.
 
+    In Roundabout all are at rest in queues on the arms. Options have a number per vehicle, and after them per car:
+    ``routes`` (arm * 3 + exit, which is 0 for the next arm to the right, 1 for the one opposite, 2 for the left) and
+    ``distances`` of the front from the start of the route (m); with one number per car ``desired_speeds`` (m/s),
+    ``headways`` (s) and ``accepted_gaps`` (s). Of fewer numbers the rest are drawn.
+
     ## Episode End
 
     Each vehicle ends separately: ``arrived`` (front within 1 m of the destination), ``collision`` (ends both),
-    ``harmful_g_force`` (above 1 g), ``harmful_jerk`` and ``off_lane`` (off by default), ``circling`` (turned by more
-    than 400 degrees), ``skipped_waypoint``, ``backwards`` (more than 2 m behind its best route distance),
-    ``time_limit`` (60 s); with ``end_together=True`` the other vehicle ends with the first one (``other_vehicle``).
+    ``harmful_g_force`` (above 1 g), ``harmful_jerk`` and ``off_lane`` (off by default; in Roundabout always where the
+    front is more than a lane's width from the line), ``circling`` (turned by more than 400 degrees),
+    ``skipped_waypoint``, ``backwards`` (more than 2 m behind its best route distance), ``time_limit`` (60 s); in
+    Roundabout a collision ends those who touch; with ``end_together=True`` the other vehicle ends with the first one
+    (``other_vehicle``).
     The episode ends with the last turn of the last vehicle: truncated if that vehicle reached the time limit, otherwise
     terminated. Both flags are False in all turns before, even if a vehicle has ended.
 
@@ -110,13 +141,14 @@ class TurnBasedEnv(WorldEnv):
     ``action_type``, ``time_limit``, ``objectives``, ``cost_sign``, ``simulation_frequency``, ``decision_frequency``,
     ``constrain_controls``, ``ignore_brake``, ``harmful_g_force``, ``harmful_jerk``, ``lane_margin``,
     ``end_on_lane_violation``, ``yield_to_oncoming``, ``end_together``, ``charge_remaining_time``, ``yaw_friction``,
-    ``action_delay``. ``render_mode`` is None, "rgb_array" or "human". Unknown arguments raise TypeError. (Gymnasium's
-    ``max_episode_steps`` counts turns.)
+    ``action_delay``; for Roundabout ``vehicles`` and ``cars``. ``render_mode`` is None, "rgb_array" or "human". Unknown
+    arguments raise TypeError. (Gymnasium's ``max_episode_steps`` counts turns.)
 
     ## Version History
 
     - v1: v0 with ``time`` as the last objective and ``charge_remaining_time=True``, so that ending early saves no time.
-    - v0: initial release. ``docs/simulator.md`` lists the departures from the published code.
+    - v0: initial release; Roundabout with ``time`` and ``charge_remaining_time=True``, as the others in v1.
+      ``docs/simulator.md`` lists the departures from the published code.
 
     The version is raised by every change of what an agent experiences: dynamics, rewards, observations, spaces and
     termination. Changes of speed, rendering and documentation keep it.

@@ -58,16 +58,16 @@ class DrivingVectorEnv(VectorBase):
 
     ## Shapes
 
-    | array | one vehicle | Intersection |
+    | array | one vehicle | Intersection (Roundabout: V instead of 2) |
     |---|---|---|
     | actions | (N,) or (N, 3) | (N, 2) or (N, 2, 3) |
     | observations | (N, size) | (N, 2, size) |
     | rewards | (N, d) | (N, 2, d) |
     | terminated, truncated | (N,) | (N, 2) |
 
-    In Intersection a vehicle's flag stays True from the decision on which it ends until the world is reset, after both
-    have ended. ``infos["acted"]`` (N, 2) says which vehicles were on the road in this step, and ``infos["arrived"]``
-    (N, 2), only in steps in which a vehicle ends, which of them arrived in it.
+    With several vehicles a vehicle's flag stays True from the decision on which it ends until the world is reset, after
+    all have ended. ``infos["acted"]`` (N, 2) says which vehicles were on the road in this step, and
+    ``infos["arrived"]`` (N, 2), only in steps in which a vehicle ends, which of them arrived in it.
 
     ## Episode End
 
@@ -81,7 +81,8 @@ class DrivingVectorEnv(VectorBase):
 
     Args:
         num_envs: N.
-        scenario: "one_waypoint", "static_obstacle", "intersection", "left_turn" or a registered one.
+        scenario: "one_waypoint", "static_obstacle", "intersection", "left_turn", "roundabout", "roundabout_solo" or a
+            registered one.
         autoreset_mode: NEXT_STEP (a finished world is reset by the next step, which ignores its action and has zero
             reward), SAME_STEP or DISABLED (``reset(options={"reset_mask": ...})``).
         threads: how many threads share a step, which pays off from about 2,000 worlds. It does not change the results.

@@ -140,10 +140,11 @@ class Scene:
 
 
 def is_drivable(env_id: str) -> bool:
-    """Whether an environment is one of this package with one vehicle, whose drives can be recorded."""
+    """Whether an environment is one of this package with one vehicle and waypoints, whose drives can be recorded."""
     spec = find_spec(env_id)
     ours = str(spec.vector_entry_point).startswith("mo_deepdrive.")
-    return ours and SCENARIOS[spec.kwargs["scenario"]].vehicles == 1
+    scenario = SCENARIOS[spec.kwargs["scenario"]] if ours else None
+    return scenario is not None and scenario.vehicles == 1 and not scenario.roads
 
 
 def record_scenes(

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 from mo_deepdrive.simulation.geometry import RADIUS, boxes_overlap, distance, segment_touches_box
-from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import WIDTH, Record, Records
+from mo_deepdrive.simulation.jit import jit, separate_jit
+from mo_deepdrive.simulation.state import RUNNING, WIDTH, Record, Records
 
 LONGEST_MOVE = WIDTH / 4
 
@@ -96,11 +96,24 @@ def vehicles_collide(params: Record, path: Records, a: int, b: int, lane: int) -
     return False
 
 
-@jit
-def hits_any_car(vehicle: Record, vehicles: int, params: Record, path: Records, lane: int) -> bool:
-    """Whether the vehicle touches an oncoming car; the paths of the cars follow those of the ``vehicles`` vehicles."""
-    hit = False
-    for k in range(len(vehicle.cars)):
-        present = vehicle.cars[k].present
-        hit = hit or (present and vehicles_collide(params, path, 0, vehicles + k, lane))
-    return hit
+@separate_jit
+def find_collisions(worlds: Records, i: int, column: int, params: Record, path: Records, lane: int) -> None:
+    """Write to ``objectives[column]`` of every vehicle of world ``i`` whether it touches something on its way: 1 or 0.
+
+    That is one of its obstacles, another vehicle on the road, or a car that is present; only vehicles on the road do.
+    """
+    vehicles = worlds.shape[1]
+    for v in range(vehicles):
+        worlds[i, v].objectives[column] = 0.0
+    for v in range(vehicles):
+        vehicle = worlds[i, v]
+        if vehicle.end == RUNNING:
+            if params.has_obstacle and hits_any_obstacle(vehicle, params, path, lane):
+                vehicle.objectives[column] = 1.0
+            for other in range(v):
+                if worlds[i, other].end == RUNNING and vehicles_collide(params, path, other, v, lane):
+                    vehicle.objectives[column] = 1.0
+                    worlds[i, other].objectives[column] = 1.0
+            for k in range(len(worlds[i, 0].cars)):
+                if worlds[i, 0].cars[k].present and vehicles_collide(params, path, v, vehicles + k, lane):
+                    vehicle.objectives[column] = 1.0

@@ -10,11 +10,11 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING, Any
 
-from mo_deepdrive.simulation import observation, progress, traffic
+from mo_deepdrive.simulation import observation, progress, road_traffic, roads, traffic
 from mo_deepdrive.simulation.actions import decode
-from mo_deepdrive.simulation.collision import hits_any_car, hits_any_obstacle, vehicles_collide
+from mo_deepdrive.simulation.collision import find_collisions
 from mo_deepdrive.simulation.dynamics import drive
-from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.jit import jit, separate_jit
 from mo_deepdrive.simulation.lanes import LANES
 from mo_deepdrive.simulation.state import (
     ARRIVED,
@@ -65,9 +65,11 @@ def ending(vehicle: Record, collided: bool, arrived: bool, params: Record) -> in
         return HARMFUL_JERK
     if params.end_on_lane_violation and min(vehicle.left_lane_distance, vehicle.right_lane_distance) < -LANE_TOLERANCE:
         return OFF_LANE
+    if params.n_routes > 0 and abs(vehicle.lane_offset) > 2 * params.half_lane[vehicle.route]:
+        return OFF_LANE
     if abs(vehicle.heading - vehicle.start_heading) > CIRCLING_LIMIT:
         return CIRCLING
-    if vehicle.n_waypoints > 1 and progress.skipped(vehicle):
+    if params.n_routes == 0 and vehicle.n_waypoints > 1 and progress.skipped(vehicle):
         return SKIPPED_WAYPOINT
     if vehicle.route_distance < vehicle.furthest - BACKWARDS_LIMIT:
         return BACKWARDS
@@ -79,41 +81,34 @@ def ending(vehicle: Record, collided: bool, arrived: bool, params: Record) -> in
 
 
 @jit
-def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> None:
+def judge(worlds: Records, i: int, params: Record, on_roads: bool) -> None:
     """Measure the objectives of the running vehicles of world ``i`` after they have moved, and end their episodes.
 
     Args:
-        worlds: (worlds, vehicles) of VEHICLE, changed in place; vehicles that have ended stay as they are.
+        worlds: (worlds, vehicles) of VEHICLE, changed in place; vehicles that have ended stay as they are. Collisions
+            have been found.
         i: which world. (Arrays are passed whole: a view costs an atomic reference count.)
         params: record of dtype PARAMS.
-        path: (vehicles + cars, physics_steps + 1) of POSE, from ``drive`` and ``traffic.drive``.
-        lane: of the world in ``path``.
+        on_roads: whether routes are of segments. A constant: where it is False, nothing here is a call, which would
+            take the registers of everything around it.
     """
     vehicles = worlds.shape[1]
-    all_running = True
     for v in range(vehicles):
-        vehicle = worlds[i, v]
-        for k in range(len(vehicle.objectives)):
-            vehicle.objectives[k] = 0.0
-        all_running = all_running and vehicle.end == RUNNING
+        for k in range(len(worlds[i, v].objectives)):
+            if k != CRASH:
+                worlds[i, v].objectives[k] = 0.0
 
-    collided = False
-    if params.has_obstacle and all_running:
-        collided = hits_any_obstacle(worlds[i, 0], params, path, lane)
-    if vehicles > 1 and all_running:
-        collided = vehicles_collide(params, path, 0, 1, lane)
-    if len(worlds[i, 0].cars) > 0 and all_running:
-        collided = collided or hits_any_car(worlds[i, 0], vehicles, params, path, lane)
-
-    # Everything that depends on the positions of both vehicles is computed before either can end.
+    # Everything that depends on the positions of several vehicles is computed before any of them can end.
     for v in range(vehicles):
         vehicle = worlds[i, v]
         if vehicle.end == RUNNING:
             before = vehicle.route_distance
-            arrived = progress.follow(vehicle)
+            arrived = roads.follow(vehicle, params) if on_roads else progress.follow(vehicle)
             vehicle.objectives[DISTANCE] = vehicle.route_distance - before
             vehicle.objectives[DESTINATION] = 1.0 if arrived else 0.0
-            if params.has_lanes:
+            if on_roads:
+                roads.find_lane(vehicle, params)
+            elif params.has_lanes:
                 progress.find_lane(vehicle, params)
         else:
             vehicle.approaching = False
@@ -127,10 +122,10 @@ def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> 
         if vehicle.end == RUNNING:
             vehicle.decisions += 1
             vehicle.objectives[G_FORCE] = vehicle.g_force
-            vehicle.objectives[CRASH] = 1.0 if collided else 0.0
             vehicle.objectives[JERK] = vehicle.jerk
             if params.has_lanes:
                 vehicle.objectives[LANE_VIOLATION] = lane_excess(vehicle, params)
+            collided = vehicle.objectives[CRASH] == 1.0
             arrived = vehicle.objectives[DESTINATION] == 1.0
             vehicle.end = ending(vehicle, collided, arrived, params)
             if vehicle.end != ARRIVED:
@@ -141,6 +136,12 @@ def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> 
         for v in range(vehicles):
             if worlds[i, v].end == RUNNING:
                 worlds[i, v].end = OTHER_VEHICLE
+
+
+@separate_jit
+def judge_on_roads(worlds: Records, i: int, params: Record) -> None:
+    """As :func:`judge`, on roads of segments."""
+    judge(worlds, i, params, True)
 
 
 @jit
@@ -166,12 +167,22 @@ def step_worlds(
         cars: (cars,) of TRAFFIC, scratch.
         path: (vehicles + cars, physics_steps + 1) of POSE, scratch.
     """
+    if params.n_routes > 0:
+        for i in range(first, last):
+            road_traffic.drive(worlds, i, i - first, params, path)
     for v in range(worlds.shape[1]):
         drive(worlds, first, last, v, controls, params, motion, path)
-    if len(worlds[first, 0].cars) > 0:
+    if len(worlds[first, 0].cars) > 0 and params.n_routes == 0:
         traffic.drive(worlds, first, last, params, cars, path)
-    for i in range(first, last):
-        judge(worlds, i, params, path, i - first)
+    if params.has_obstacle or worlds.shape[1] > 1 or len(worlds[first, 0].cars) > 0:
+        for i in range(first, last):
+            find_collisions(worlds, i, CRASH, params, path, i - first)
+    if params.n_routes > 0:
+        for i in range(first, last):
+            judge_on_roads(worlds, i, params)
+    else:
+        for i in range(first, last):
+            judge(worlds, i, params, False)
 
 
 @jit

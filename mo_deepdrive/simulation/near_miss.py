@@ -2,47 +2,49 @@
 
 from __future__ import annotations
 
-from mo_deepdrive.simulation.geometry import time_to_collision
+import math
+
+from mo_deepdrive.simulation.geometry import RADIUS, time_to_collision
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import COLLISION, RUNNING, Record, Records
-from mo_deepdrive.simulation.traffic import COS, SIN
+from mo_deepdrive.simulation.state import KERNEL_NAMES, RUNNING, Record, Records
 
 # Below this time to collision encounters in towns are conflicts: the threshold of A. R. A. van der Horst and J.
 # Hogema, "Time-to-collision and collision avoidance systems", ICTCT workshop, 1993, and the default of the Surrogate
 # Safety Assessment Model (D. Gettman et al., FHWA-HRT-08-051, 2008).
 CONFLICT_TIME = 1.5  # s
+MARGIN = 0.01  # m, for rounding
+CRASH = KERNEL_NAMES.index("collision")
 
 
 @jit
-def near_miss(worlds: Records, i: int, v: int, params: Record) -> float:  # noqa: ARG001  (the signature of a measure)
-    """1 if the least time to collision with another vehicle or an oncoming car is below CONFLICT_TIME, else 0.
+def is_near(me: Record, other: Record, vx: float, vy: float, conflict_time: float) -> bool:
+    """Whether the time to collision with another box of velocity (vx, vy) is below ``conflict_time`` (s)."""
+    dx, dy, dvx, dvy = other.x - me.x, other.y - me.y, vx - me.vx, vy - me.vy
+    reach = 2 * RADIUS + MARGIN + conflict_time * math.sqrt(dvx * dvx + dvy * dvy)
+    if dx * dx + dy * dy > reach * reach:
+        return False
+    cos, sin = me.cos_heading, me.sin_heading
+    time = time_to_collision(dx, dy, dvx, dvy, cos, sin, other.cos_heading, other.sin_heading)
+    return time < conflict_time
+
+
+@jit
+def near_miss(worlds: Records, i: int, v: int, params: Record) -> float:
+    """1 if the least time to collision with another vehicle or a car is below ``params.conflict_time``, else 0.
 
     It is taken after the decision; every box keeps its velocity and its heading
     (:func:`mo_deepdrive.simulation.geometry.time_to_collision`). Cars whose paths do not meet have none.
     """
     me = worlds[i, v]
     for k in range(worlds.shape[1]):
-        # A vehicle that has collided has done so in this decision, and with this one.
+        # A vehicle that has collided in this decision counts.
         other = worlds[i, k]
-        if k != v and (other.end == RUNNING or other.end == COLLISION):
-            time = time_to_collision(
-                other.x - me.x,
-                other.y - me.y,
-                other.vx - me.vx,
-                other.vy - me.vy,
-                me.cos_heading,
-                me.sin_heading,
-                other.cos_heading,
-                other.sin_heading,
-            )
-            if time < CONFLICT_TIME:
-                return 1.0
-    for k in range(len(me.cars)):
-        if me.cars[k].present:
-            car = me.cars[k]
-            time = time_to_collision(
-                car.x - me.x, car.y - me.y, -me.vx, -car.speed - me.vy, me.cos_heading, me.sin_heading, COS, SIN
-            )
-            if time < CONFLICT_TIME:
-                return 1.0
+        there = k != v and (other.end == RUNNING or other.objectives[CRASH] == 1.0)
+        if there and is_near(me, other, other.vx, other.vy, params.conflict_time):
+            return 1.0
+    for k in range(len(worlds[i, 0].cars)):
+        car = worlds[i, 0].cars[k]
+        vx, vy = -car.sin_heading * car.speed, car.cos_heading * car.speed
+        if car.present and is_near(me, car, vx, vy, params.conflict_time):
+            return 1.0
     return 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mo_deepdrive.simulation import geometry, traffic
+from mo_deepdrive.simulation import geometry, neighbours, traffic
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.lanes import in_lanes
@@ -123,6 +123,10 @@ def write(
                 out[first + lane, v, column] = s.distance[lane]
                 out[first + lane, v, column + 2] = s.angle[lane]
         position += 2 * len(worlds[first, v].obstacle)
+    if params.n_routes > 0:
+        for lane in range(lanes):
+            neighbours.write(worlds, first + lane, v, position, ABSENT_DISTANCE, params, out)
+        return
     if worlds.shape[1] > 1:
         for lane in range(lanes):
             i = first + lane

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mo_deepdrive.simulation import geometry, progress, traffic
-from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation import geometry, progress, road_traffic, roads, traffic
+from mo_deepdrive.simulation.jit import jit, separate_jit
 from mo_deepdrive.simulation.map import HALF_LANE, MAP_UNIT
-from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, MAX_WAYPOINTS, RUNNING, Record, Records
+from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LENGTH, MAX_WAYPOINTS, NEVER, RUNNING, Record, Records
+from mo_deepdrive.simulation.traffic import STANDSTILL_GAP
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,10 +33,19 @@ def given(pinned: float, drawn: float) -> float:
 
 
 @jit
+def within(bounds: tuple[float, float], draw: float) -> float:
+    """The number between ``bounds`` that belongs to a uniform in [0, 1)."""
+    return bounds[0] + draw * (bounds[1] - bounds[0])
+
+
+@jit
 def draw_spawn(draws: NDArray[np.float64], j: int, params: Record, pins: Record, spawn: Record) -> None:
     """Fill ``spawn`` (record SPAWN) from ``pins``, or where they are NaN from the uniforms ``draws[j]`` (draws,)."""
-    vehicles = len(spawn.starts)
-    for v in range(vehicles):
+    if params.n_routes > 0:
+        draw_queues(draws, j, params, pins, spawn)
+        draw_drivers(draws, j, params, pins, spawn)
+        return
+    for v in range(params.vehicles):
         spawn.starts[v, 0] = given(pins.starts[v, 0], params.starts[v, 0])
         spawn.starts[v, 1] = given(pins.starts[v, 1], params.starts[v, 1] + draws[j, v] * params.start_span[v])
         spawn.starts[v, 2] = given(pins.starts[v, 2], params.starts[v, 2])
@@ -80,6 +90,71 @@ def draw_spawn(draws: NDArray[np.float64], j: int, params: Record, pins: Record,
         spawn.drivers[k].yielding = given(pins.drivers[k].yielding, yielding)
 
 
+@separate_jit
+def draw_queues(draws: NDArray[np.float64], j: int, params: Record, pins: Record, spawn: Record) -> None:
+    """Draw an entry, a route from there and a place in the queue at the entry, for every vehicle and car.
+
+    Who draws an entry without room waits at the next one that has some. The first one in a queue has its front within
+    the span of the entry from the end of the first segment, and everybody else within it behind the one ahead. In which
+    order vehicles and cars queue begins with one that is drawn.
+    """
+    bodies = params.vehicles + len(spawn.drivers)
+    for entry in range(params.n_entries):
+        spawn.waiting[entry] = 0.0
+        spawn.room[entry] = params.entry_length[entry]
+    first = int(draws[j, 0] * bodies)
+    for k in range(bodies):
+        b = (first + k) % bodies
+        draw = 1 + 3 * b
+        entry = int(draws[j, draw] * params.n_entries)
+        while spawn.waiting[entry] >= params.entry_room[entry]:
+            entry = (entry + 1) % params.n_entries
+        drawn = params.first_route[entry] + int(draws[j, draw + 1] * params.n_routes_there[entry])
+        route = int(given(pins.routes[b], float(drawn)))
+        entry = params.entry[route]
+        furthest = spawn.room[entry] - draws[j, draw + 2] * params.entry_span[entry]
+        distance = given(pins.distances[b], furthest)
+        spawn.routes[b] = route
+        spawn.distances[b] = distance
+        spawn.waiting[entry] += 1.0
+        spawn.room[entry] = min(spawn.room[entry], distance - LENGTH - STANDSTILL_GAP)
+        x, y, cos, sin = roads.pose_at(params, route, distance - geometry.HALF_LENGTH)
+        spawn.starts[b, 0] = x
+        spawn.starts[b, 1] = y
+        spawn.starts[b, 2] = math.atan2(sin, cos)
+
+
+@separate_jit
+def draw_drivers(draws: NDArray[np.float64], j: int, params: Record, pins: Record, spawn: Record) -> None:
+    """Draw the drivers of the cars on roads of segments."""
+    for k in range(len(spawn.drivers)):
+        first = params.driver_draw + 3 * k
+        driver, pinned = spawn.drivers[k], pins.drivers[k]
+        driver.desired_speed = given(pinned.desired_speed, within(road_traffic.DESIRED_SPEED, draws[j, first]))
+        driver.headway = given(pinned.headway, within(road_traffic.HEADWAY, draws[j, first + 1]))
+        driver.accepted_gap = given(pinned.accepted_gap, within(road_traffic.ACCEPTED_GAP, draws[j, first + 2]))
+        driver.yielding = traffic.MAX_BRAKING
+
+
+@separate_jit
+def queues_are_fair(spawn: Record, params: Record) -> bool:
+    """Whether all vehicles and cars are on their first segment, and none touches another."""
+    bodies = params.vehicles + len(spawn.drivers)
+    for a in range(bodies):
+        route = int(spawn.routes[a])
+        if not LENGTH <= spawn.distances[a] <= params.entry_length[params.entry[route]]:
+            return False
+        x, y = spawn.starts[a, 0], spawn.starts[a, 1]
+        for b in range(a):
+            bx, by = spawn.starts[b, 0], spawn.starts[b, 1]
+            if geometry.distance(x, y, bx, by) <= 2 * geometry.RADIUS and geometry.boxes_overlap(
+                x, y, math.cos(spawn.starts[a, 2]), math.sin(spawn.starts[a, 2]),
+                bx, by, math.cos(spawn.starts[b, 2]), math.sin(spawn.starts[b, 2]),
+            ):  # fmt: skip
+                return False
+    return True
+
+
 @jit
 def distance_to_segment(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Distance (m) from the point p to the segment a-b."""
@@ -94,7 +169,12 @@ def distance_to_segment(px: float, py: float, ax: float, ay: float, bx: float, b
 
 @jit
 def spawn_is_fair(spawn: Record, params: Record) -> bool:
-    """False if a bicycle or a car touches the vehicle at its start, or a bicycle is within 1 m of the destination."""
+    """False if a bicycle or a car touches the vehicle at its start, or a bicycle is within 1 m of the destination.
+
+    On roads of segments as :func:`queues_are_fair`.
+    """
+    if params.n_routes > 0:
+        return queues_are_fair(spawn, params)
     if len(spawn.drivers) > 0 and traffic.touches_start(spawn):
         return False
     if not params.has_obstacle:
@@ -166,16 +246,28 @@ def place(worlds: Records, i: int, spawn: Record, params: Record) -> None:
                 vehicle.obstacle[k, axis] = spawn.obstacle[k, axis]
         for k in range(len(vehicle.objectives)):
             vehicle.objectives[k] = 0.0
-        progress.follow(vehicle)
-        vehicle.furthest = max(0.0, vehicle.route_distance)
         vehicle.lane_centre = params.lane_centre[v]
         vehicle.left_lane_distance = HALF_LANE
         vehicle.right_lane_distance = HALF_LANE
         vehicle.crossing = False
         vehicle.approaching = False
-        if params.has_lanes:
-            progress.find_lane(vehicle, params)
-    traffic.place(worlds, i, spawn)
+        vehicle.route = int(spawn.routes[v]) if params.n_routes > 0 else 0
+        vehicle.segment = 0
+        vehicle.lane_offset = 0.0
+        vehicle.heading_error = 0.0
+        vehicle.entered = NEVER
+        if params.n_routes > 0:
+            roads.follow(vehicle, params)
+            roads.find_lane(vehicle, params)
+        else:
+            progress.follow(vehicle)
+            if params.has_lanes:
+                progress.find_lane(vehicle, params)
+        vehicle.furthest = max(0.0, vehicle.route_distance)
+    if params.n_routes > 0:
+        road_traffic.place(worlds, i, spawn, params)
+    else:
+        traffic.place(worlds, i, spawn)
 
 
 def pin_nothing(spawn: Records) -> None:

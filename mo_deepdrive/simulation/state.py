@@ -20,9 +20,11 @@ Records: TypeAlias = NDArray[Any]
 # The magnitudes that the kernel measures, in the order of ``objectives`` in the state of a vehicle.
 KERNEL_NAMES = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
 
-MAX_VEHICLES = 2
+MAX_VEHICLES = 16  # of a world, cars included; of routes of waypoints two
 MAX_OBJECTIVES = 32  # of a vehicle's reward
 MAX_WAYPOINTS = 3
+MAX_ROUTES = 16  # of segments, of a scenario
+MAX_SEGMENTS = 8  # of a route
 NEAREST_CARS = 2  # oncoming cars that an observation has room for: the next ones that have not passed the crossing
 
 # Vehicle constants of DeepDrive Zero (m, m/s^2). The wheelbase is split over the *width*, as in the original.
@@ -71,12 +73,18 @@ ARRIVED = ENDS.index("arrived")
 TIME_LIMIT = ENDS.index("time_limit")
 OTHER_VEHICLE = ENDS.index("other_vehicle")
 
+NEVER = -1  # of ``entered``
+
 _FLOAT = np.float64
 
-# What is drawn of the driver of an oncoming car, and hidden (m/s, s, m/s^2); see traffic.py.
-DRIVER = np.dtype((np.record, [("desired_speed", _FLOAT), ("headway", _FLOAT), ("yielding", _FLOAT)]))
+# What is drawn of the driver of a car, and hidden (m/s, s, m/s^2, s): how hard it brakes for a left-turner at most, see
+# traffic.py, and which gap it accepts to enter, see road_traffic.py.
+DRIVER = np.dtype(
+    (np.record, [("desired_speed", _FLOAT), ("headway", _FLOAT), ("yielding", _FLOAT), ("accepted_gap", _FLOAT)])
+)
 
-# One oncoming car, which drives down its lane (m, m/s, m/s^2). It is present until it has left the map.
+# One car with a scripted driver, which drives down its lane or along its route (m, m/s, m/s^2). It is present until it
+# has left the map, or arrived.
 CAR = np.dtype(
     (
         np.record,
@@ -85,6 +93,12 @@ CAR = np.dtype(
             ("y", _FLOAT),
             ("speed", _FLOAT),
             ("acceleration", _FLOAT),
+            ("cos_heading", _FLOAT),
+            ("sin_heading", _FLOAT),
+            # on roads of segments: as of a vehicle
+            ("route", np.int64),
+            ("route_distance", _FLOAT),
+            ("entered", np.int64),
             ("driver", DRIVER),
             ("present", np.bool_),
         ],
@@ -132,6 +146,13 @@ VEHICLE = np.dtype(
             ("n_waypoints", np.int64),
             ("crossing", np.bool_),
             ("approaching", np.bool_),
+            # on roads of segments: route and segment, how far the front is to the left of the line, and the heading
+            # from its direction (m, rad); the decision on which the front reached the stretch with right of way, or -1
+            ("route", np.int64),
+            ("segment", np.int64),
+            ("lane_offset", _FLOAT),
+            ("heading_error", _FLOAT),
+            ("entered", np.int64),
             # the episode so far
             ("decisions", np.int64),
             ("end", np.int64),
@@ -143,18 +164,23 @@ VEHICLE = np.dtype(
             # the actions on their way, that of decision t in the row t mod delay: the number of a discrete one, or the
             # controls of a continuous one; zeros idle
             ("pending", _FLOAT, (0, 3)),
-            # the oncoming cars, the first one first; only beside a vehicle that is alone
+            # the cars with scripted drivers, oncoming ones the first one first; of vehicle 0
             ("cars", CAR, (0,)),
         ],
     )
 )
 
 # One scenario, ready to be placed in a world: poses (x, y, heading), waypoints and the obstacle's two ends (m, rad),
-# the number of oncoming cars and their drivers.
+# the number of oncoming cars and their drivers. On roads of segments, of the vehicles and then the cars: routes, and
+# where along them the fronts are (m); of every entry how many wait there, and where the next front can be (m).
 SPAWN = np.dtype(
     (
         np.record,
         [
+            ("routes", _FLOAT, (MAX_VEHICLES,)),
+            ("distances", _FLOAT, (MAX_VEHICLES,)),
+            ("waiting", _FLOAT, (MAX_ROUTES,)),
+            ("room", _FLOAT, (MAX_ROUTES,)),
             ("starts", _FLOAT, (MAX_VEHICLES, 3)),
             ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
             ("obstacle", _FLOAT, (2, 2)),
@@ -202,6 +228,21 @@ def with_room(dtype: np.dtype[Any], obstacles: int, cars: int, delay: int) -> np
     return aligned(np.dtype(list(fields)))
 
 
+# A straight or an arc, from its start (m, rad). Curvature is positive to the left (1/m), ``along`` is how far along the
+# route it begins, and the half angle is half of what the arc turns by.
+SEGMENT = np.dtype(
+    (
+        np.record,
+        [
+            (name, _FLOAT)
+            for name in (
+                *("x", "y", "heading", "cos_heading", "sin_heading"),
+                *("length", "curvature", "along", "cos_half_angle", "sin_half_angle"),
+            )
+        ],
+    )
+)
+
 # The part of an environment's configuration that the kernel needs.
 PARAMS = np.dtype(
     (
@@ -231,6 +272,8 @@ PARAMS = np.dtype(
             ("objective_column", np.int64, (MAX_OBJECTIVES,)),
             ("objective_sign", _FLOAT, (MAX_OBJECTIVES,)),
             # the scenario: see scenarios.py
+            ("vehicles", np.int64),
+            ("conflict_time", _FLOAT),
             ("n_waypoints", np.int64, (MAX_VEHICLES,)),
             ("starts", _FLOAT, (MAX_VEHICLES, 3)),
             ("start_span", _FLOAT, (MAX_VEHICLES,)),
@@ -245,6 +288,25 @@ PARAMS = np.dtype(
             ("observed_cars", np.int64),
             ("mean_headway", _FLOAT),
             ("driver_draw", np.int64),
+            # the routes of segments, none where routes are waypoints: which entry each begins at, its segments, length,
+            # the stretch on which it has right of way, half the width of its lane (m), and where along every other
+            # route it joins that one (NaN if it does not)
+            ("n_routes", np.int64),
+            ("entry", np.int64, (MAX_ROUTES,)),
+            ("n_segments", np.int64, (MAX_ROUTES,)),
+            ("segments", SEGMENT, (MAX_ROUTES, MAX_SEGMENTS)),
+            ("route_length", _FLOAT, (MAX_ROUTES,)),
+            ("priority", _FLOAT, (MAX_ROUTES, 2)),
+            ("half_lane", _FLOAT, (MAX_ROUTES,)),
+            ("joins", _FLOAT, (MAX_ROUTES, MAX_ROUTES)),
+            # the entries: the first of its routes and their number, how many vehicles it has room for, the range of
+            # where each starts behind the one ahead, and where the first front is at most (m)
+            ("n_entries", np.int64),
+            ("first_route", np.int64, (MAX_ROUTES,)),
+            ("n_routes_there", np.int64, (MAX_ROUTES,)),
+            ("entry_room", np.int64, (MAX_ROUTES,)),
+            ("entry_span", _FLOAT, (MAX_ROUTES,)),
+            ("entry_length", _FLOAT, (MAX_ROUTES,)),
         ],
     )
 )

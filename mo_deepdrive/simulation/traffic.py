@@ -164,9 +164,15 @@ def place(worlds: Records, i: int, spawn: Record) -> None:
         car.y = y if present else 0.0
         car.speed = speed if present else 0.0
         car.acceleration = 0.0
+        car.cos_heading = COS
+        car.sin_heading = SIN
+        car.route = 0
+        car.route_distance = 0.0
+        car.entered = 0
         car.driver.desired_speed = driver.desired_speed
         car.driver.headway = driver.headway
         car.driver.yielding = driver.yielding
+        car.driver.accepted_gap = 0.0
         car.present = present
 
 

@@ -1,4 +1,4 @@
-"""Shared by the tests of the interfaces: recorded episodes at the intersection, and a replay function per interface.
+"""Shared by the tests of the interfaces: recorded episodes, and a replay function per interface.
 
 A replay function repeats the joint actions of :class:`RecordedEpisodes` through one interface and returns all that each
 vehicle received. All replay functions must return the same, bit for bit.
@@ -23,7 +23,6 @@ from mo_deepdrive.simulation.observation import ABSENT_DISTANCE
 from mo_deepdrive.simulation.state import STEER_RANGE
 
 ACTION_TYPES = ("discrete", "discrete-16", "continuous")
-VEHICLES = 2
 SEED = 7
 _AT = {entry.name: k for k, entry in enumerate(layout(SCENARIOS["intersection"]))}
 
@@ -67,11 +66,18 @@ class RecordedEpisodes:
         arguments: arguments of the environment, besides the scenario.
         options: reset options per episode.
         actions: joint actions per episode, (decisions, vehicles) or (decisions, vehicles, 3).
+        scenario: its name.
     """
 
     arguments: dict[str, Any]
     options: list[dict[str, Any] | None]
     actions: list[np.ndarray]
+    scenario: str = "intersection"
+
+    @property
+    def vehicles(self) -> int:
+        """How many there are."""
+        return int(self.actions[0].shape[1])
 
     def resets(self) -> list[tuple[dict[str, Any], np.ndarray]]:
         """The arguments of ``reset`` and the joint actions of every episode."""
@@ -180,23 +186,41 @@ def record(action_type: str, end_together: bool, late_v1: bool = False) -> Recor
     return RecordedEpisodes(arguments, [plan.options for plan in PLANS.values()], actions)
 
 
+@functools.cache
+def record_roundabout(vehicles: int, cars: int) -> RecordedEpisodes:
+    """Drive three episodes at the roundabout without giving way: some arrive, some collide; cached."""
+    arguments = {"vehicles": vehicles, "cars": cars, "time_limit": 30.0, "charge_remaining_time": True}
+    env = make_vector(1, arguments, "roundabout")
+    actions = []
+    for number in range(3):
+        observations, _ = env.reset(seed=SEED if number == 0 else None)
+        taken = []
+        infos: dict[str, Any] = {}
+        while "end" not in infos:
+            taken.append(np.array([pursue(observations[0, v], "discrete") for v in range(vehicles)]))
+            observations, _, _, _, infos = env.step(taken[-1][None])
+        actions.append(np.array(taken))
+    return RecordedEpisodes(arguments, [None] * 3, actions, "roundabout")
+
+
 # ----------------------------------------------------------------------------------------------------------- replays
 
 
-def make_vector(num_envs: int, arguments: dict[str, Any]) -> Any:
-    return gymnasium.make_vec("mo-deepdrive-intersection-v0", num_envs=num_envs, autoreset_mode="Disabled", **arguments)
+def make_vector(num_envs: int, arguments: dict[str, Any], scenario: str = "intersection") -> Any:
+    name = f"mo-deepdrive-{scenario}-v0"
+    return gymnasium.make_vec(name, num_envs=num_envs, autoreset_mode="Disabled", **arguments)
 
 
 def replay_vector(recording: RecordedEpisodes) -> list[EpisodeReports]:
     """The vector interface with one world."""
-    env = make_vector(1, recording.arguments)
+    env = make_vector(1, recording.arguments, recording.scenario)
     return [_replay_row(env, 0, actions, env.reset(**reset)[0]) for reset, actions in recording.resets()]
 
 
 def replay_row(recording: RecordedEpisodes) -> list[EpisodeReports]:
     """A row of the vector interface; the other rows drive at random and are reset whenever they end."""
     row, worlds = 3, 5
-    env = make_vector(worlds, recording.arguments)
+    env = make_vector(worlds, recording.arguments, recording.scenario)
     env.action_space.seed(0)
     mine = np.arange(worlds) == row
     env.reset(seed=list(range(100, 100 + worlds)))
@@ -211,12 +235,12 @@ def replay_row(recording: RecordedEpisodes) -> list[EpisodeReports]:
 def _replay_row(env: Any, row: int, actions: np.ndarray, observations: np.ndarray) -> EpisodeReports:
     """One episode of world ``row``, which has just been reset."""
     zeros = np.zeros(env.reward_dim, dtype=np.float32)
-    reports: EpisodeReports = tuple([Report(observations[row, v], zeros)] for v in range(VEHICLES))
+    reports: EpisodeReports = tuple([Report(observations[row, v], zeros)] for v in range(env.vehicles))
     for joint in actions:
         batch = env.action_space.sample()
         batch[row] = joint
         observations, rewards, terminated, truncated, infos = env.step(batch)
-        for v in range(VEHICLES):
+        for v in range(env.vehicles):
             if infos["acted"][row, v]:
                 end = env.batch.end_names(row)[v]
                 flags = bool(terminated[row, v]), bool(truncated[row, v])
@@ -230,11 +254,13 @@ def _replay_row(env: Any, row: int, actions: np.ndarray, observations: np.ndarra
 
 def replay_turn_based(recording: RecordedEpisodes) -> list[EpisodeReports]:
     """The turn-based Gymnasium interface."""
-    env = gymnasium.make("mo-deepdrive-intersection-v0", disable_env_checker=True, **recording.arguments).unwrapped
+    name = f"mo-deepdrive-{recording.scenario}-v0"
+    env = gymnasium.make(name, disable_env_checker=True, **recording.arguments).unwrapped
     episodes = []
     for reset, actions in recording.resets():
         observation, info = env.reset(**reset)
-        reports: EpisodeReports = ([Report(observation, np.zeros(env.reward_dim, dtype=np.float32))], [])
+        reports: EpisodeReports = tuple([] for _ in range(recording.vehicles))
+        reports[0].append(Report(observation, np.zeros(env.reward_dim, dtype=np.float32)))
         terminated = truncated = False
         while not (terminated or truncated):
             vehicle = info["vehicle"]
@@ -253,7 +279,7 @@ def replay_turn_based(recording: RecordedEpisodes) -> list[EpisodeReports]:
 
 def replay_parallel(recording: RecordedEpisodes) -> list[EpisodeReports]:
     """The parallel interface, which removes vehicles when they end."""
-    env = mo_deepdrive.parallel_env(**recording.arguments)
+    env = mo_deepdrive.parallel_env(scenario=recording.scenario, **recording.arguments)
     episodes = []
     for reset, actions in recording.resets():
         reports = first_reports(env, env.reset(**reset)[0])
@@ -270,7 +296,7 @@ def replay_parallel(recording: RecordedEpisodes) -> list[EpisodeReports]:
 
 def replay_kept(recording: RecordedEpisodes) -> list[EpisodeReports]:
     """The parallel interface with ``keep_finished``, which repeats the last observation, with a reward of zeros."""
-    env = mo_deepdrive.parallel_env(keep_finished=True, **recording.arguments)
+    env = mo_deepdrive.parallel_env(scenario=recording.scenario, keep_finished=True, **recording.arguments)
     episodes = []
     for reset, actions in recording.resets():
         reports = first_reports(env, env.reset(**reset)[0])
@@ -297,11 +323,11 @@ def replay_kept(recording: RecordedEpisodes) -> list[EpisodeReports]:
 
 def replay_aec(recording: RecordedEpisodes) -> list[EpisodeReports]:
     """The AEC interface."""
-    env = mo_deepdrive.env(**recording.arguments)
+    env = mo_deepdrive.env(scenario=recording.scenario, **recording.arguments)
     episodes = []
     for reset, actions in recording.resets():
         env.reset(**reset)
-        reports: EpisodeReports = tuple([] for _ in range(VEHICLES))
+        reports: EpisodeReports = tuple([] for _ in range(recording.vehicles))
         for agent in env.agent_iter():
             v = env.possible_agents.index(agent)
             observation, reward, terminated, truncated, info = env.last()

@@ -22,9 +22,9 @@ SCENARIOS = ("one_waypoint", "static_obstacle", "intersection", "left_turn")
 
 
 @pytest.fixture
-def energy(examples: None) -> ModuleType:
+def effort(examples: None) -> ModuleType:
     """The example of the documentation."""
-    return importlib.import_module("energy")
+    return importlib.import_module("effort")
 
 
 def gap(vehicles: Any, v: int, params: Any) -> float:
@@ -39,7 +39,7 @@ def row(**changes: Any) -> Objective:
 
 
 def spent(vehicle: Any, seconds: float = 0.1) -> float:
-    """The energy of the last decision, from the dtype's fields."""
+    """The effort of the last decision, from the dtype's fields."""
     distance = abs(vehicle["speed"] + vehicle["previous_speed"]) / 2 * seconds
     return float(abs(vehicle["throttle"]) * distance)
 
@@ -55,10 +55,10 @@ def actions(env: Any, steps: int, seed: int = 0) -> list[np.ndarray]:
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_a_registered_objective_is_a_column_of_the_reward_and_changes_no_other(
-    energy: ModuleType, make_vector: Callable[..., Any], scenario: str, mode: str
+    effort: ModuleType, make_vector: Callable[..., Any], scenario: str, mode: str
 ) -> None:
     options = {"autoreset_mode": mode, "time_limit": 3.0}
-    with_it = make_vector(scenario, 8, objectives=["distance", "energy", "jerk"], **options)
+    with_it = make_vector(scenario, 8, objectives=["distance", "effort", "jerk"], **options)
     without = make_vector(scenario, 8, objectives=["distance", "jerk"], **options)
     with_it.reset(seed=3)
     without.reset(seed=3)
@@ -80,8 +80,8 @@ def test_a_registered_objective_is_a_column_of_the_reward_and_changes_no_other(
     assert positive > 100
 
 
-def test_every_interface_returns_the_same_rewards(energy: ModuleType, make_single: Any, make_vector: Any) -> None:
-    names = ["energy", "distance"]
+def test_every_interface_returns_the_same_rewards(effort: ModuleType, make_single: Any, make_vector: Any) -> None:
+    names = ["effort", "distance"]
     single = make_single("static_obstacle", objectives=names)
     vector = make_vector("static_obstacle", 1, objectives=names)
     parallel = mo_deepdrive.parallel_env(scenario="static_obstacle", objectives=names)
@@ -131,13 +131,13 @@ def test_a_compiled_measure_and_a_signed_one_are_fine(registries: None, make_vec
     np.testing.assert_allclose([*env.reward_space.low, *env.reward_space.high], [-200 / 60, 200 / 60], rtol=1e-6)
 
 
-def test_the_state_is_that_of_an_environment_without_the_objective(energy: ModuleType, make_vector: Any) -> None:
+def test_the_state_is_that_of_an_environment_without_the_objective(effort: ModuleType, make_vector: Any) -> None:
     old = make_vector("static_obstacle", 3)
     old.reset(seed=2)
     drives = actions(old, 40)
     for action in drives[:10]:
         old.step(action)
-    env = make_vector("static_obstacle", 3, objectives=[*old.objectives, "energy"])
+    env = make_vector("static_obstacle", 3, objectives=[*old.objectives, "effort"])
     env.set_state(old.get_state())
     for action in drives[10:]:
         np.testing.assert_array_equal(env.step(action)[1][:, :-1], old.step(action)[1])
@@ -146,11 +146,11 @@ def test_the_state_is_that_of_an_environment_without_the_objective(energy: Modul
 # -------------------------------------------------------------------------------------------------------- registration
 
 
-def test_registering_the_same_objective_again_changes_nothing(energy: ModuleType) -> None:
+def test_registering_the_same_objective_again_changes_nothing(effort: ModuleType) -> None:
     before = list(OBJECTIVES)
-    importlib.reload(energy)
+    importlib.reload(effort)
     assert before == OBJECTIVES
-    assert OBJECTIVES[INDEX["energy"]].unit == "J/kg"
+    assert OBJECTIVES[INDEX["effort"]].unit == "J/kg"
 
 
 @pytest.mark.parametrize(
@@ -209,20 +209,20 @@ def test_a_bound_that_is_no_number_is_refused_when_the_environment_is_made(regis
         make_single("intersection", objectives=["gap"])
 
 
-def test_objectives_of_the_kernel_need_a_scenario_that_has_them(energy: ModuleType, make_single: Any) -> None:
-    message = "objectives has 'collision', which OneWaypoint does not have; .*known: destination, distance, energy"
+def test_objectives_of_the_kernel_need_a_scenario_that_has_them(effort: ModuleType, make_single: Any) -> None:
+    message = "objectives has 'collision', which OneWaypoint does not have; .*known: destination, distance, effort"
     with pytest.raises(ValueError, match=message):
-        make_single("one_waypoint", objectives=["energy", "collision"])
-    with pytest.raises(ValueError, match="objectives has 'enrgy'; did you mean 'energy'"):
-        EnvConfig(scenario="one_waypoint", objectives=("enrgy",))
+        make_single("one_waypoint", objectives=["effort", "collision"])
+    with pytest.raises(ValueError, match="objectives has 'effrot'; did you mean 'effort'"):
+        EnvConfig(scenario="one_waypoint", objectives=("effrot",))
 
 
 # ------------------------------------------------------------------------------------------------------------ measures
 
 
 def test_an_id_with_a_module_imports_it(examples: None) -> None:
-    env = gymnasium.make("energy:mo-deepdrive-one-waypoint-v0", objectives=["distance", "energy"])
-    assert env.unwrapped.objectives == ("distance", "energy")
+    env = gymnasium.make("effort:mo-deepdrive-one-waypoint-v0", objectives=["distance", "effort"])
+    assert env.unwrapped.objectives == ("distance", "effort")
 
 
 def test_a_row_may_be_copied(registries: None, make_vector: Any) -> None:

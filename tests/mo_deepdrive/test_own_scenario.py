@@ -16,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 
 import mo_deepdrive
-from mo_deepdrive import Route, Scenario, register_scenario
+from mo_deepdrive import Route, Scenario, Segment, register_scenario
 from mo_deepdrive.observation import layout
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv, make_play_env
 from mo_deepdrive.scenarios import SCENARIOS
@@ -43,6 +43,12 @@ def row(**changes: Any) -> Scenario:
         "objectives": ("distance", "jerk"),
     }
     return Scenario(**{**fields, **changes})
+
+
+def lane(**changes: Any) -> Route:
+    """A straight lane of 40 m, with room for five vehicles."""
+    fields: dict[str, Any] = {"start": (25.0, 0.0, 0.0), "segments": (Segment(40.0),)}
+    return Route(**{**fields, **changes})
 
 
 def angle(pose: Any, point: Any) -> float:
@@ -210,6 +216,27 @@ def test_people_can_drive_in_it(two_bicycles: ModuleType) -> None:
     assert env.render().shape == (720, 1056, 3)
 
 
+@pytest.mark.slow
+def test_the_ramp_of_the_documentation_joins_a_lane_with_right_of_way(examples: None, make_vector: Any) -> None:
+    importlib.import_module("merge")
+    env = make_vector("merge", 1, time_limit=60.0)
+    names = [entry.name for entry in layout(SCENARIOS["merge"])]
+    # The vehicles stand; one car comes along the lane, and one along the ramp, which lets it pass.
+    env.reset(seed=0, options={"routes": [0, 1, 0, 1], "distances": [6.0, 6.0, 30.0, 24.0], "accepted_gaps": [9, 9]})
+    joint = 35.0 + 21.0
+    first_there = None
+    while env.batch.state[0, 0].cars["present"].any():
+        observations = env.step(np.zeros((1, 2), dtype=np.int64))[0][0]
+        lane_car, ramp_car = env.batch.state[0, 0].cars
+        if first_there is None and (lane_car.route_distance > 60.0 or ramp_car.route_distance > joint):
+            first_there = "lane" if lane_car.route_distance > 60.0 else "ramp"
+    assert first_there == "lane"
+    on_lane, on_ramp = (dict(zip(names, seen, strict=True)) for seen in observations)
+    assert (on_lane["near_1_inside"], on_lane["near_1_right_of_way"]) == (0.0, 0.0)
+    assert (on_ramp["near_1_inside"], on_ramp["near_1_right_of_way"], on_ramp["near_2_present"]) == (1.0, 1.0, 0.0)
+    parallel_api_test(mo_deepdrive.parallel_env(scenario="merge", time_limit=3.0), num_cycles=40)
+
+
 # --------------------------------------------------------------------------------------------------------- other rows
 
 
@@ -285,7 +312,7 @@ def test_a_setting_without_effect_in_the_scenario_is_refused(
 
 def test_registering_the_same_scenario_again_changes_nothing(two_bicycles: ModuleType) -> None:
     importlib.reload(two_bicycles)
-    assert list(SCENARIOS) == ["one_waypoint", "static_obstacle", "intersection", "left_turn", "two_bicycles"]
+    assert list(SCENARIOS).count("two_bicycles") == 1
 
 
 def test_a_row_may_have_arrays_and_be_registered_twice(registries: None) -> None:
@@ -323,15 +350,45 @@ def test_a_span_widens_only_what_is_drawn_with_it(registries: None) -> None:
         ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), "5"),)}, "start_span = '5' of route 0 must be"),  # type: ignore[arg-type]
         ({"destination_span": (231.0, 0.0)}, "scenario 'own': route 0 with its spans leaves [-250, 250] m"),
         ({"destination_span": 3.0}, "destination_span = 3.0 must be (x, y)"),
-        ({"objectives": ("distance", "enrgy")}, "objective 'enrgy' is unknown; known: collision, destination"),
+        ({"objectives": ("distance", "spending")}, "objective 'spending' is unknown; known: collision, destination"),
         ({"objectives": ("distanc",)}, "objective 'distanc' is unknown; did you mean 'distance'?"),
         ({"objectives": ()}, "objectives = [] must be one or more distinct names"),
         ({"objectives": ("jerk", "jerk")}, "objectives = ['jerk', 'jerk'] must be one or more distinct names"),
         ({"obstacles": True}, "obstacles = True must be a number of bicycles"),
         ({"obstacles": -1}, "obstacles = -1 must be a number of bicycles"),
         ({"obstacles": 1, "routes": LANE, "lanes": True}, "obstacles = 1 must be 0 where there are two vehicles"),
-        ({"cars": True}, "cars = True must be a number of oncoming cars: 0, 1, ... or 100"),
-        ({"cars": 101, "lanes": True}, "cars = 101 must be a number of oncoming cars: 0, 1, ... or 100"),
+        ({"obstacles": 1, "routes": (lane(),)}, "or roads of segments"),
+        ({"lanes": True, "routes": (lane(),)}, "lanes and destination_span have no effect on roads of segments"),
+        ({"routes": (lane(end=(25.0, 41.0, 0.0)),)}, "1.00 m and 0.000 rad from end = (25.0, 41.0, 0.0)"),
+        (
+            {"routes": (lane(end=(25.0, 40.0, 0.5)),)},
+            "and 0.500 rad from end = (25.0, 40.0, 0.5); they must join",
+        ),
+        (
+            {"routes": (lane(), lane(segments=()))},
+            "route 1 has 0 entries; an entry needs 1 to 8 to its exit",
+        ),
+        ({"routes": (lane(), *row().routes)}, "route 1 has waypoints; where routes have segments, none may"),
+        ({"routes": (lane(segments=(Segment(40.0, 0.4),)),)}, "must have a radius above the width of the lane"),
+        ({"routes": (lane(segments=(Segment(-1.0),)),)}, "segment 0 of route 0"),
+        ({"routes": (lane(segments=(Segment(300.0),)),)}, "route 0 leaves [-250, 250] m"),
+        (
+            {"routes": (lane(start_span=36.0),)},
+            "start_span = 36.0 of route 0 must be at least 0 and leave 5.18 m",
+        ),
+        ({"routes": (lane(priority=(9.0, 3.0)),)}, "priority = (9.0, 3.0) of route 0 must be (from, to) in m"),
+        ({"routes": (lane(lane_width=2.0),)}, "lane_width = 2.0 of route 0 must be more than a car's 2.30 m"),
+        (
+            {"routes": (lane(), lane(start_span=1.0))},
+            "route 1 must have the first segment and the start_span of",
+        ),
+        ({"routes": (lane(),), "number": 7}, "vehicles = 7 are more than Own holds: 5 together"),
+        (
+            {"routes": (lane(),), "number": 3, "cars": 3},
+            "vehicles = 3 and cars = 3 are more than Own holds: 5 together",
+        ),
+        ({"cars": True}, "cars = True must be a number of cars: 0, 1, ... or 100"),
+        ({"cars": 101, "lanes": True}, "cars = 101 must be a number of cars: 0, 1, ... or 100"),
         ({"cars": 2}, "cars = 2 must be 0 where there are two vehicles or no lanes"),
         ({"cars": 2, "routes": LANE, "lanes": True}, "cars = 2 must be 0 where there are two vehicles or no lanes"),
         ({"reference": {"jerk": math.inf}}, "reference = {'jerk': inf} must have a finite number per objective"),

@@ -15,12 +15,13 @@ import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive import rendering
 from mo_deepdrive.batch import Draws, WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
-from mo_deepdrive.drawing import TRAFFIC_PAINT
+from mo_deepdrive.drawing import ASPHALT, TRAFFIC_PAINT
 from mo_deepdrive.rendering import EpisodeTrace, Panel, Viewer
 from mo_deepdrive.simulation.map import MAP_SIZE
-from mo_deepdrive.simulation.state import LENGTH
+from mo_deepdrive.simulation.state import ENDS, LENGTH
 
 SCENARIOS = ("one_waypoint", "static_obstacle", "intersection", "left_turn")
+DRAWN = (*SCENARIOS, "roundabout", "roundabout_solo")
 SINGLE_IDS = ("mo-deepdrive-one-waypoint-v0", "mo-deepdrive-static-obstacle-v0", "mo-deepdrive-left-turn-v0")
 INTERSECTION_ID = "mo-deepdrive-intersection-v0"
 MAP_PIXELS = 720
@@ -64,7 +65,7 @@ def ahead_of(vehicle: Any, ahead: float, right: float = 0.0) -> tuple[float, flo
     return vehicle.x - sin * ahead + cos * right, vehicle.y + cos * ahead + sin * right
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize("scenario", DRAWN)
 def test_a_frame_is_a_new_writable_rgb_array_in_a_size_for_video_encoders(scenario: str) -> None:
     batch, viewer = start(scenario)
     first, second = viewer.draw(batch.state[0]), viewer.draw(batch.state[0])
@@ -77,7 +78,7 @@ def test_a_frame_is_a_new_writable_rgb_array_in_a_size_for_video_encoders(scenar
     assert second.any()
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize("scenario", DRAWN)
 def test_the_same_state_gives_the_same_frame(scenario: str) -> None:
     batch, viewer = start(scenario)
     viewer.draw(batch.state[0])
@@ -85,6 +86,22 @@ def test_the_same_state_gives_the_same_frame(scenario: str) -> None:
         drive(batch)
         first = viewer.draw(batch.state[0])
         assert np.array_equal(first, viewer.draw(batch.state[0]))
+
+
+def test_many_vehicles_are_drawn_on_their_lanes_until_they_have_left() -> None:
+    config = parse(EnvConfig, {"scenario": "roundabout", "vehicles": 16}, "settings")
+    batch, viewer = WorldBatch(config, 1), Viewer(config, "rgb_array")
+    place(batch, 0.5)
+    reach = rendering.reach_of(batch.state[0], config.row.routes)
+    scale, low = MAP_SIZE / (2 * reach), MAP_SIZE / 2 - reach
+    shown = [viewer.draw(batch.state[0])]
+    batch.state["end"] = ENDS.index("collision")
+    shown.append(viewer.draw(batch.state[0]))
+    for vehicle, paint in zip(batch.state[0], rendering.VEHICLE_COLOURS, strict=True):
+        x, y = ahead_of(vehicle, 1.7)  # the bonnet
+        before, after = (colour_at(frame, (x - low) * scale, (y - low) * scale) for frame in shown)
+        assert resembles(before, paint)
+        assert resembles(after, ASPHALT, 30)
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)

@@ -129,7 +129,12 @@ OWN: dict[str, tuple[tuple[str, ...], Callable[..., float]]] = {
 }
 NAMED = {**PAPER, **OWN}
 # Where a utility is not smooth, or steeper than finite differences can follow.
-KINKS = {"distance": (0.0, 2.0), "g_force": (4.0, 5.0, 7.0, 13.0), "jerk": (30.0, 40.0, 60.0, 110.0, 185.0)}
+KINKS = {
+    "distance": (0.0, 2.0),
+    "g_force": (4.0, 5.0, 7.0, 13.0),
+    "jerk": (30.0, 40.0, 60.0, 110.0, 185.0),
+    "time": (12.0,),
+}
 
 # Computed by hand: utility, magnitudes in the order of its objectives above, value.
 BY_HAND = [
@@ -254,12 +259,13 @@ def test_batches_of_any_leading_shape_are_evaluated_row_by_row(utility: Utility,
 
 def central_differences(utility: Utility, point: np.ndarray) -> np.ndarray:
     gradient = np.zeros_like(point)
+    point = point.astype(np.longdouble)  # where one term is huge, the differences of the others lose their digits
     for i in range(len(point)):
         h = 1e-5 * max(1.0, abs(point[i]))
         up, down = point.copy(), point.copy()
         up[i] += h
         down[i] -= h
-        gradient[i] = (float(utility(up)) - float(utility(down))) / (2 * h)
+        gradient[i] = float((utility(up) - utility(down)) / (2 * h))
     return gradient
 
 

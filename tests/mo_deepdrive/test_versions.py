@@ -39,7 +39,7 @@ def drive(env: Any, action: Any, **options: Any) -> tuple[np.ndarray, str, int]:
     return total, info["end"], decisions
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize("scenario", [name for name, scenario in SCENARIOS.items() if len(scenario.ids) > 1])
 def test_version_1_has_time_as_its_last_objective_in_every_interface(scenario: str) -> None:
     env_id = list(SCENARIOS[scenario].ids)[1]
     for env in (

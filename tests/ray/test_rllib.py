@@ -43,6 +43,8 @@ CONFIGS: list[dict[str, Any]] = [
     {"action_type": "continuous", "cost_sign": "paper"},
     {"scenario": "one_waypoint", "utility": "one_waypoint_nonlinear"},
     {"scenario": "static_obstacle", "action_type": "discrete-16"},
+    {"scenario": "roundabout", "vehicles": 5},
+    {"scenario": "roundabout_solo", "utility": "roundabout_linear"},
 ]
 
 

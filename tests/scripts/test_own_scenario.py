@@ -29,7 +29,7 @@ SHORT = [
 @pytest.fixture
 def folder(examples: None, tmp_path: Path) -> Path:
     """A user's directory with the example."""
-    for name in ("energy.py", "two_bicycles.py", "two_bicycles.yaml"):
+    for name in ("effort.py", "two_bicycles.py", "two_bicycles.yaml"):
         shutil.copy(REPOSITORY / "docs" / "examples" / name, tmp_path)
     return tmp_path
 
@@ -37,27 +37,27 @@ def folder(examples: None, tmp_path: Path) -> Path:
 def test_a_run_is_trained_evaluated_and_drawn(folder: Path, call: Call) -> None:
     code, out, error = call("train", "--config", "two_bicycles.yaml", "--output", "run", *SHORT)
     assert code == 0, error
-    assert "return/energy" in out
+    assert "return/effort" in out
     assert status(folder / "run")["state"] == "finished"
     columns = read_metrics(folder / "run" / "metrics.csv")
-    assert np.nanmin(columns["train/return/energy"]) < 0.0
+    assert np.nanmin(columns["train/return/effort"]) < 0.0
     assert (folder / "run" / "video.mp4").stat().st_size > 0
     refused(call("evaluate", "run"), "environment.id = 'two_bicycles:mo-deepdrive-two-bicycles-v0'", "--trust")
     code, out, error = call("evaluate", "run", "--trust", "--episodes", "2")
     assert code == 0, error
-    assert "return/energy" in out
+    assert "return/effort" in out
     assert call("plot", "run", "--output", "curves.png")[0] == 0
     assert (folder / "curves.png").stat().st_size > 0
 
 
 def test_pcn_finds_a_front_in_it(folder: Path, call: Call) -> None:
     (folder / "front.yaml").write_text(
-        "environment: {id: 'two_bicycles:mo-deepdrive-two-bicycles-v0', arguments: {objectives: [distance, energy]}}\n"
+        "environment: {id: 'two_bicycles:mo-deepdrive-two-bicycles-v0', arguments: {objectives: [distance, effort]}}\n"
         "algorithm: {name: pcn, gradient_steps: 5, warmup_episodes: 16}\n"
     )
     code, out, error = call("train", "--config", "front.yaml", "--output", "run", *SHORT)
     assert code == 0, error
-    assert "energy" in out
+    assert "effort" in out
     assert "hypervolume" in out
     assert all((folder / "run" / name).stat().st_size > 0 for name in PICTURES)
 

@@ -138,7 +138,7 @@ def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
             ["'no_such_module' cannot be imported: ModuleNotFoundError", "looked for in '"],
         ),
         ("--environment.id=commute-v0", ["is not registered; for one of your own write 'module:commute-v0'"]),
-        ("--environment.arguments.objectives=[energy]", ["objectives has 'energy'", "an id of the form 'module:ID'"]),
+        ("--environment.arguments.objectives=[effort]", ["objectives has 'effort'", "an id of the form 'module:ID'"]),
         ("--algorithm.name=mo_a2d", ["mo_a2d", "did you mean 'mo_a2c'"]),
         ("--algorithm.name=[1]", ["algorithm.name", "known: a2c, conditioned_mo_ppo, mappo, mo_a2c"]),
         ("--algorithm.gamma=2", ["'gamma' = 2", "less than or equal to 1"]),

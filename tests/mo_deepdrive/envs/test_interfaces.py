@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from mo_deepdrive.scenarios import SCENARIOS
-from tests.helpers.interfaces import ACTION_TYPES, INTERFACES, PLANS, assert_same, record, replay_vector
+from tests.helpers.interfaces import (
+    ACTION_TYPES,
+    INTERFACES,
+    PLANS,
+    assert_same,
+    record,
+    record_roundabout,
+    replay_vector,
+)
 
 
 @pytest.mark.slow
@@ -36,6 +44,17 @@ def test_every_interface_gives_the_trajectories_of_the_vector_interface(
 ) -> None:
     recording = record(action_type, end_together)
     assert_same(INTERFACES[interface](recording), replay_vector(recording))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("vehicles", "cars"), [(4, 0), (16, 0), (3, 2)])
+def test_every_interface_gives_the_same_trajectories_of_many_vehicles(vehicles: int, cars: int) -> None:
+    recording = record_roundabout(vehicles, cars)
+    episodes = replay_vector(recording)
+    for interface in INTERFACES.values():
+        assert_same(interface(recording), episodes)
+    ends = {reports[-1].end for episode in episodes for reports in episode}
+    assert ends >= {"arrived", "collision"}
 
 
 @pytest.mark.slow

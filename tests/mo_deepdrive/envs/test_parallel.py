@@ -22,10 +22,16 @@ import mo_deepdrive
 from tests.helpers.interfaces import ACTION_TYPES, PLANS, record
 
 AGENTS = ["vehicle_0", "vehicle_1"]
-EVERY = [
+EVERY: list[dict[str, Any]] = [
     {"action_type": action_type, "end_together": end_together}
     for action_type in ACTION_TYPES
     for end_together in (False, True)
+]
+CONFORMING = [
+    *EVERY,
+    {"scenario": "roundabout", "vehicles": 16},
+    {"scenario": "roundabout", "vehicles": 3, "cars": 2},
+    {"scenario": "roundabout_solo"},
 ]
 
 
@@ -66,7 +72,7 @@ def assert_same_steps(env: Any, other: Any) -> None:
 
 
 @pytest.mark.parametrize("keep_finished", [False, True])
-@pytest.mark.parametrize("arguments", EVERY, ids=name_of)
+@pytest.mark.parametrize("arguments", CONFORMING, ids=name_of)
 def test_pettingzoos_tests_of_parallel_environments_pass(arguments: dict[str, Any], keep_finished: bool) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -77,7 +83,7 @@ def test_pettingzoos_tests_of_parallel_environments_pass(arguments: dict[str, An
 
 @pytest.mark.slow
 @pytest.mark.parametrize("keep_finished", [False, True])
-@pytest.mark.parametrize("arguments", EVERY, ids=name_of)
+@pytest.mark.parametrize("arguments", CONFORMING, ids=name_of)
 def test_momalands_tests_of_aec_environments_pass(arguments: dict[str, Any], keep_finished: bool) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -21,19 +21,35 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mo_deepdrive.scenarios import VERSIONS
+
 OPEN = ("one_waypoint", "static_obstacle")
-SCENARIOS = (*OPEN, "intersection", "left_turn")
+SCENARIOS = (*OPEN, "intersection", "left_turn", "roundabout_solo")
 IDS = {scenario: f"mo-deepdrive-{scenario.replace('_', '-')}-v0" for scenario in SCENARIOS}
 ACTION_TYPES = ("discrete", "discrete-16", "continuous")
+ROUNDABOUT = (
+    *("distance", "destination", "time", "g_force", "jerk"),
+    *("lane_violation", "collision", "near_miss", "right_of_way", "energy"),
+)
 OBJECTIVES = {
     "one_waypoint": ("distance", "destination", "g_force", "jerk"),
     "static_obstacle": ("distance", "destination", "g_force", "collision", "jerk"),
     "intersection": ("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
     "left_turn": ("distance", "destination", "g_force", "collision", "jerk", "lane_violation", "time"),
+    "roundabout": ROUNDABOUT,
+    "roundabout_solo": ROUNDABOUT,
 }
-SIZES = {"one_waypoint": 15, "static_obstacle": 19, "intersection": 29, "left_turn": 19}
+SIZES = {
+    "one_waypoint": 15,
+    "static_obstacle": 19,
+    "intersection": 29,
+    "left_turn": 19,
+    "roundabout": 63,
+    "roundabout_solo": 63,
+}
 FIRST_INFO: dict[str, dict[str, Any]] = {scenario: {} for scenario in SCENARIOS} | {"intersection": {"vehicle": 0}}
 EVERY = [(scenario, action_type) for scenario in IDS for action_type in ACTION_TYPES]
+CHECKED = [*EVERY, ("roundabout", "discrete")]
 
 Env = Any
 Make = Callable[..., Any]
@@ -80,7 +96,7 @@ def assert_equal(first: Any, second: Any) -> None:
 # ------------------------------------------------------------------------------------------------------ conformance
 
 
-@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+@pytest.mark.parametrize(("scenario", "action_type"), CHECKED)
 def test_gymnasiums_checker_warns_of_the_vector_reward_alone(
     make_single: Make, scenario: str, action_type: str
 ) -> None:
@@ -92,7 +108,7 @@ def test_gymnasiums_checker_warns_of_the_vector_reward_alone(
     assert [message for message in messages if "The reward returned by `step()` must be a float" not in message] == []
 
 
-@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+@pytest.mark.parametrize(("scenario", "action_type"), CHECKED)
 def test_spaces_are_those_of_the_documentation(make_single: Make, scenario: str, action_type: str) -> None:
     env = make_single(scenario, action_type=action_type)
     assert env.observation_space.shape == (SIZES[scenario],)
@@ -111,7 +127,7 @@ def test_spaces_are_those_of_the_documentation(make_single: Make, scenario: str,
 def test_the_spec_names_the_scenario_and_nothing_else_by_default() -> None:
     for scenario, name in IDS.items():
         spec = gymnasium.spec(name)
-        assert spec.kwargs == {"scenario": scenario}
+        assert spec.kwargs == {"scenario": scenario, **VERSIONS[scenario]["v0"]}
         assert spec.max_episode_steps is None
         assert not spec.nondeterministic
 
@@ -246,6 +262,8 @@ def test_observations_and_rewards_never_leave_their_spaces(make_single: Make, sc
         options: dict[str, Any] = {}
         if pins is not None and scenario == "intersection":
             options = {"starts": ((*pins[0], pins[1]), (*pins[2], -pins[1]))}
+        elif scenario == "roundabout_solo":
+            options = {"routes": [seed % 12], "distances": [10.0]}
         elif pins is not None:
             options = {"start": (*pins[0], pins[1]), "destination": pins[2]}
         observation, _ = env.reset(seed=seed, options=options)

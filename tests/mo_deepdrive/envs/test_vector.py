@@ -17,8 +17,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 OPEN = ("one_waypoint", "static_obstacle")
-ALONE = (*OPEN, "left_turn")
-SCENARIOS = (*ALONE, "intersection")
+ALONE = (*OPEN, "left_turn", "roundabout_solo")
+SCENARIOS = (*ALONE, "intersection", "roundabout")
 ACTION_TYPES = ("discrete", "discrete-16", "continuous")
 ALONE_EVERY = [(scenario, action_type) for scenario in ALONE for action_type in ACTION_TYPES]
 EVERY = [(scenario, action_type) for scenario in SCENARIOS for action_type in ACTION_TYPES]

@@ -187,7 +187,7 @@ def simulate(env: Any, before: Any) -> np.ndarray:
         after = [list(row) for row in rows]
         for k, (y, v, _) in enumerate(rows):
             if present[k]:
-                v0, headway, most = before.cars[k]["driver"].tolist()
+                v0, headway, most, _ = before.cars[k]["driver"].tolist()
                 led = k > 0 and present[k - 1]
                 change = (
                     idm(v, v0, headway, y - rows[k - 1][0] - LENGTH, v - rows[k - 1][1]) if led else 1 - (v / v0) ** 4

@@ -1,4 +1,4 @@
-"""An objective of one's own: the energy that the engine spends."""
+"""An objective of one's own: the effort of the engine."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.config import EnvConfig
 
 
-def energy(vehicles: Any, v: int, params: Any) -> float:
+def effort(vehicles: Any, v: int, params: Any) -> float:
     """Work per mass in the last decision (J/kg): acceleration by the engine times distance."""
     vehicle = vehicles[v]
     seconds = params.dt * params.physics_steps
@@ -19,7 +19,7 @@ def energy(vehicles: Any, v: int, params: Any) -> float:
     return float(abs(vehicle.throttle) * distance)
 
 
-def largest_energy(config: EnvConfig) -> float:
+def largest_effort(config: EnvConfig) -> float:
     """The largest magnitude of one decision."""
     limit = limits(config)
     return limit["throttle"] * limit["m/s"] / config.decision_frequency
@@ -27,13 +27,13 @@ def largest_energy(config: EnvConfig) -> float:
 
 register_objective(
     Objective(
-        name="energy",
+        name="effort",
         unit="J/kg",
         sign=-1,
         scale=20.0,
         description="work of the engine per mass in the decision",
-        bound=largest_energy,
-        measure=energy,
+        bound=largest_effort,
+        measure=effort,
         reference=-50.0,
     )
 )
