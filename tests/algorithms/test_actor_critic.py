@@ -341,7 +341,7 @@ def test_the_value_after_truncation_uses_the_final_observations_of_both_vehicles
 
 def test_a_vehicle_that_ends_alone_keeps_the_other_vehicles_observation_of_that_step() -> None:
     # A limit on the g-force that random driving soon exceeds.
-    agent = make_agent(MOPPO, INTERSECTION, num_envs=16, steps=64, env={"harmful_g_force": 0.3})
+    agent = make_agent(MOPPO, INTERSECTION, num_envs=16, steps=200, env={"harmful_g_force": 0.3})
     exaggerate(agent)
     adapter, seen = agent.env, []
     inner = adapter.step

@@ -200,7 +200,7 @@ def shares_rows(rows: int) -> bool:
     return threads() > 1 and rows > BLOCK
 
 
-class KeptPass:
+class KeptPasses:
     """Memory for a pass over the rows of a rollout, which learning from it need not repeat.
 
     Args:
@@ -248,7 +248,7 @@ class Perceptron(nn.Sequential):
         self.weights = [layer.weight for layer in linear]
         self.biases = [layer.bias for layer in linear]
         self._spare: list[_Space] = []  # that no pass needs
-        self._kept: KeptPass | None = None
+        self._kept: KeptPasses | None = None
         self._memory: tuple[tuple[int, ...], Arrays, Arrays] = ((), (), ())
         self._gradients: tuple[list[torch.Tensor | None], Arrays, Arrays] = ([], (), ())
 
@@ -264,11 +264,11 @@ class Perceptron(nn.Sequential):
         """Whether the compiled passes take ``inputs``."""
         return self.can_be_compiled and serves(inputs) and not (inputs.requires_grad and torch.is_grad_enabled())
 
-    def keep_passes(self, rows: int) -> KeptPass:
+    def keep_passes(self, rows: int) -> KeptPasses:
         """Memory in which whoever acts keeps a pass over ``rows`` rows; a later one over the same takes its results."""
         weights, biases = self.parameter_arrays()
         if self._kept is None or len(self._kept.rows) != rows:
-            self._kept = KeptPass(rows, weights)
+            self._kept = KeptPasses(rows, weights)
         self._kept.begin(weights + biases)
         return self._kept
 
