@@ -378,7 +378,8 @@ def test_ids_of_environments_exist(document: str) -> None:
 
     import mo_deepdrive  # noqa: F401  (registers them)
 
-    importlib.import_module("two_bicycles")
+    for module in ("two_bicycles", "merge"):
+        importlib.import_module(module)
 
     text = (REPOSITORY / document).read_text(encoding="utf-8")
     for name in set(re.findall(r"mo-deepdrive-[a-z-]+-v\d+", text)):
