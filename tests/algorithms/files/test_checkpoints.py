@@ -20,7 +20,7 @@ from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PCN, PPO, ConditionedMOP
 from algorithms.files.checkpoints import write_checkpoint
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.faults import NotFinite
-from mo_deepdrive.simulation.state import VEHICLE
+from mo_deepdrive.simulation.state import VEHICLE, with_room
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, SEA, make_agent, same
 
 ONE_LINE = r"^[^\n]+$"
@@ -267,7 +267,7 @@ def worlds(tensors: dict[str, torch.Tensor], **fields: Any) -> dict[str, torch.T
     """``tensors`` with other values in fields of the first world."""
     state = tensors["collector.worlds.state"].numpy().copy()
     for name, value in fields.items():
-        state.view(VEHICLE)[name][0] = value
+        state.view(with_room(VEHICLE, 0, 0, 0))[name][0] = value
     return {"collector.worlds.state": torch.from_numpy(state)}
 
 
