@@ -66,7 +66,7 @@ CONDITIONED = "conditioned_mo_ppo"
 FRONTS: dict[str, Callable[[], Experiment]] = {
     "pcn": lambda: FRONT({"time_limit": 3, "fixed_destination": True}),
     "pcn, continuous": lambda: FRONT({"time_limit": 3, "fixed_destination": True, "action_type": "continuous"}),
-    CONDITIONED: lambda: ONE(CONDITIONED, arguments={"time_limit": 3}, learning_rate=1e-2, max_policies=20),
+    CONDITIONED: lambda: ONE(CONDITIONED, arguments={"time_limit": 3}, learning_rate=2e-2, max_policies=20),
 }
 EVERY_ACTOR_CRITIC = pytest.mark.parametrize("kind", ACTOR_CRITICS)
 EVERY_FRONT = pytest.mark.parametrize("kind", FRONTS)
