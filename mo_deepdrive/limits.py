@@ -23,6 +23,7 @@ from mo_deepdrive.simulation.state import (
     MAX_ACCELERATION,
     NEVER,
     RUNNING,
+    STANDSTILL_GAP,
     STEER_RANGE,
     TOP_SPEED,
 )
@@ -30,7 +31,6 @@ from mo_deepdrive.simulation.traffic import (
     DESIRED_SPEEDS,
     HEADWAYS,
     MAX_BRAKING,
-    STANDSTILL_GAP,
     YIELDINGS,
 )
 

@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mo_deepdrive.plain_values import finite_numbers, is_finite
-from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, MAX_ROUTES, MAX_SEGMENTS, MAX_WAYPOINTS, WIDTH
-from mo_deepdrive.simulation.traffic import STANDSTILL_GAP
+from mo_deepdrive.simulation.state import (
+    LANE_WIDTH,
+    LENGTH,
+    MAX_ROUTES,
+    MAX_SEGMENTS,
+    MAX_WAYPOINTS,
+    STANDSTILL_GAP,
+    WIDTH,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -33,8 +33,7 @@ from mo_deepdrive.routes import (
     waypoints_problem,
 )
 from mo_deepdrive.simulation.map import HALF_LANE, MAP_CENTRE, MAP_ORIGIN, MAP_UNIT
-from mo_deepdrive.simulation.near_miss import CONFLICT_TIME
-from mo_deepdrive.simulation.state import LANE_WIDTH, MAX_VEHICLES
+from mo_deepdrive.simulation.state import CONFLICT_TIME, LANE_WIDTH, MAX_VEHICLES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,10 +8,6 @@ from mo_deepdrive.simulation.geometry import RADIUS, time_to_collision
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.state import KERNEL_NAMES, RUNNING, Record, Records
 
-# Below this time to collision encounters in towns are conflicts: the threshold of A. R. A. van der Horst and J.
-# Hogema, "Time-to-collision and collision avoidance systems", ICTCT workshop, 1993, and the default of the Surrogate
-# Safety Assessment Model (D. Gettman et al., FHWA-HRT-08-051, 2008).
-CONFLICT_TIME = 1.5  # s
 MARGIN = 0.01  # m, for rounding
 CRASH = KERNEL_NAMES.index("collision")
 

@@ -10,8 +10,16 @@ import numpy as np
 from mo_deepdrive.simulation import geometry, progress, road_traffic, roads, traffic
 from mo_deepdrive.simulation.jit import jit, separate_jit
 from mo_deepdrive.simulation.map import HALF_LANE, MAP_UNIT
-from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LENGTH, MAX_WAYPOINTS, NEVER, RUNNING, Record, Records
-from mo_deepdrive.simulation.traffic import STANDSTILL_GAP
+from mo_deepdrive.simulation.state import (
+    ARRIVAL_RADIUS,
+    LENGTH,
+    MAX_WAYPOINTS,
+    NEVER,
+    RUNNING,
+    STANDSTILL_GAP,
+    Record,
+    Records,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

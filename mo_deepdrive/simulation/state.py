@@ -42,6 +42,11 @@ YAW_FRICTION = 0.95
 SPEED_FRICTION = 0.999
 BRAKE_FRICTION = 0.96
 LANE_WIDTH = 3.048
+# Below this time to collision encounters in towns are conflicts: the threshold of A. R. A. van der Horst and J.
+# Hogema, "Time-to-collision and collision avoidance systems", ICTCT workshop, 1993, and the default of the Surrogate
+# Safety Assessment Model (D. Gettman et al., FHWA-HRT-08-051, 2008).
+CONFLICT_TIME = 1.5  # s
+STANDSTILL_GAP = 2.0  # m, S0 of the Intelligent Driver Model (traffic.py)
 ARRIVAL_RADIUS = 1.0
 BACKWARDS_LIMIT = 2.0
 LANE_TOLERANCE = 0.25

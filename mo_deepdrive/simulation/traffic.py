@@ -23,7 +23,16 @@ from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH, boxes_over
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.lanes import in_lanes
 from mo_deepdrive.simulation.map import HALF_LANE, MAP_CENTRE, MAP_SIZE
-from mo_deepdrive.simulation.state import GRAVITY, LANE_WIDTH, LENGTH, MAX_ACCELERATION, RUNNING, Record, Records
+from mo_deepdrive.simulation.state import (
+    GRAVITY,
+    LANE_WIDTH,
+    LENGTH,
+    MAX_ACCELERATION,
+    RUNNING,
+    STANDSTILL_GAP,
+    Record,
+    Records,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,7 +40,6 @@ if TYPE_CHECKING:
 # Of the model, for a city (M. Treiber, A. Kesting, "Traffic Flow Dynamics", Springer 2013, table 11.2).
 ACCELERATION = 1.0  # m/s^2, A
 COMFORTABLE_BRAKING = 1.5  # m/s^2, B
-STANDSTILL_GAP = 2.0  # m, S0
 TIME_GAP = 1.0  # s, T; that of a driver whose headway is shorter is the headway
 # The g-force above which the episode of a vehicle ends as harmful, by default.
 MAX_BRAKING = GRAVITY

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from statistics import median
 from typing import Any
 
 import pytest
@@ -20,7 +21,12 @@ CHEAP_PPO: dict[str, Any] = {"epochs": 2, "minibatches": 2}
 def test_expected_utility_learns_the_optimum_of_esr_in_short_rollouts(delay: int, total: int, seed: int) -> None:
     settings: dict[str, Any] = {"advantage": "expected_utility", "utility_scale": 1.0, "gae_lambda": 0.95}
     assert probability_of_risky(MOPPO, delay, seed, total, **CHEAP_PPO, **settings) < 0.1
-    assert probability_of_risky(MOA2C, delay, seed, 2 * total, steps=8, **settings) < 0.2
+
+
+@pytest.mark.parametrize(("delay", "total"), [(0, 40_000), (20, 100_000), (80, 200_000)])
+def test_expected_utility_of_mo_a2c_learns_the_optimum_of_esr_with_most_seeds(delay: int, total: int) -> None:
+    settings: dict[str, Any] = {"advantage": "expected_utility", "utility_scale": 1.0, "gae_lambda": 0.95, "steps": 8}
+    assert median(probability_of_risky(MOA2C, delay, seed, total, **settings) for seed in range(5)) < 0.2
 
 
 def test_expected_utility_learns_the_optimum_of_esr_with_increases_that_are_discounted() -> None:

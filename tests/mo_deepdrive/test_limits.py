@@ -101,7 +101,7 @@ def test_a_running_vehicle_without_waypoints_is_refused_and_one_that_was_never_p
     assert message == "state has n_waypoints = 0 for vehicle 1 of world 1; it must be between 1 and 1"
     env.set_state(fresh)
     assert (env.batch.state["n_waypoints"] == 0).all()
-    assert (fresh["state"].view(VEHICLE)["next_waypoint"] < MAX_WAYPOINTS).all()
+    assert (fresh["state"].view(env.batch.state.dtype)["next_waypoint"] < MAX_WAYPOINTS).all()
 
 
 EXTREMES: dict[str, dict[str, Any]] = {

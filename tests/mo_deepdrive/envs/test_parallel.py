@@ -312,7 +312,7 @@ def test_an_unknown_reset_option_is_ignored_with_a_warning_that_names_the_neares
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scenario": "roundabout"}, "scenario"),
+        ({"scenario": "crossroads"}, "scenario"),
         ({"keep_finished": 1}, "keep_finished = 1 must be True or False"),
         ({"render_mode": "ascii"}, "render_mode = 'ascii'"),
         ({"scenario": "one_waypoint", "end_together": True}, "no effect in OneWaypoint"),

@@ -515,7 +515,7 @@ def test_every_invalid_argument_is_named(make_single: Make) -> None:
 def test_the_single_environment_refuses_two_vehicles_and_names_the_alternatives() -> None:
     from mo_deepdrive.envs.single import DrivingEnv
 
-    with pytest.raises(ValueError, match=r"'intersection'.*two.*gymnasium\.make\(.*make_vec.*parallel_env"):
+    with pytest.raises(ValueError, match=r"'intersection' has 2 vehicles.*gymnasium\.make\(.*make_vec.*parallel_env"):
         DrivingEnv(scenario="intersection")
     with pytest.raises(ValueError, match="scenario"):
         DrivingEnv(scenario="roundabout")

@@ -296,9 +296,9 @@ def raw_flags(*values: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "array", "message"),
     [
-        ("state", np.zeros((2, 424)), "float64 of shape (2, 424); this environment needs uint8 of shape (2, 424)"),
-        ("state", np.zeros(0, dtype=np.uint8), "uint8 of shape (0,); this environment needs uint8 of shape (2, 424)"),
-        ("state", [[0] * 424] * 2, "'list'; this environment needs uint8 of shape (2, 424)"),
+        ("state", np.zeros((2, 464)), "float64 of shape (2, 464); this environment needs uint8 of shape (2, 464)"),
+        ("state", np.zeros(0, dtype=np.uint8), "uint8 of shape (0,); this environment needs uint8 of shape (2, 464)"),
+        ("state", [[0] * 464] * 2, "'list'; this environment needs uint8 of shape (2, 464)"),
         ("over", np.zeros(2, dtype=np.int64), "int64 of shape (2,); this environment needs bool of shape (2,)"),
         ("over", raw_flags(0, 7), "has 7; it must be 0 or 1"),
         ("begun", raw_flags(255), "has 255; it must be 0 or 1"),
