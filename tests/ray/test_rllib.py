@@ -189,7 +189,7 @@ def test_reset_passes_on_seed_and_options() -> None:
     [
         ({"utlity": "intersection_linear"}, "'utlity'.* did you mean 'utility'"),
         ({"keep_finished": True}, "unknown key 'keep_finished'"),
-        ({"scenario": "roundabout"}, "'scenario' = 'roundabout'"),
+        ({"scenario": "crossroads"}, "'scenario' = 'crossroads'"),
         ({"time_limit": "long"}, "'time_limit' = 'long'"),
         ({"render_mode": "ascii"}, "render_mode = 'ascii'"),
         ({"utility": "intersection_linaer"}, "'intersection_linaer' is unknown; did you mean 'intersection_linear'"),
