@@ -53,7 +53,7 @@ def mean(values: torch.Tensor, weights: torch.Tensor | None = None) -> torch.Ten
 
 
 def squared_error(outputs: torch.Tensor, targets: torch.Tensor, weights: torch.Tensor | None = None) -> torch.Tensor:
-    """The weighted mean over the rows of (y - v)^2, itself a mean over the columns, of outputs v and targets y (M, K)."""
+    """The weighted mean over the rows of the mean (y - v)^2 of outputs v and targets y, both (M, K)."""
     return mean((outputs - targets).square().mean(-1), weights)
 
 
