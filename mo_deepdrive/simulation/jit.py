@@ -34,30 +34,32 @@ _hash_once = functools.cache(source_hash)
 HERE = Path(__file__).parent
 
 
+def _held(function: Any) -> list[Any]:
+    """What a function has from the function that made it."""
+    return [cell.cell_contents for cell in function.__closure__ or ()]
+
+
 @functools.cache
 def _folders(function: Any) -> frozenset[Path]:
     """Where the sources of a function are, and of the compiled functions that it calls."""
     named = (function.__globals__.get(name) for name in function.__code__.co_names)
-    held = (cell.cell_contents for cell in function.__closure__ or ())
-    called = (each.py_func for each in (*named, *held) if isinstance(each, Dispatcher))
+    called = (each.py_func for each in (*named, *_held(function)) if isinstance(each, Dispatcher))
     return frozenset({Path(function.__code__.co_filename).parent}).union(*map(_folders, called))
 
 
 def _closure(function: Any) -> list[Any]:
     """What a function holds: of compiled functions, whose code is in the stamp, their names and what these hold."""
-    held = (cell.cell_contents for cell in function.__closure__ or ())
     return [
         (each.py_func.__module__, each.py_func.__qualname__, _closure(each.py_func))
         if isinstance(each, Dispatcher)
         else each
-        for each in held
+        for each in _held(function)
     ]
 
 
 def _can_be_cached(function: Any) -> bool:
     """Whether all compiled functions that a function holds are of :func:`jit`: changes of others go unnoticed."""
-    held = (cell.cell_contents for cell in function.__closure__ or ())
-    return all(isinstance(vars(each)["_cache"], _Cache) for each in held if isinstance(each, Dispatcher))
+    return all(isinstance(vars(each)["_cache"], _Cache) for each in _held(function) if isinstance(each, Dispatcher))
 
 
 class _PackageStamp:
