@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from mo_deepdrive.batch import Draws, WorldBatch
 from mo_deepdrive.device.worlds import Outputs, TensorWorlds, make_streams
 from mo_deepdrive.envs.options import make_pins
-from mo_deepdrive.envs.vector_base import VectorBase, check_forms
+from mo_deepdrive.envs.vector_base import VectorBase, check_forms, needs_reset
 from mo_deepdrive.simulation import philox
 from mo_deepdrive.simulation.philox import STREAM
 from mo_deepdrive.simulation.state import ARRIVED
@@ -260,10 +260,7 @@ class DeviceVectorEnv(VectorBase):
                 f"action {actions[row].tolist()} of world {row} is not allowed; expected {worlds.allowed_actions}"
             )
         if self.autoreset_mode is not AutoresetMode.NEXT_STEP and bool(worlds.waiting.any()):
-            first = worlds.waiting.nonzero()[:5, 0].tolist()
-            raise ResetNeeded(
-                f"step() on worlds whose episode is over or has not begun (the first ones: {first}); reset them first"
-            )
+            raise needs_reset(worlds.waiting.nonzero()[:, 0])
 
     def _find_faults(self) -> None:
         """Raise the error of a step before, if it is known by now."""

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.streams import Streams
-from mo_deepdrive.envs.vector_base import VectorBase, check_forms, positive
+from mo_deepdrive.envs.vector_base import VectorBase, check_forms, needs_reset, positive
 from mo_deepdrive.extras import needed_for
 from mo_deepdrive.simulation.autoreset import DISABLED, NEXT_STEP, SAME_STEP
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
@@ -232,10 +232,7 @@ class DrivingVectorEnv(VectorBase):
             ResetNeeded: before the first reset, or where a world's episode is over and this mode does not reset it.
         """
         if self.autoreset_mode is not AutoresetMode.NEXT_STEP and self._over.any():
-            worlds = np.flatnonzero(self._over)[:5].tolist()
-            raise ResetNeeded(
-                f"step() on worlds whose episode is over or has not begun (the first ones: {worlds}); reset them first"
-            )
+            raise needs_reset(np.flatnonzero(self._over))
         if not self._begun:
             raise ResetNeeded("step() before the first reset()")
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
@@ -44,6 +45,14 @@ def check_forms(state: Mapping[str, Any], needed: Mapping[str, NDArray[Any]]) ->
     for name, array in needed.items():
         if _form(found := state.get(name)) != _form(array):
             raise ValueError(f"state {name!r} is {_form(found)}; this environment needs {_form(array)}")
+
+
+def needs_reset(worlds: Any) -> ResetNeeded:
+    """The error of a step of the worlds of these numbers, an array or a tensor, which have to be reset first."""
+    first = worlds[:5].tolist()
+    return ResetNeeded(
+        f"step() on worlds whose episode is over or has not begun (the first ones: {first}); reset them first"
+    )
 
 
 class VectorBase(KnownFront, VectorEnv):
