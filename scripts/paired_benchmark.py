@@ -5,7 +5,8 @@ program, it measures one tree: ``PYTHONPATH=TREE python scripts/paired_benchmark
 
 What is measured is the CPU time of the process, summed over its threads, because other programs on the machine change
 it much less than the time on the clock. What more threads or a GPU gain is measured on the clock, by ``NAME THREADS
-DEVICE``, where a GPU moves WORLDS worlds. Compilation and the first updates are excluded.
+DEVICE``, where a GPU moves WORLDS worlds or trains SEEDS seeds side by side, by compiled updates. Compilation and the
+first updates are excluded.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN = (
 UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
 ENVS, STEPS, WARM_UP = 256, 16, 3  # environments, steps per update, updates that are not counted
 PCN_ENVS, PCN_STEPS = 16, 40_000
-WORLDS = 65_536  # on a GPU
+WORLDS, SEEDS = 65_536, 10  # on a GPU
 # Shipped experiments, with their numbers of environments and steps, and how many updates are measured.
 SHIPPED = {
     "one_waypoint/a2c_linear": 150,
@@ -151,13 +152,14 @@ def shipped(config: str, updates: int, place: Place | None = None) -> float:
 
 
 def _training_there(values: dict[str, Any], updates: int, place: Place) -> float:
-    """Environment steps per second of a training whose worlds and learners stay on a device."""
+    """Environment steps per second of SEEDS trainings side by side, whose worlds and learners stay on a device."""
     from algorithms.experiments.config import make_experiment
     from algorithms.experiments.side_by_side import build_trainee
 
+    values["training"] |= {"seeds": [*range(SEEDS)], "compiled": True}
     experiment = make_experiment(values)
     steps = experiment.training.num_envs * experiment.algorithm.config.steps
-    return training_rate(build_trainee([experiment]), WARM_UP * steps, updates * steps, place)
+    return SEEDS * training_rate(build_trainee(experiment.of_seeds()), WARM_UP * steps, updates * steps, place)
 
 
 def pcn(gradient_steps: int, batch_size: int) -> float:

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from algorithms.device.compiling import Compiled
 from algorithms.files.checkpoints import strip_prefix
 from mo_deepdrive.evaluation.metrics import LENGTH, SUCCESS, UTILITY, return_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from algorithms.device.worlds import SeedWorlds
+    from algorithms.device.worlds import SeedWorlds, WorldStep
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.utilities import Utility
 
@@ -31,6 +32,7 @@ class Collection:
         accrued_discount: g.
         utilities: one per vehicle; empty where none is known.
         device: of the tensors.
+        compiled: whether ``torch.compile`` makes what follows a step of the worlds into few kernels.
 
     Attributes:
         rollout: the fields of :class:`algorithms.rollouts.buffers.Rollout` with an axis of seeds before the others,
@@ -51,6 +53,8 @@ class Collection:
         accrued_discount: float,
         utilities: Sequence[Utility],
         device: torch.device,
+        *,
+        compiled: bool,
     ):
         seeds, steps, num_envs = shape
         v, o, d = env.vehicles, env.observation_size, len(env.objectives)
@@ -80,6 +84,7 @@ class Collection:
         self.cost_share = torch.ones((), **kinds)
         self._costs = torch.from_numpy(env.costs).to(device)
         self.totals = torch.zeros(seeds, v, d + 4, dtype=torch.float64, **kinds)
+        self._keep = Compiled(self._keep_step, enabled=compiled)
 
     def reset(self) -> None:
         """Begin the first episodes."""
@@ -101,24 +106,38 @@ class Collection:
                 break
             actions = act(t, now)
             rollout["actions"][:, t] = actions
-            step = self.worlds.step(actions)
-            learnt = step.rewards * shares
-            ended = (step.terminated | step.truncated) & step.acted
-            accrued = now["accrued"] + now["discounts"].unsqueeze(-1) * learnt
-            returns, lengths = now["returns"] + step.rewards, now["lengths"] + 1
-            for name in ("final", "terminated", "truncated", "acted"):
-                rollout[name][:, t] = getattr(step, name)
-            rollout["rewards"][:, t], self.ended[:, t], self.ended_values[:, t] = learnt, ended, accrued
-            self._after[:, t, ..., 0], self._after[:, t, ..., 1] = step.succeeded, lengths
-            self._after[:, t, ..., 2:] = returns
-            # Who did not act has no episode under way.
-            begins = ended | ~step.acted
-            now["observations"].copy_(step.observations)
-            now["accrued"].copy_(accrued.masked_fill(begins.unsqueeze(-1), 0.0))
-            now["discounts"].mul_(self._accrued_discount).masked_fill_(begins, 1.0)
-            now["returns"].copy_(returns.masked_fill(begins.unsqueeze(-1), 0.0))
-            now["lengths"].copy_(lengths.masked_fill(begins, 0))
+            kept = {name: rollout[name][:, t] for name in ("final", "terminated", "truncated", "acted", "rewards")}
+            kept |= {"ended": self.ended[:, t], "ended_values": self.ended_values[:, t], "after": self._after[:, t]}
+            self._keep(self.worlds.step(actions), shares, now, kept)
         self._add_episodes()
+
+    def _keep_step(
+        self, step: WorldStep, shares: torch.Tensor, now: dict[str, torch.Tensor], kept: dict[str, torch.Tensor]
+    ) -> None:
+        """Write a step of the worlds into its place in the rollout, and what runs on after it.
+
+        Args:
+            step: of the worlds.
+            shares: (d,) by which rewards are multiplied.
+            now: :attr:`running`, overwritten.
+            kept: of a rollout's fields (S, N, V, ...), and of "ended", "ended_values" and "after"; overwritten.
+        """
+        learnt = step.rewards * shares
+        ended = (step.terminated | step.truncated) & step.acted
+        accrued = now["accrued"] + now["discounts"].unsqueeze(-1) * learnt
+        returns, lengths = now["returns"] + step.rewards, now["lengths"] + 1
+        for name in ("final", "terminated", "truncated", "acted"):
+            kept[name].copy_(getattr(step, name))
+        for name, tensor in (("rewards", learnt), ("ended", ended), ("ended_values", accrued)):
+            kept[name].copy_(tensor)
+        kept["after"].copy_(torch.cat([torch.stack([step.succeeded, lengths], dim=-1), returns], dim=-1))
+        # Who did not act has no episode under way.
+        begins = ended | ~step.acted
+        now["observations"].copy_(step.observations)
+        now["accrued"].copy_(accrued.masked_fill(begins.unsqueeze(-1), 0.0))
+        now["discounts"].mul_(self._accrued_discount).masked_fill_(begins, 1.0)
+        now["returns"].copy_(returns.masked_fill(begins.unsqueeze(-1), 0.0))
+        now["lengths"].copy_(lengths.masked_fill(begins, 0))
 
     def _add_episodes(self) -> None:
         returns = self._after[..., 2:]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch.func import vmap
 
+from algorithms.device.compiling import Compiled
 from algorithms.device.networks import SeedNetworks
 from algorithms.networks.losses import policy_shift
 from algorithms.rollouts.buffers import Rollout, Samples
@@ -31,6 +33,7 @@ class SeedLearner:
         learners: the S learners whose parameters are the first ones.
         num_envs: N.
         device: of the tensors.
+        compiled: whether ``torch.compile`` makes what is done for all seeds into few kernels.
 
     Attributes:
         networks: of all seeds.
@@ -41,7 +44,7 @@ class SeedLearner:
         episodes: (S,) their numbers.
     """
 
-    def __init__(self, learner: Any, learners: Sequence[Any], num_envs: int, device: torch.device):
+    def __init__(self, learner: Any, learners: Sequence[Any], num_envs: int, device: torch.device, *, compiled: bool):
         config = learner.config
         learner.static_shapes = True
         self.learner, self.config, self.vehicle = learner, config, learner.vehicle
@@ -56,6 +59,9 @@ class SeedLearner:
         width = len(learner.expected_return.value) if self.mean_returns else 0
         self.expected_return = torch.zeros(seeds, width, device=device)
         self.episodes = torch.zeros(seeds, device=device)
+        self._choose = Compiled(partial(self.networks.call, self._action), enabled=compiled)
+        self._prepare = Compiled(partial(self.networks.call, self._samples), enabled=compiled)
+        self._step = Compiled(partial(self.networks.minimise, self._loss), enabled=compiled)
         for seed, each in enumerate(learners):
             self.read(seed, each)
 
@@ -75,14 +81,13 @@ class SeedLearner:
             *shared: what :meth:`inputs` also takes, (S, ...).
         """
         own = {name: now[name][:, :, self.vehicle] for name in SEEN}
-        actor = self.learner.actor
-
-        def choose(own: dict[str, torch.Tensor], noise: torch.Tensor, *shared: Any) -> torch.Tensor:
-            chosen: torch.Tensor = actor.choose(actor.body(self.inputs(own, *shared)), noise)
-            return chosen
-
-        actions: torch.Tensor = self.networks.call(choose, own, self.noise[:, t], *shared)
+        actions: torch.Tensor = self._choose(self.networks.vector, own, self.noise[:, t], *shared)
         return actions
+
+    def _action(self, own: dict[str, torch.Tensor], noise: torch.Tensor, *shared: Any) -> torch.Tensor:
+        actor = self.learner.actor
+        chosen: torch.Tensor = actor.choose(actor.body(self.inputs(own, *shared)), noise)
+        return chosen
 
     def inputs(self, own: dict[str, torch.Tensor], *shared: Any) -> torch.Tensor:
         """What the actor of a seed sees."""
@@ -112,31 +117,11 @@ class SeedLearner:
             entropy_coefficient: c_e.
             *shared: what :meth:`samples` also takes, (S, ...).
         """
-        learner, config = self.learner, self.config
-        others = getattr(learner, "others_size", 0) > 0
-
-        def prepare(
-            own: dict[str, torch.Tensor], expected_return: torch.Tensor, *shared: Any
-        ) -> dict[str, torch.Tensor]:
-            part = Rollout(**own).of_vehicle(self.vehicle, expected_return.device, others=others)
-            if self.mean_returns:
-                learner.expected_return.value = expected_return
-            found = self.samples(part, *shared)._asdict()
-            left_out = "weights" if rollout["acted"].shape[-1] == 1 else ""  # a single vehicle acts in every step
-            return {name: each for name, each in found.items() if each is not None and name != left_out}
-
-        def loss(own: dict[str, torch.Tensor]) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-            losses = learner.loss(Samples(**own), entropy_coefficient)
-            parts = {POLICY_LOSS: losses.policy, VALUE_LOSS: losses.value, ENTROPY: losses.entropy}
-            if losses.log_ratio is not None:
-                parts[LOG_RATIO] = losses.log_ratio
-            return losses.total, parts
-
-        with torch.no_grad():
-            samples = self.networks.call(prepare, dict(rollout), self.expected_return, *shared)
+        config = self.config
+        samples = self._prepare(self.networks.vector, dict(rollout), self.expected_return, *shared)
         minibatches = [each for epoch in range(self.epochs) for each in self._minibatches(samples, self.keys[:, epoch])]
         steps = [
-            self.networks.minimise(loss, minibatch, learning_rate, config.max_grad_norm) for minibatch in minibatches
+            self._step(self.networks.state, minibatch, entropy_coefficient, learning_rate) for minibatch in minibatches
         ]
         parts = [name for name in steps[0] if name != LOG_RATIO]
         self.losses = {name: torch.stack([step[name] for step in steps], dim=1).mean(1) for name in parts}
@@ -145,6 +130,28 @@ class SeedLearner:
             weights = [torch.cat([each["weights"] for each in minibatches], dim=1)] if "weights" in samples else []
             changes = vmap(lambda each, *own: policy_shift(each, config.clip, *own))(log_ratios, *weights)
             self.losses |= dict(zip((CLIP_FRACTION, APPROX_KL), changes, strict=True))
+
+    def _samples(
+        self, rollout: dict[str, torch.Tensor], expected_return: torch.Tensor, *shared: Any
+    ) -> dict[str, torch.Tensor]:
+        """What a seed learns from its rollout, by the fields of :class:`algorithms.rollouts.buffers.Samples`."""
+        others = getattr(self.learner, "others_size", 0) > 0
+        part = Rollout(**rollout).of_vehicle(self.vehicle, expected_return.device, others=others)
+        if self.mean_returns:
+            self.learner.expected_return.value = expected_return
+        found = self.samples(part, *shared)._asdict()
+        left_out = "weights" if rollout["acted"].shape[-1] == 1 else ""  # a single vehicle acts in every step
+        return {name: each for name, each in found.items() if each is not None and name != left_out}
+
+    def _loss(
+        self, samples: dict[str, torch.Tensor], entropy_coefficient: torch.Tensor
+    ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """The loss of a seed, and its parts by name."""
+        losses = self.learner.loss(Samples(**samples), entropy_coefficient)
+        parts = {POLICY_LOSS: losses.policy, VALUE_LOSS: losses.value, ENTROPY: losses.entropy}
+        if losses.log_ratio is not None:
+            parts[LOG_RATIO] = losses.log_ratio
+        return losses.total, parts
 
     def _minibatches(self, samples: dict[str, torch.Tensor], keys: torch.Tensor) -> list[dict[str, torch.Tensor]]:
         """The samples in the order of their keys, in parts that have, but for one, as many of weight 1."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -16,14 +17,39 @@ if TYPE_CHECKING:
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 LANES = 64
 TINY = 1e-6  # added to the norm of a gradient that is clipped
+# Of the products of a gradient on a GPU: rows of a part, and how many parts of all seeds keep it busy.
+ROWS, PARTS = 128, 256
+
+
+def linear(layer: nn.Linear, most_parts: int, x: torch.Tensor) -> torch.Tensor:
+    """X W^T + b, for which many rows x (M, inputs) are parted.
+
+    The gradient dL/dW = sum_m g_m x_m^T is then a sum of products that a GPU calculates at the same time; as a single
+    product of two long and narrow matrices it would leave most of the GPU idle.
+
+    Args:
+        layer: with W and b.
+        most_parts: at most so many.
+        x: (..., inputs).
+    """
+    rows = len(x) if x.dim() == 2 else 0
+    parts = min(rows // ROWS, most_parts, rows & -rows)  # the last one is the greatest power of two that divides rows
+    if parts < 2:
+        return nn.functional.linear(x, layer.weight, layer.bias)
+    parts = 1 << (parts.bit_length() - 1)
+    weights = layer.weight.t().expand(parts, layer.in_features, layer.out_features)
+    return torch.bmm(x.view(parts, rows // parts, layer.in_features), weights).flatten(0, 1) + layer.bias
 
 
 class _Networks(nn.Module):
     """Both networks of a learner, so that whatever it does can be called with other parameters."""
 
-    def __init__(self, learner: TrainedNetworks):
+    def __init__(self, learner: TrainedNetworks, most_parts: int):
         super().__init__()
         self.actor, self.critic = learner.actor, learner.critic
+        for layer in self.modules():
+            if isinstance(layer, nn.Linear):
+                layer.forward = partial(linear, layer, most_parts)  # type: ignore[method-assign]
 
     def forward(self, function: Callable[..., Any], *arguments: Any) -> Any:
         return function(*arguments)
@@ -41,73 +67,80 @@ class SeedNetworks:
 
     Attributes:
         vector: (S, P) the parameters.
-        parameters: the same by name, (S, ...).
     """
 
-    def __init__(self, learner: TrainedNetworks, learners: Sequence[TrainedNetworks]):
-        self.learner = learner
-        self._networks = _Networks(learner)
+    def __init__(self, learner: Any, learners: Sequence[TrainedNetworks]):
+        on_gpu = next(learner.actor.parameters()).is_cuda
+        self._networks = _Networks(learner, PARTS // len(learners) if on_gpu else 1)
         self._shapes = {name: each.shape for name, each in self._networks.named_parameters()}
         self._size = sum(shape.numel() for shape in self._shapes.values())
+        self._max_grad_norm = learner.config.max_grad_norm
         device = next(self._networks.parameters()).device
         # Padded, so that every number of a seed is in the lane of a vector instruction in which it is alone.
         padded = -(-self._size // LANES) * LANES
         self.vector, self.mean, self.mean_square = torch.zeros(3, len(learners), padded, device=device)
         self._padding = torch.zeros(len(learners), padded - self._size, device=device)
         self.count = torch.zeros((), device=device)
-        sizes = [shape.numel() for shape in self._shapes.values()]
-        parts = zip(self._shapes.items(), self.vector[:, : self._size].split(sizes, dim=1), strict=True)
-        self.parameters = {name: part.unflatten(1, shape) for (name, shape), part in parts}
 
-    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """``function`` of every seed's networks and its part of the arguments, trees of tensors (S, ...)."""
+    @property
+    def state(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """What a gradient step changes: parameters, Adam's moments and the number of steps."""
+        return self.vector, self.mean, self.mean_square, self.count
+
+    def _parameters(self, vector: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Views of a matrix of parameters by their names, (S, ...)."""
+        sizes = [shape.numel() for shape in self._shapes.values()]
+        parts = zip(self._shapes.items(), vector[:, : self._size].split(sizes, dim=1), strict=True)
+        return {name: part.unflatten(1, shape) for (name, shape), part in parts}
+
+    def call(self, function: Callable[..., Any], vector: torch.Tensor, *arguments: Any) -> Any:
+        """``function`` of every seed's networks and its part of the arguments, trees of tensors (S, ...).
+
+        Args:
+            function: of one seed.
+            vector: (S, P), as :attr:`vector`.
+            *arguments: of the function.
+        """
         return vmap(lambda parameters, *own: functional_call(self._networks, parameters, (function, *own)))(
-            self.parameters, *arguments
+            self._parameters(vector), *arguments
         )
 
     def minimise(
         self,
-        loss: Callable[[dict[str, torch.Tensor]], tuple[torch.Tensor, dict[str, torch.Tensor]]],
+        loss: Callable[..., tuple[torch.Tensor, dict[str, torch.Tensor]]],
+        state: tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor],
         samples: Mapping[str, torch.Tensor],
+        entropy_coefficient: torch.Tensor,
         learning_rate: torch.Tensor,
-        max_grad_norm: float,
     ) -> dict[str, torch.Tensor]:
         """One step of every seed down the gradient of its loss, whose norm is clipped.
 
         Args:
-            loss: the loss, and its parts by name, of a seed's samples.
+            loss: the loss, and its parts by name, of a seed's samples and c_e.
+            state: as :attr:`state`; it changes in place.
             samples: by name, (S, ...).
+            entropy_coefficient: c_e, a scalar.
             learning_rate: of Adam, a scalar.
-            max_grad_norm: of each seed.
 
         Returns:
-            The parts (S,).
+            The parts (S, ...).
         """
+        vector, mean, mean_square, count = state
 
         def of_parameters(parameters: dict[str, torch.Tensor], own: dict[str, torch.Tensor]) -> Any:
-            return functional_call(self._networks, parameters, (loss, own))
+            return functional_call(self._networks, parameters, (loss, own, entropy_coefficient))
 
         differentiate = vmap(grad_and_value(of_parameters, has_aux=True))
-        gradients, (_, parts) = differentiate(self.parameters, dict(samples))
+        gradients, (_, parts) = differentiate(self._parameters(vector), dict(samples))
         gradient = torch.cat([*(gradients[name].flatten(1) for name in self._shapes), self._padding], dim=1)
         norms = torch.linalg.vector_norm(gradient, dim=1, keepdim=True)
-        gradient *= (max_grad_norm / (norms + TINY)).clamp(max=1.0)
-        self.count += 1
-        torch._fused_adam_(
-            [self.vector],
-            [gradient],
-            [self.mean],
-            [self.mean_square],
-            [],
-            [self.count],
-            lr=learning_rate,
-            beta1=BETA1,
-            beta2=BETA2,
-            weight_decay=0.0,
-            eps=EPSILON,
-            amsgrad=False,
-            maximize=False,
-        )
+        gradient = gradient * (self._max_grad_norm / (norms + TINY)).clamp(max=1.0)
+        # Adam (Kingma and Ba 2015, algorithm 1).
+        count += 1.0
+        mean.lerp_(gradient, 1.0 - BETA1)
+        mean_square.lerp_(gradient.square(), 1.0 - BETA2)
+        root = (mean_square / (1.0 - BETA2**count)).sqrt()
+        vector -= learning_rate / (1.0 - BETA1**count) * mean / (root + EPSILON)
         return {name: part.detach() for name, part in parts.items()}
 
     # ------------------------------------------------------------------------------- from and to a learner of one seed

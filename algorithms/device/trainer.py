@@ -57,13 +57,16 @@ class SeedTrainer:
         template: an agent of the same settings with its networks on the device; it lends the learners their equations.
         worlds: N for each seed.
         num_envs: N.
+        compiled: whether ``torch.compile`` makes an update into fewer kernels.
 
     Attributes:
         step: environment steps of each seed.
         updates: rollouts that have been collected.
     """
 
-    def __init__(self, agents: Sequence[Any], template: Any, worlds: SeedWorlds, num_envs: int):
+    def __init__(
+        self, agents: Sequence[Any], template: Any, worlds: SeedWorlds, num_envs: int, *, compiled: bool = False
+    ):
         self.agents, self.num_envs, self.config = list(agents), num_envs, template.config
         self.device: torch.device = template.device
         self.env = template.env
@@ -73,7 +76,13 @@ class SeedTrainer:
         for learner in template.learners if utilities else ():
             learner.utility = utilities[learner.vehicle]
         self.collection = Collection(
-            self.env, worlds, (count, steps, num_envs), template.accrued_discount, utilities, self.device
+            self.env,
+            worlds,
+            (count, steps, num_envs),
+            template.accrued_discount,
+            utilities,
+            self.device,
+            compiled=compiled,
         )
         self.teams = self.preferences = None
         kind: type[SeedLearner] = SeedLearner
@@ -84,7 +93,7 @@ class SeedTrainer:
             kind, shape = ConditionedSeedLearner, (count, steps, num_envs, self.env.vehicles)
             self.preferences = SeedPreferences(template.preferences, shape, self.config.switching, self.device)
         self.learners = [
-            kind(learner, [agent.learners[k] for agent in self.agents], num_envs, self.device)
+            kind(learner, [agent.learners[k] for agent in self.agents], num_envs, self.device, compiled=compiled)
             for k, learner in enumerate(template.learners)
         ]
         self._check_functions(utilities)

@@ -88,7 +88,7 @@ def build(
     if experiment.training.guides and guides:
         options["guides"] = _make_guides(experiment, algorithm, adapter)
     set_threads(experiment.training.threads)  # after the drivers', which are built like this
-    set_compiled(experiment.training.compiled)
+    set_compiled(experiment.training.compiled is not False)
     return algorithm(
         env,
         **options,

@@ -130,4 +130,20 @@ def make_launcher(form: Form, buffers: Buffers, mode: int, device: torch.device)
                     streams[handle] = step[blocks, THREADS, stream], restart[blocks, THREADS, stream]
             streams[handle][which](buffers, argument)
 
-    return Launcher(lambda: launch(0, mode), lambda place: launch(1, place))
+    graph: torch.cuda.CUDAGraph | None = None
+    launched = False  # which loads the kernel, as a graph cannot
+
+    def launch_step() -> None:
+        """Launch a step as a graph: Numba takes longer to look at its arguments than the GPU to move the worlds."""
+        nonlocal graph, launched
+        if not launched or torch.cuda.is_current_stream_capturing():
+            launched = True
+            launch(0, mode)
+            return
+        if graph is None:
+            graph = torch.cuda.CUDAGraph()
+            with torch.cuda.device(device), torch.cuda.graph(graph, capture_error_mode="thread_local"):
+                launch(0, mode)
+        graph.replay()
+
+    return Launcher(launch_step, lambda place: launch(1, place))
