@@ -116,6 +116,11 @@ class TensorWorlds:
         self._check_memory()
         # One block holds all outputs, so that one copy keeps them.
         self._block = self._zeros(torch.uint8, sum(_bytes(*each) for each in self._shapes.values()))
+        self._places, start = {}, 0
+        for name, (dtype, shape) in self._shapes.items():
+            strides = [math.prod(shape[k + 1 :]) for k in range(len(shape))]
+            self._places[name] = (dtype, shape, strides, start // dtype.itemsize)
+            start += _bytes(dtype, shape)
         self.outputs = self._views(self._block)
         self.observations, self.final_observations, self.rewards, self.acted = self.outputs[:4]
         self.terminated, self.truncated, self.over, self.ends = self.outputs[4:]
@@ -168,11 +173,13 @@ class TensorWorlds:
         return torch.zeros(shape, dtype=dtype, device=self.device)
 
     def _views(self, block: torch.Tensor) -> Outputs:
-        views, start = {}, 0
-        for name, (dtype, shape) in self._shapes.items():
-            views[name] = block[start : start + math.prod(shape) * dtype.itemsize].view(dtype).view(shape)
-            start += _bytes(dtype, shape)
-        return Outputs(**{"final_observations": views["observations"], **views})
+        typed = {dtype: block.view(dtype) for dtype in (torch.float32, torch.bool, torch.int8)}
+        views = {
+            name: typed[dtype].as_strided(shape, strides, start)
+            for name, (dtype, shape, strides, start) in self._places.items()
+        }
+        views.setdefault("final_observations", views["observations"])
+        return Outputs(**views)
 
     def _make_launcher(self, host: WorldBatch) -> Launcher:
         """What moves the worlds, with all that it reads and writes."""

@@ -223,7 +223,7 @@ class DeviceVectorEnv(VectorBase):
         over = taken.over
         arrived = taken.ends == ARRIVED
         ends = {"end": self._shaped(taken.ends), "_end": over}
-        ends |= {"success": self._shaped(arrived & over[:, None]), "_success": over}
+        ends |= {"success": self._shaped(arrived), "_success": over}
         infos: dict[str, Any] = {}
         if self.vehicles > 1:
             ended = taken.acted & (taken.terminated | taken.truncated)
