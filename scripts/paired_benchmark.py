@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 Side = TypeVar("Side")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN = (
-    f"mo-deepdrive-{name}-v0" for name in ("one-waypoint", "static-obstacle", "intersection", "left-turn")
+ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN, ROUNDABOUT = (
+    f"mo-deepdrive-{name}-v0" for name in ("one-waypoint", "static-obstacle", "intersection", "left-turn", "roundabout")
 )
 UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
 ENVS, STEPS, WARM_UP = 256, 16, 3  # environments, steps per update, updates that are not counted
@@ -184,7 +184,9 @@ def training_rate(agent: Any, warm_up: int, steps: int, place: Place | None = No
     return float((agent.step - first) / (clock() - started))
 
 
-def make_vec(env_id: str, place: Place | None = None, num_envs: int = 1024, steps: int = 1500) -> float:
+def make_vec(
+    env_id: str, place: Place | None = None, num_envs: int = 1024, steps: int = 1500, **arguments: Any
+) -> float:
     """Environment steps per CPU second of ``gymnasium.make_vec`` under random actions; on the clock in a place."""
     import gymnasium
     from gymnasium.vector import AutoresetMode
@@ -192,10 +194,12 @@ def make_vec(env_id: str, place: Place | None = None, num_envs: int = 1024, step
     import mo_deepdrive  # noqa: F401  (registers the ids)
 
     if place is not None and place.device != "cpu":
-        return make_vec_on(place.device, env_id)
+        return make_vec_on(place.device, env_id, **arguments)
     clock = process_time if place is None else perf_counter
     threads = 1 if place is None else place.threads
-    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, threads=threads)
+    env = gymnasium.make_vec(
+        env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, threads=threads, **arguments
+    )
     env.reset(seed=0)
     actions = np.random.default_rng(0).integers(0, 22, (100, *(env.action_space.shape or ())))
     for action in actions:
@@ -206,13 +210,15 @@ def make_vec(env_id: str, place: Place | None = None, num_envs: int = 1024, step
     return num_envs * steps / (clock() - started)
 
 
-def make_vec_on(device: str, env_id: str, num_envs: int = WORLDS, steps: int = 2000) -> float:
+def make_vec_on(device: str, env_id: str, num_envs: int = WORLDS, steps: int = 1000, **arguments: Any) -> float:
     """Environment steps per second of ``gymnasium.make_vec`` with random actions that are made on the device, too."""
     import gymnasium
     import torch
     from gymnasium.vector import AutoresetMode
 
-    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, device=device)
+    env = gymnasium.make_vec(
+        env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, device=device, **arguments
+    )
     env.reset(seed=0)
     generator = torch.Generator(device).manual_seed(0)
     elapsed = 0.0
@@ -301,6 +307,7 @@ PLACED: dict[str, Case] = {
     "make_vec-static-obstacle": Case(partial(make_vec, STATIC_OBSTACLE)),
     "make_vec-intersection": Case(partial(make_vec, INTERSECTION)),
     "make_vec-left-turn": Case(partial(make_vec, LEFT_TURN)),
+    "make_vec-roundabout-8": Case(partial(make_vec, ROUNDABOUT, vehicles=8)),
 }
 CASES: dict[str, Case] = {
     **PLACED,

@@ -74,9 +74,9 @@ class TrainingSettings(Settings):
     """How many collect samples and compute gradients; each needs a core of its own, or training becomes slower. A run
     is the same, bit for bit, for the same number."""
     compiled: bool | None = None
-    """Whether updates are compiled, on the CPU by Numba and on a GPU by ``torch.compile``, which takes about a minute
-    when training begins, or call PyTorch's operations; the numbers are the same but for rounding. None is true on the
-    CPU and false on a GPU."""
+    """Whether updates are compiled, or call PyTorch's operations; the numbers are the same but for rounding. Numba
+    compiles those of one seed on the CPU, ``torch.compile`` those on a GPU and those of several ``seeds``, for about a
+    minute when training begins. None for Numba alone."""
     partners: dict[str, list[str]] = {}
     """What drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo and scripted
     drivers, which take turns over the parallel environments."""

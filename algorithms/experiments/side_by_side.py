@@ -47,8 +47,7 @@ def build_trainee(experiments: Sequence[Experiment]) -> Any:
         worlds = SeedWorlds(
             template.env.vector_env.unwrapped.config, [agent.env_seed for agent in agents], num_envs, device
         )
-        compiled = device.type == "cuda" and bool(first.training.compiled)
-        return SeedTrainer(agents, template, worlds, num_envs, compiled=compiled)
+        return SeedTrainer(agents, template, worlds, num_envs, compiled=bool(first.training.compiled))
     except torch.OutOfMemoryError:
         raise ValueError(
             f"training.num_envs = {num_envs} of {count} seeds do not fit into the memory of {device}; take fewer"

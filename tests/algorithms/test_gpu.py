@@ -50,6 +50,13 @@ def test_a_captured_update_is_the_one_that_is_not_captured(name: str, monkeypatc
         assert row == pytest.approx(other, rel=1e-2, abs=1e-3)
 
 
+@pytest.mark.parametrize("name", ["mo_ppo", "mappo", "conditioned, families"])
+def test_a_compiled_update_is_the_one_that_is_not_compiled(name: str) -> None:
+    rows, others = (trained(trainer(name, [3, 4], "cuda", compiled=compiled)) for compiled in (True, False))
+    for row, other in zip(rows[1], others[1], strict=True):
+        assert row == pytest.approx(other, rel=1e-2, abs=1e-3)
+
+
 @EVERY
 def test_the_first_update_of_a_seed_is_the_one_that_it_has_alone_but_for_rounding(name: str) -> None:
     rows = []

@@ -38,13 +38,19 @@ UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_li
 TOTAL = 320
 
 
-def trainer(name: str, seeds: list[int], device: str = "cpu") -> SeedTrainer:
+def trainer(name: str, seeds: list[int], device: str = "cpu", *, compiled: bool = False) -> SeedTrainer:
     """Of small networks and short episodes."""
     algorithm, env_id, arguments, hyperparameters = LEARNERS[name]
     values: dict[str, Any] = {
         "environment": {"id": env_id, "arguments": {"time_limit": 1.5, **arguments}},
         "algorithm": {"name": algorithm, "hidden": [16], "steps": 8, "learning_rate": 1e-2, **hyperparameters},
-        "training": {"total_timesteps": TOTAL, "num_envs": 8, "seeds": seeds, "device": device},
+        "training": {
+            "total_timesteps": TOTAL,
+            "num_envs": 8,
+            "seeds": seeds,
+            "device": device,
+            "compiled": compiled,
+        },
     }
     if algorithm != "conditioned_mo_ppo":
         values["utility"] = {"name": UTILITIES[env_id]}

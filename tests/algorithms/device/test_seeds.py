@@ -8,9 +8,12 @@ from typing import Any
 
 import pytest
 import torch
+from torch import nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from algorithms.commands import evaluate, table, train
+from algorithms.device import compiling
+from algorithms.device.networks import linear
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.jobs import perform
 from algorithms.experiments.run_directory import Run
@@ -58,6 +61,23 @@ def test_an_interrupted_training_resumes_bit_for_bit(name: str, tmp_path: Path) 
     for seed in range(2):
         assert before[seed] + after[seed] == rows[seed]
         assert torch.equal(weights(whole, seed), weights(resumed, seed))
+
+
+@pytest.mark.parametrize("name", ["mo_ppo", "mappo", "conditioned, families"])
+def test_a_traced_update_is_the_one_that_is_not_traced(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "BACKEND", "aot_eager")  # without a compiler, which rounds otherwise
+    traced, plain = (trainer(name, [3, 4], compiled=compiled) for compiled in (True, False))
+    assert trained(traced) == trained(plain)
+    assert torch.equal(weights(traced, 1), weights(plain, 1))
+
+
+@pytest.mark.parametrize("rows", [1024, 960, 1000, 200])
+def test_parted_products_are_those_of_a_linear_layer(rows: int) -> None:
+    layer, x = nn.Linear(7, 5), torch.linspace(-1.0, 1.0, rows * 7).sin().view(rows, 7)
+    parted = linear(layer, 16, x)
+    torch.testing.assert_close(parted, layer(x))
+    gradients = [torch.autograd.grad(each.square().sum(), [*layer.parameters()]) for each in (parted, layer(x))]
+    torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-4)
 
 
 class Recorded(TorchDispatchMode):
