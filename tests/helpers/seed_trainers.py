@@ -49,7 +49,7 @@ def trainer(name: str, seeds: list[int], device: str = "cpu", *, compiled: bool 
             "num_envs": 8,
             "seeds": seeds,
             "device": device,
-            "compiled": compiled,
+            "compiled": compiled or None,
         },
     }
     if algorithm != "conditioned_mo_ppo":
