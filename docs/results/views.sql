@@ -63,4 +63,16 @@ SELECT CASE WHEN measurement LIKE '%make_vec%'
   printf('%,d', 1000 * cast(round(value / 1000.0) AS INTEGER)) AS "steps/s"
 FROM benchmark
 WHERE measurement IN ('OneWaypoint, make_vec, N = 1024, 1 thread', 'LeftTurn, make_vec, N = 1024, 1 thread',
-  'OneWaypoint, mo_gymnasium.make', 'mo_ppo training, 256 x 16, 1 thread');
+  'OneWaypoint, mo_gymnasium.make', 'mo_ppo training, 256 x 16, 1 thread')
+UNION ALL
+SELECT what || ', on an ' || device, "GPU, steps/s" FROM gpu_speed
+WHERE measurement IN ('make_vec-left-turn', 'left_turn/mo_ppo_linear');
+
+CREATE VIEW gpu_speed AS -- docs/gpu.md
+SELECT measurement, device, CASE
+  WHEN measurement LIKE 'make_vec-roundabout%' THEN '`make_vec`, 8 vehicles in the roundabout'
+  WHEN measurement LIKE 'make_vec-%' THEN '`make_vec`, ' || replace(substr(measurement, 10), '-', ' ')
+  ELSE 'training ten seeds of `' || measurement || '`' END AS what,
+  printf('%,d', 1000 * cast(round(old / 1000.0) AS INTEGER)) AS "one thread, steps/s",
+  printf('%,d', 100000 * cast(round(new / 100000.0) AS INTEGER)) AS "GPU, steps/s", printf('%.0f', speedup) AS "speed-up"
+FROM benchmark_gpu ORDER BY measurement LIKE '%/%';
