@@ -71,7 +71,9 @@ WHERE measurement IN ('make_vec-left-turn', 'left_turn/mo_ppo_linear');
 CREATE VIEW gpu_speed AS -- docs/gpu.md
 SELECT measurement, device, CASE
   WHEN measurement LIKE 'make_vec-roundabout%' THEN '`make_vec`, 8 vehicles in the roundabout'
-  WHEN measurement LIKE 'make_vec-%' THEN '`make_vec`, ' || replace(substr(measurement, 10), '-', ' ')
+  WHEN measurement LIKE 'make_vec-%' THEN '`make_vec`, ' || CASE substr(measurement, 10)
+    WHEN 'one-waypoint' THEN 'OneWaypoint' WHEN 'static-obstacle' THEN 'StaticObstacle'
+    WHEN 'intersection' THEN 'Intersection' WHEN 'left-turn' THEN 'LeftTurn' END
   ELSE 'training ten seeds of `' || measurement || '`' END AS what,
   printf('%,d', 1000 * cast(round(old / 1000.0) AS INTEGER)) AS "one thread, steps/s",
   printf('%,d', 100000 * cast(round(new / 100000.0) AS INTEGER)) AS "GPU, steps/s", printf('%.0f', speedup) AS "speed-up"
