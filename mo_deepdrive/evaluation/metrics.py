@@ -201,7 +201,7 @@ def name_and_unit(objective: str) -> tuple[str, str]:
         return objective, ""
     unit = OBJECTIVES[INDEX[name]].unit
     plain = objective.replace("/", ": ").replace("_", " ").replace("g force", "g-force")
-    return plain, "" if unit == "1" else unit.replace("^3", "³")
+    return plain, "" if unit == "1" else unit.replace("^2", "²").replace("^3", "³")
 
 
 def label(objective: str, how: str = "sum") -> str:
