@@ -44,7 +44,7 @@ def make_config(worlds=16, decisions=128):
         .environment(
             DrivingMultiAgentEnv, env_config={"scenario": "roundabout", "vehicles": VEHICLES, "utility": UTILITY}
         )
-        .multi_agent(policies={"shared"}, policy_mapping_fn=lambda agent, episode, **_: "shared")
+        .multi_agent(policies={"shared"}, policy_mapping_fn=lambda *_, **__: "shared")
         .rl_module(rl_module_spec=RLModuleSpec(module_class=Driver))
         .env_runners(num_env_runners=0, num_envs_per_env_runner=worlds, rollout_fragment_length=decisions)
         .training(
@@ -68,11 +68,11 @@ def main(updates=200, episodes=100, **sizes):
     for update in range(updates):
         sampled = algorithm.train()["env_runners"]
         if update % 10 == 0 and "episode_return_mean" in sampled:
-            print(f"update {update}: the utilities of {VEHICLES} vehicles add up to {sampled['episode_return_mean']:.1f}")
+            print(f"update {update}: utility of all vehicles together {sampled['episode_return_mean']:.1f}")
     module = algorithm.get_module("shared")
 
     @torch.no_grad()
-    def policy(observations, accrued, discounts):
+    def policy(observations, _accrued, _discounts):
         logits = module.forward_inference({Columns.OBS: torch.as_tensor(observations)})[Columns.ACTION_DIST_INPUTS]
         return logits.argmax(-1).numpy()  # (environments, vehicles)
 
