@@ -62,7 +62,7 @@ def make_config(worlds=16, decisions=128):
     )
 
 
-def main(updates=200, episodes=100, **sizes):
+def main(updates=100, episodes=100, **sizes):
     """Train, and score the policy on the test split."""
     algorithm = make_config(**sizes).build_algo()
     for update in range(updates):
