@@ -1,4 +1,4 @@
-"""The examples that use RLlib: that of docs/lab/rllib.md, its runner, what its learners get, and its curve; a tutorial's."""
+"""The examples that use RLlib: that of docs/lab/rllib.md (its runner, learners, a run, its curve), and a tutorial's."""
 
 from __future__ import annotations
 
