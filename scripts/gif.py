@@ -23,10 +23,11 @@ from typing import TYPE_CHECKING
 from algorithms.driving.named_rules import is_rule, scripted_policy
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import add_trust_argument, check_file, make_parser
-from algorithms.experiments.config import EnvironmentSettings, find_environment
+from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.animated_gif import write_gif
 from algorithms.reporting.videos import Frame, episode_frames, make_render_env
+from mo_deepdrive.config import EnvironmentSettings
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.scenarios import SCENARIOS
 
