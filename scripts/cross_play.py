@@ -16,7 +16,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -118,7 +118,8 @@ def main(arguments: list[str] | None = None) -> int:
         check_directory("--output", options.output)
         env = open_env(options)
         drivers = open_drivers(options, env)
-        utility = options.utility or f"{env.vector_env.unwrapped.config.scenario}_linear"
+        made: Any = env.vector_env.unwrapped
+        utility = options.utility or f"{made.config.scenario}_linear"
         pairs = len(drivers[0]) * len(drivers[1])
         with console.status("") as status:
             done = 0
