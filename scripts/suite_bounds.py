@@ -3,14 +3,16 @@
 python scripts/suite_bounds.py plan K1 --scenarios 128           # search for drives, and write them into the package
 python scripts/suite_bounds.py floor K1 K3
 python scripts/suite_bounds.py ceiling K1 K5
-python scripts/suite_bounds.py drivers R1 R2 --runs runs/* --output docs/results/roundabout.csv
+python scripts/suite_bounds.py drivers R1 R2 --output docs/results/roundabout.csv
+python scripts/suite_bounds.py drivers R1 --runs runs/* --label MO-PPO --output docs/results/roundabout.csv
 
-What is printed belongs into mo_deepdrive/data/suite.yaml. ``drivers``, of the roundabouts alone, writes a table of the
-drivers that bounds are of, and of runs in the environment of the task beside them, with all that they achieve.
+What is printed belongs into mo_deepdrive/data/suite.yaml. ``drivers``, of the roundabouts alone, writes what those
+achieve that bounds are of, or runs in the environment of the task, a row per seed; rows of others stay in the file.
 """
 
 from __future__ import annotations
 
+import csv
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +24,7 @@ from rich.progress import track
 from algorithms.driving.roundabout_rules import ROUNDABOUTS
 from algorithms.experiments.cli import make_parser
 from algorithms.experiments.run_directory import Run
-from algorithms.planning.driver_table import driver_rows
+from algorithms.planning.driver_table import LEARNER, bounds, driver_rows, learner
 from algorithms.planning.suite_bounds import ceiling, floor
 from algorithms.planning.suite_plans import (
     HORIZON,
@@ -50,6 +52,7 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--horizon", type=float, default=HORIZON, help="s of a planned drive (default: %(default)s)")
     parser.add_argument("--from", dest="start", metavar="TASK", help="start from the plans of another task")
     parser.add_argument("--runs", nargs="+", default=[], metavar="RUN", help="runs in the table of drivers")
+    parser.add_argument("--label", metavar="NAME", help="what the runs are called in the table")
     parser.add_argument("--episodes", type=int, default=1000, metavar="N", help="per driver (default: %(default)s)")
     parser.add_argument("--output", type=Path, metavar="FILE", help="CSV file of the drivers")
     options = parser.parse_args(arguments)
@@ -57,6 +60,8 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     if options.what == "drivers":
         if options.output is None:
             parser.error("drivers needs --output FILE")
+        if options.runs and not options.label:
+            parser.error("--runs needs --label NAME")
         check_folder(parser, options.output)
         for task_id in options.tasks:
             if suite.load().task(task_id).config().scenario not in ROUNDABOUTS:
@@ -85,19 +90,24 @@ def _cell(value: Any) -> str:
 
 
 def drivers(options: argparse.Namespace) -> None:
-    """Write the table of drivers."""
+    """Write the rows of bounds, or of runs if some are given, in place of those that the file has of this kind."""
+    tasks = suite.load()
     runs = [Run.open(path) for path in options.runs]
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[str, str]] = []
+    if options.output.is_file():
+        with options.output.open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream))
     for task_id in options.tasks:
-        environment = suite.load().task(task_id).environment
-        found = driver_rows(
-            task_id, [run for run in runs if run.experiment.environment == environment], options.episodes
-        )
+        task = tasks.task(task_id)
+        there = [run for run in runs if run.experiment.environment == task.environment]
+        chosen = [(options.label, *learner(run)) for run in there] if runs else bounds(task)
+        found = driver_rows(task_id, chosen, options.episodes)
         for row in found:
             print(f"{task_id}: {row['driver']}: arrived {row['arrived']:.3f}, utility {row['utility']:.4g}", flush=True)
-        rows += found
-    cells = [[_cell(value) for value in row.values()] for row in rows]
-    atomic_write(options.output, csv_bytes([list(rows[0]), *cells]))
+        new = {options.label} if runs else {row["driver"] for row in rows if row["kind"] != LEARNER}
+        rows = [row for row in rows if row["task"] != task_id or row["driver"] not in new]
+        rows += [{name: _cell(value) for name, value in row.items()} for row in found]
+    atomic_write(options.output, csv_bytes([list(rows[0]), *(list(row.values()) for row in rows)]))
 
 
 def main(arguments: list[str] | None = None) -> int:

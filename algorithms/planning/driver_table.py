@@ -26,33 +26,36 @@ FLOOR, RULE, LEARNER = "floor", "rule", "learner"
 RANDOM, STILL = "acts at random", "stands still"
 
 
-def driver_rows(task_id: str, runs: Iterable[Run], episodes: int) -> list[dict[str, Any]]:
-    """A row per driver, each of ``episodes`` episodes of the test split; see :func:`measures`.
+Driver = tuple[str, str, int | None, Any]  # name, kind, seed of a run, policy
+
+
+def bounds(task: Task) -> list[Driver]:
+    """The drivers that the bounds of a task are of.
 
     The floors are standing still, acting at random, holding one action and the blind drivers; of the last two kinds,
-    and of the rules, the one that is best on the validation split. A run is a learner of the name of its experiment.
+    and of the rules, there is the one that is best on the validation split.
     """
-    task = suite.load().task(task_id)
     unskilled = unskilled_policies(task.config())
-    kinds = {
-        "holds one action": [name for name in unskilled if name.startswith("holds ")],
-        "blind": [name for name in unskilled if name.startswith("goes ")],
-    }
-    chosen: list[tuple[str, str, int | None, Any]] = [(name, FLOOR, None, unskilled[name]) for name in (STILL, RANDOM)]
-    for kind, names in kinds.items():
-        name, policy = _best({name: unskilled[name] for name in names}, task)
-        chosen.append((f"{kind}: {name}", FLOOR, None, policy))
+    found: list[Driver] = [(name, FLOOR, None, unskilled[name]) for name in (STILL, RANDOM)]
+    for prefix, start in (("", "holds "), ("blind, ", "goes ")):
+        name, policy = _best({name: policy for name, policy in unskilled.items() if name.startswith(start)}, task)
+        found.append((prefix + name, FLOOR, None, policy))
     name, policy = _best(roundabout_rules(), task)
-    chosen.append((name, RULE, None, policy))
-    for run in runs:
-        experiment = run.experiment
-        chosen.append((run.path.absolute().parent.name, LEARNER, experiment.training.seed, load_policy(run)))
+    return [*found, (name, RULE, None, policy)]
+
+
+def learner(run: Run) -> tuple[str, int, Any]:
+    """Kind, seed and policy of the driver that a run has trained."""
+    return LEARNER, run.experiment.training.seed, load_policy(run)
+
+
+def driver_rows(task_id: str, drivers: Iterable[Driver], episodes: int) -> list[dict[str, Any]]:
+    """A row per driver, each of ``episodes`` episodes of the test split; see :func:`measures`."""
+    task = suite.load().task(task_id)
     rows = []
-    for name, kind, seed, policy in chosen:
-        found = drive(policy, task, episodes, "test")
-        rows.append(
-            {"task": task_id, "driver": name, "kind": kind, "seed": seed, "episodes": episodes, **measures(found)}
-        )
+    for name, kind, seed, policy in drivers:
+        about = {"task": task_id, "driver": name, "kind": kind, "seed": seed, "episodes": episodes}
+        rows.append({**about, **measures(drive(policy, task, episodes, "test"))})
     return rows
 
 
