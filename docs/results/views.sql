@@ -76,8 +76,11 @@ SELECT task, driver, CASE kind WHEN 'learner' THEN count(*) END AS seeds,
 FROM roundabout GROUP BY task, driver ORDER BY avg(utility) DESC;
 
 CREATE VIEW roundabout_types AS -- roundabout: what a rule of a kind gets among others of a kind
+WITH cells AS (
+  SELECT vehicle_0, others, decimals("vehicle_0/utility_esr", 2) || ' in ' || decimals(-"vehicle_0/return/time", 1) || ' s' AS cell
+  FROM roundabout_types_cross_play)
 SELECT replace(vehicle_0, 'rule:', '') AS " ",
-  max(CASE others WHEN 'rule:hurried' THEN decimals("vehicle_0/utility_esr", 2) END) AS "among hurried",
-  max(CASE others WHEN 'rule:balanced' THEN decimals("vehicle_0/utility_esr", 2) END) AS "among balanced",
-  max(CASE others WHEN 'rule:careful' THEN decimals("vehicle_0/utility_esr", 2) END) AS "among careful"
-FROM roundabout_types_cross_play GROUP BY vehicle_0 ORDER BY min(rowid);
+  max(CASE others WHEN 'rule:hurried' THEN cell END) AS "among hurried",
+  max(CASE others WHEN 'rule:balanced' THEN cell END) AS "among balanced",
+  max(CASE others WHEN 'rule:careful' THEN cell END) AS "among careful"
+FROM cells GROUP BY vehicle_0 ORDER BY instr('hurried balanced careful', replace(vehicle_0, 'rule:', ''));
