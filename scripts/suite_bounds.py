@@ -24,7 +24,7 @@ from rich.progress import track
 from algorithms.driving.roundabout_rules import ROUNDABOUTS
 from algorithms.experiments.cli import make_parser
 from algorithms.experiments.run_directory import Run
-from algorithms.planning.driver_table import LEARNER, bounds, driver_rows, learner
+from algorithms.planning.driver_table import LEARNER, bounds, driver_rows, drives_in, learner
 from algorithms.planning.suite_bounds import ceiling, floor
 from algorithms.planning.suite_plans import (
     HORIZON,
@@ -90,16 +90,23 @@ def _cell(value: Any) -> str:
 
 
 def drivers(options: argparse.Namespace) -> None:
-    """Write the rows of bounds, or of runs if some are given, in place of those that the file has of this kind."""
+    """Write the rows of bounds, or of runs if some are given, in place of those that the file has of them.
+
+    Raises:
+        ValueError: for a run that drives elsewhere.
+    """
     tasks = suite.load()
     runs = [Run.open(path) for path in options.runs]
+    for run in runs:
+        if not any(drives_in(run, tasks.task(task_id)) for task_id in options.tasks):
+            raise ValueError(f"--runs {run.path} drives in the environment of none of {', '.join(options.tasks)}")
     rows: list[dict[str, str]] = []
     if options.output.is_file():
         with options.output.open(encoding="utf-8", newline="") as stream:
             rows = list(csv.DictReader(stream))
     for task_id in options.tasks:
         task = tasks.task(task_id)
-        there = [run for run in runs if run.experiment.environment == task.environment]
+        there = [run for run in runs if drives_in(run, task)]
         chosen = [(options.label, *learner(run)) for run in there] if runs else bounds(task)
         found = driver_rows(task_id, chosen, options.episodes)
         for row in found:
@@ -114,7 +121,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line ``arguments``; those of the process if None."""
     options = parse_arguments(arguments)
     if options.what == "drivers":
-        drivers(options)
+        try:
+            drivers(options)
+        except (ValueError, OSError) as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 2
         return 0
     for task_id in options.tasks:
         if options.what == "plan":

@@ -44,6 +44,13 @@ def bounds(task: Task) -> list[Driver]:
     return [*found, (name, RULE, None, policy)]
 
 
+def drives_in(run: Run, task: Task) -> bool:
+    """Whether the run has trained in the environment of the task."""
+    trained_in = run.experiment.environment
+    same = trained_in.id == task.environment.id
+    return same and task.model_copy(update={"environment": trained_in}).config() == task.config()
+
+
 def learner(run: Run) -> tuple[str, int, Any]:
     """Kind, seed and policy of the driver that a run has trained."""
     return LEARNER, run.experiment.training.seed, load_policy(run)
