@@ -1,4 +1,4 @@
-"""Cross-play: every driver of vehicle 0 with every driver of the other vehicle, or of all others.
+r"""Cross-play: every driver of vehicle 0 with every driver of the other vehicle, or of all others.
 
     python scripts/cross_play.py intersection_linear-mo_ppo intersection_linear-ppo --output cross_play
     python scripts/cross_play.py runs/a runs/b --vehicle-0 rule:gap_8 --vehicle-1 rule:straight_6 --output cross_play
@@ -9,6 +9,12 @@ intersection rule:gap_3 turns left and waits for a gap of 3 s, rule:straight_6 d
 rule:yields_6 also brakes for a vehicle in front of it, each with any number. In a roundabout rule:hurried,
 rule:balanced and rule:careful drive any vehicle, rule:enters_3 enters with a gap of 3 s, rule:drawn_7 is the seventh of
 the drawn ones that no learner trains with. The folder gets cross_play.csv and cross_play.png.
+
+    python scripts/cross_play.py RUN --env mo-deepdrive-roundabout-v0 --vehicles 8 --preference hurried time=5 \
+      --preference balanced --preference careful near_miss=5 jerk=5 --show vehicle_0/utility_esr --output matrix
+
+RUN of conditioned MO-PPO is one driver for every preference: linear weights in units of its objective_scales, 1 for
+objectives that are not named. Each meets every other one.
 """
 
 from __future__ import annotations
@@ -16,12 +22,14 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import Console
 
-from algorithms.experiments.build import open_driver
-from algorithms.experiments.cli import add_trust_argument, check_directory, make_parser
+from algorithms import ConditionedMOPPO
+from algorithms.experiments.build import load_policy, open_driver
+from algorithms.experiments.cli import add_trust_argument, check_directory, make_parser, named_numbers
 from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.console import make_console
 from algorithms.experiments.run_directory import Run
@@ -32,11 +40,17 @@ from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes
 from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Sequence
 
     from mo_deepdrive.evaluation.policy import Policy
+
+
+OWN = "own"
+UTILITY_HELP = f"of all (default: the linear one of the scenario); {OWN!r} for the preference of each"
 
 
 def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
@@ -49,10 +63,12 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     help_text = "environment of several vehicles (default: %(default)s)"
     parser.add_argument("--env", default=SCENARIOS["intersection"].id, metavar="ID", help=help_text)
     parser.add_argument("--vehicles", type=int, metavar="V", help="argument of the environment")
+    help_text = "a driver of each RUN of conditioned MO-PPO: its name, and weights"
+    parser.add_argument("--preference", nargs="+", action="append", default=[], metavar="NAME", help=help_text)
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder of the table and the picture")
     parser.add_argument("--episodes", type=int, default=200, metavar="N", help="per pair (default: %(default)s)")
     parser.add_argument("--split", choices=SPLITS, default="test", help="scenario seeds (default: %(default)s)")
-    parser.add_argument("--utility", metavar="NAME", help="of all (default: the linear one of the scenario)")
+    parser.add_argument("--utility", metavar="NAME", help=UTILITY_HELP)
     parser.add_argument(
         "--show", nargs="+", default=[], metavar="SCORE", help="print the matrix of a column of the CSV"
     )
@@ -104,9 +120,58 @@ def open_drivers(options: argparse.Namespace, env: EnvAdapter) -> list[dict[str,
                 raise ValueError(f"{role} has two drivers {shown!r}; the second is {name!r}")
             if not shown.isprintable():
                 raise ValueError(f"driver {shown!r} has characters in its name that cannot be printed")
+            if options.preference and name in opened_runs and not opened_runs[name].experiment.known_utility:
+                opened |= conditioned_drivers(opened_runs[name], options)
+                continue
             for v in seats:
                 opened[shown] = open_driver(name, v, env, "discrete", trust=options.trust)
         found.append(opened)
+    return found
+
+
+def conditioned_drivers(run: Run, options: argparse.Namespace) -> dict[str, Policy]:
+    """The drivers of a run of conditioned MO-PPO by the names of their preferences.
+
+    Raises:
+        ValueError: for unknown objectives, weights that are not numbers, or a run that has no such preferences.
+    """
+    agent = load_policy(run)
+    if not isinstance(agent, ConditionedMOPPO):
+        raise ValueError(f"{run.path} has no preferences; --preference needs a run of conditioned MO-PPO")
+    found: dict[str, Policy] = {}
+    for name, weights in weights_of(options, agent.env.objectives).items():
+        row = agent.preferences.condition("linear", weights)
+        policy = agent.policy(np.tile(row, agent.env.vehicles))
+        found[name] = policy
+    return found
+
+
+def weights_of(options: argparse.Namespace, objectives: Sequence[str]) -> dict[str, dict[str, float]]:
+    """The weights of every objective by the name of the preference."""
+    return {
+        name: dict.fromkeys(objectives, 1.0) | named_numbers(f"--preference {name}", pairs, objectives)
+        for name, *pairs in options.preference
+    }
+
+
+def utilities_of(options: argparse.Namespace, env: EnvAdapter, drivers: list[dict[str, Policy]]) -> Any:
+    """The utility by which all are judged, or by name those of the preferences.
+
+    Raises:
+        ValueError: if a driver has no preference of its own.
+    """
+    made: Any = env.vector_env.unwrapped
+    if options.utility != OWN:
+        return options.utility or f"{made.config.scenario}_linear"
+    found = {}
+    for name, weights in weights_of(options, env.objectives).items():
+        policy: Any = (drivers[0] | drivers[1]).get(name)
+        if policy is not None:
+            scaled = np.array([weights[each] for each in env.objectives]) / policy.agent.scales
+            found[name] = make_utility("linear", env.objectives, weights=(scaled / sum(weights.values())).tolist())
+    for name in (*drivers[0], *drivers[1]):
+        if name not in found:
+            raise ValueError(f"--utility {OWN}: {name!r} has no preference")
     return found
 
 
@@ -118,7 +183,7 @@ def main(arguments: list[str] | None = None) -> int:
         check_directory("--output", options.output)
         env = open_env(options)
         drivers = open_drivers(options, env)
-        utility = options.utility or f"{env.vector_env.unwrapped.config.scenario}_linear"
+        utility = utilities_of(options, env, drivers)
         pairs = len(drivers[0]) * len(drivers[1])
         with console.status("") as status:
             done = 0
@@ -141,7 +206,8 @@ def main(arguments: list[str] | None = None) -> int:
         options.output.mkdir(parents=True, exist_ok=True)
         episodes = describe_episodes(options.episodes, SPLITS[options.split].start)
         kind = "greedy" if options.greedy else "sampled"
-        note = f"{episodes} per pair, {kind} actions, utility {utility}"
+        name = OWN if isinstance(utility, dict) else utility
+        note = f"{episodes} per pair, {kind} actions, utility {name}"
         write_encounters(options.output / "cross_play.csv", encounters)
         plot_encounters(options.output / "cross_play.png", encounters, note)
     except (ValueError, OSError) as error:

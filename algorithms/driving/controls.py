@@ -30,7 +30,7 @@ SOFT_CHANGE = 0.15  # m/s^2 by which the throttle changes in a decision, of cont
 
 
 def braking_distance(speed: Floats) -> Floats:
-    """How far (m) a vehicle with a speed (m/s) drives until it stands, with its full brake from the next decision on."""
+    """How far (m) a vehicle with a speed (m/s) drives until it stands, braking fully from the next decision on."""
     return speed * (1.0 / BRAKING + 1.5 * DECISION)
 
 

@@ -14,8 +14,12 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 
 MAKERS = {
-    **dict.fromkeys(SCENARIOS["intersection"].ids, intersection_rules.make_rule),
-    **dict.fromkeys((*SCENARIOS["roundabout"].ids, *SCENARIOS["roundabout_solo"].ids), roundabout_rules.make_rule),
+    env_id: made_by
+    for scenario, made_by in (
+        ("intersection", intersection_rules.make_rule),
+        *((name, roundabout_rules.make_rule) for name in roundabout_rules.ROUNDABOUTS),
+    )
+    for env_id in SCENARIOS[scenario].ids
 }
 
 
@@ -31,7 +35,7 @@ def scripted_policy(name: str, vehicle: int, env: EnvAdapter, action_type: str) 
         ValueError: if there is none there, or it drives another vehicle.
     """
     if env.name not in MAKERS:
-        raise ValueError(f"{name!r} drives in {', '.join(MAKERS)}, not in {env.name}")
+        raise ValueError(f"{name!r}: there are scripted drivers in {', '.join(MAKERS)}, not in {env.name}")
     driver = MAKERS[env.name](name, action_type)
     if driver.vehicle not in (None, vehicle):
         raise ValueError(f"{name!r} drives {vehicle_name(driver.vehicle)}, not {vehicle_name(vehicle)}")

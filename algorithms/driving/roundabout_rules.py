@@ -1,8 +1,8 @@
 """Fixed rules for the roundabout: follow the lane, keep a distance, and give way to whoever is inside.
 
-A rule knows the roads, and of everything that moves what an agent observes. It remembers nothing: an action follows from
-one observation. Before the roundabout it stops for whoever has right of way and would be at the end of its entry within
-``gap`` seconds at the present speed, unless it is turning off.
+A rule knows the roads, and of everything that moves what an agent observes. It remembers nothing: an action follows
+from one observation. Before the roundabout it stops for whoever has right of way and would be at the end of its entry
+within ``gap`` seconds, unless it is turning off.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+ROUNDABOUTS = ("roundabout", "roundabout_solo")
 SCENARIO = SCENARIOS["roundabout"]
 COLUMN = {entry.name: column for column, entry in enumerate(layout(SCENARIO))}
 # The routes from one arm; those from the others are the same ones, turned.
@@ -59,12 +60,12 @@ SLACK = 0.25  # share of the target speed that may be lost before it speeds up a
 CALM = 0.12  # by how much a change of the steering counts, beside what it is off
 REACH = 0.5  # m from the middle of somebody's front or rear to what is first in the way
 STANDING = 3.3  # m/s, the least speed by which the time to the entry is counted
-TURNS_OFF = 0.35  # rad from the direction of the circle, outwards, from which on somebody is leaving it
-STOP = 1.7  # m before the line where it stops
+TURNS_OFF = 0.5  # rad from the direction of the circle, outwards, from which on somebody is leaving it
+STOP = 2.0  # m before the line where it stops
 BRAKE_LIMIT = 4.35  # m/s above which a discrete brake would be harmful
-BRAKE_SLACK = 0.9  # m/s above the target speed at which it brakes
-RELEASE = -0.8  # m/s above the target speed down to which it brakes
-STOP_GAIN = 2.0  # 1/s, of the speed before the line over the distance to it
+BRAKE_SLACK = 1.4  # m/s above the target speed at which it brakes
+RELEASE = -0.5  # m/s above the target speed down to which it brakes
+STOP_GAIN = 1.4  # 1/s, of the speed before the line over the distance to it
 
 
 @dataclass(frozen=True)
@@ -79,11 +80,11 @@ class RoundaboutRule:
         headway: to the one ahead (s).
     """
 
-    gap: float = 3.5
-    approach_speed: float = 3.5
+    gap: float = 3.0
+    approach_speed: float = 4.2
     inside_speed: float = 4.0
-    exit_speed: float = 5.0
-    headway: float = 0.7
+    exit_speed: float = 4.5
+    headway: float = 0.9
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -252,7 +253,7 @@ def room_ahead(place: Place, others: Others) -> Floats:
         inside = others.present & (np.abs(left) < SCENARIO.routes[0].lane_width / 2)
         inside &= (along > 0.0) & (along < LOOK_AHEAD[-1])
         least = np.minimum(least, np.where(inside, along - half, np.inf).min(axis=1))
-    return np.maximum(least, 0.0)
+    return np.asarray(np.maximum(least, 0.0))
 
 
 def time_to_entry(others: Others) -> Floats:
@@ -314,7 +315,7 @@ class RoundaboutDriver:
 
 # Drivers of three characters, by name.
 TYPES = {
-    "hurried": RoundaboutRule(gap=2.5, approach_speed=4.2, inside_speed=5.0, exit_speed=7.0, headway=0.6),
+    "hurried": RoundaboutRule(gap=2.8, approach_speed=4.2, inside_speed=4.3, exit_speed=7.0, headway=0.5),
     "balanced": RoundaboutRule(),
     "careful": RoundaboutRule(gap=5.0, approach_speed=3.0, inside_speed=3.3, exit_speed=4.0, headway=1.4),
 }

@@ -49,7 +49,7 @@ class UtilitySettings(UtilityChoice):
     """The utility that is maximised."""
 
     vehicles: dict[str, UtilityChoice] = {}
-    """Utilities of single vehicles that differ from it, by "vehicle_0" or "vehicle_1"."""
+    """Utilities of single vehicles that differ from it, by names such as "vehicle_1"."""
 
     def of_vehicle(self, v: int) -> UtilityChoice:
         """The utility of vehicle ``v``."""
@@ -77,10 +77,10 @@ class TrainingSettings(Settings):
     """Whether compiled code calculates gradients on the CPU, or PyTorch alone; the numbers are the same but for
     rounding."""
     partners: dict[str, list[str]] = {}
-    """What drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo and scripted
+    """What drives the vehicles that do not learn, by names such as "vehicle_1": runs, policies of the zoo and scripted
     drivers, which take turns over the parallel environments."""
     guides: dict[str, GuideSettings] = {}
-    """What begins some episodes of vehicles that learn, by "vehicle_0" or "vehicle_1"; see GuideSettings."""
+    """What begins some episodes of vehicles that learn, by names such as "vehicle_1"; see GuideSettings."""
 
 
 class EvaluationSettings(Settings):

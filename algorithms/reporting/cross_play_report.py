@@ -135,7 +135,7 @@ def _panels(roles: Sequence[str]) -> list[tuple[str, str, str, bool]]:
 
 
 def _plain(role: str) -> str:
-    return role.replace("_", " ")
+    return "the others" if role == OTHERS else role.replace("_", " ")
 
 
 def _draw(axis: Axes, values: NDArray[np.float64], colours: str, limits: tuple[float, float]) -> None:

@@ -33,7 +33,7 @@ OTHERS = "others"
 
 def roles_of(vehicles: int) -> tuple[str, str]:
     """The two roles: vehicle 0, and vehicle 1 or, if there are more, all others."""
-    return vehicle_name(0), vehicle_name(1) if vehicles == 2 else OTHERS  # noqa: PLR2004
+    return vehicle_name(0), vehicle_name(1) if vehicles == 2 else OTHERS
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def cross_play(
     Raises:
         ValueError: for invalid arguments, or drivers that do not drive in the environment.
     """
-    if len(drivers) != 2 or not all(drivers):  # noqa: PLR2004
+    if len(drivers) != 2 or not all(drivers):
         raise ValueError("drivers must be those of vehicle 0 and those of the others, at least one each")
 
     def utility_of(name: str) -> UtilityLike:

@@ -206,8 +206,8 @@ def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
     """Every metric of an evaluation with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
 
     With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in which
-    any collided, ``total_utility_esr`` the sum of the utilities, ``worst_off_utility_esr`` the least of them, and ``gini_utility_esr``
-    the sum that counts the worse-off for more.
+    any collided, ``total_utility_esr`` the sum of the utilities, ``worst_off_utility_esr`` the least of them,
+    ``gini_utility_esr`` the sum that counts the worse-off for more.
 
     Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes in one
     decision have none.
