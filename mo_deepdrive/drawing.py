@@ -177,8 +177,9 @@ class Canvas:
 
     def way(self, route: Route, vehicle: Any, colour: Colour) -> None:
         """What is left of a vehicle's way along a route of segments, and its end."""
-        if vehicle.end == RUNNING:
-            self.strip(route.traced(vehicle.route_distance), 0.3, (*colour, 120))
+        left = route.traced(vehicle.route_distance)
+        if vehicle.end == RUNNING and len(left) > 1:
+            self.strip(left, 0.3, (*colour, 120))
         self.ring(
             np.array(route.joints()[-1][:2]), ARRIVAL_RADIUS, 0.3, (*colour, 255 if vehicle.end == RUNNING else 90)
         )

@@ -179,7 +179,7 @@ class Panel:
                 self._write(text, x, self._height(v, 142), 18, DIM)
             for k, name in enumerate(self._objectives):
                 row = self._height(v, 164 + self._row * k)
-                unit = OBJECTIVES[INDEX[name]].unit.replace("^3", "³")
+                unit = OBJECTIVES[INDEX[name]].unit.replace("^2", "²").replace("^3", "³")
                 self._rectangle(20, row - 11 * self._pitch, 296, 1, RULE)
                 name_end = self._write(titled(name), 20, row, 21, TEXT)
                 if unit != "1":

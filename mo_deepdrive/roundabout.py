@@ -1,8 +1,9 @@
 """The lanes of a compact urban roundabout.
 
-Dimensions are those of the category "urban compact" of B. W. Robinson et al., "Roundabouts: An Informational Guide",
-FHWA-RD-00-067, 2000: an inscribed circle of 25 to 30 m and an entry speed of at most 25 km/h, with single lanes of 4.3
-to 4.9 m, and entry radii of at least 10 m. Traffic keeps to the right and circulates counter-clockwise.
+Its inscribed circle is in the range of single-lane roundabouts for the smallest of their design vehicles, 90 to 150 ft
+("Roundabouts: An Informational Guide", second edition, NCHRP Report 672, 2010, chapter 6); those that the first edition
+(B. W. Robinson et al., FHWA-RD-00-067, 2000) calls urban compact are to be entered with at most 25 km/h. Traffic keeps
+to the right and circulates counter-clockwise.
 """
 
 from __future__ import annotations

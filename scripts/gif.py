@@ -1,9 +1,11 @@
-"""Write a looping GIF of trained policies side by side: the picture at the top of the README.
+"""Write a looping GIF of drivers side by side: the picture at the top of the README.
 
     python scripts/gif.py --output docs/images/scenarios.gif
     python scripts/gif.py one_waypoint_linear-ppo runs/mo_ppo_linear/mo_ppo-seed0 --output two.gif
+    python scripts/gif.py rule:hurried --side 400 --output docs/images/roundabout.gif
 
-Each policy acts greedily. A short episode is followed by further ones while they fit beside the longest.
+A rule drives eight vehicles of the roundabout, the middle of which is shown. Each policy acts greedily. A short
+episode is followed by further ones while they fit beside the longest.
 """
 
 from __future__ import annotations
@@ -18,37 +20,45 @@ sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 
 from typing import TYPE_CHECKING
 
+from algorithms.driving.named_rules import is_rule, scripted_policy
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import add_trust_argument, check_file, make_parser
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.animated_gif import write_gif
 from algorithms.reporting.videos import Frame, episode_frames, make_render_env
+from mo_deepdrive.config import EnvironmentSettings
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator, Sequence
 
+    from mo_deepdrive.evaluation.policy import Policy
+
 POLICIES = (
-    "one_waypoint_nonlinear-mo_ppo",
     "static_obstacle_nonlinear-mo_ppo",
     "intersection_nonlinear-mo_ppo",
     "left_turn_linear-mo_ppo",
+    "rule:hurried",
 )
-TITLES = {name: scenario.title for name, scenario in SCENARIOS.items()}
+OF_RULES = EnvironmentSettings(id=SCENARIOS["roundabout"].id, arguments={"vehicles": 8})
+MARGIN = 0.2  # of a map with roads of segments, which is cut off on each side
 HOLD = 6  # frames for which the last one of an episode is shown
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     """Parse the command line."""
     parser = make_parser(__doc__)
-    parser.add_argument("runs", nargs="*", default=POLICIES, metavar="RUN", help="run directories or names in the zoo")
+    help_text = "run directories, names in the zoo, or rules of the roundabout"
+    parser.add_argument("runs", nargs="*", default=POLICIES, metavar="RUN", help=help_text)
     parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="the GIF")
     parser.add_argument(
         "--seed", type=int, default=1_000_001, metavar="S", help="of the first episodes (default: %(default)s)"
     )
     parser.add_argument("--fps", type=int, default=10, metavar="N", help="frames per second (default: %(default)s)")
+    parser.add_argument("--frames", type=int, default=220, metavar="N", help="at most (default: %(default)s)")
     parser.add_argument("--side", type=int, default=280, metavar="PIXELS", help="of each clip (default: %(default)s)")
     add_trust_argument(parser)
     return parser.parse_args(arguments)
@@ -60,23 +70,33 @@ def open_policy(name: str, seed: int, trust: bool) -> tuple[str, Iterator[list[F
     Raises:
         ValueError: if there is no such run or policy, or it learns a front.
     """
-    run = Run.open(name, trust=trust)
-    if not run.experiment.known_utility:
-        raise ValueError(f"{name!r} is a front of policies; choose one with mo-deepdrive choose --video instead")
-    agent = load_policy(run)
-    environment = run.experiment.environment
+    policy: Policy
+    if is_rule(name):
+        environment = OF_RULES
+        policy = scripted_policy(name, 0, EnvAdapter(make_env(environment.id, 1, environment.arguments)), "discrete")
+    else:
+        run = Run.open(name, trust=trust)
+        if not run.experiment.known_utility:
+            raise ValueError(f"{name!r} is a front of policies; choose one with mo-deepdrive choose --video instead")
+        environment, policy = run.experiment.environment, load_policy(run)
     env = make_render_env(environment.id, environment.arguments)
-    scenario = find_environment(run.experiment.environment.id).kwargs.get("scenario", "")
+    scenario = SCENARIOS.get(find_environment(environment.id).kwargs.get("scenario", ""))
 
-    title = TITLES.get(scenario, run.experiment.environment.id)
-    return title, (list(episode_frames(agent, env, i, greedy=True)) for i in range(seed, 2**31))
+    def shown(frame: Frame) -> Frame:
+        if scenario is None or not scenario.roads:
+            return frame
+        low, high = round(MARGIN * len(frame)), round((1 - MARGIN) * len(frame))
+        return frame[low:high, low:high]
+
+    title = environment.id if scenario is None else scenario.title
+    return title, ([*map(shown, episode_frames(policy, env, i, greedy=True))] for i in range(seed, 2**31))
 
 
-def clips(names: Sequence[str], seed: int, trust: bool = False) -> list[tuple[str, list[Frame]]]:
+def clips(names: Sequence[str], seed: int, most: int, trust: bool = False) -> list[tuple[str, list[Frame]]]:
     """Titles and frames: the first episode of each policy, and further ones of it while they fit beside the longest."""
     titles, episodes = zip(*(open_policy(name, seed, trust) for name in names), strict=True)
     shown = [next(each) for each in episodes]
-    length = max(map(len, shown))
+    length = min(max(map(len, shown)), most)
     for frames, further in zip(shown, episodes, strict=True):
         for episode in further:
             frames.extend([frames[-1]] * HOLD)
@@ -93,9 +113,11 @@ def main(arguments: list[str]) -> int:
         check_file("--output", options.output)
         if not 0 <= options.seed < 2**31:
             raise ValueError(f"--seed {options.seed} must be between 0 and {2**31 - 1}")
+        if options.frames < 1:
+            raise ValueError(f"--frames {options.frames} must be at least 1")
         if options.side < 16:
             raise ValueError(f"--side {options.side} must be at least 16 pixels")
-        shown = clips(options.runs, options.seed, options.trust)
+        shown = clips(options.runs, options.seed, options.frames, options.trust)
         count, size = write_gif(shown, options.output, fps=options.fps, side=options.side)
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -3,20 +3,28 @@
 python scripts/suite_bounds.py plan K1 --scenarios 128           # search for drives, and write them into the package
 python scripts/suite_bounds.py floor K1 K3
 python scripts/suite_bounds.py ceiling K1 K5
+python scripts/suite_bounds.py drivers R1 R2 --output docs/results/roundabout.csv
+python scripts/suite_bounds.py drivers R1 --runs runs/* --label MO-PPO --output docs/results/roundabout.csv
 
-What is printed belongs into mo_deepdrive/data/suite.yaml.
+What is printed belongs into mo_deepdrive/data/suite.yaml. ``drivers``, of the roundabouts alone, writes what those
+achieve that bounds are of, or runs in the environment of the task, a row per seed; rows of others stay in the file.
 """
 
 from __future__ import annotations
 
+import csv
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from result_file import check_least
+from result_file import check_folder, check_least
 from rich.console import Console
 from rich.progress import track
 
+from algorithms.driving.roundabout_rules import ROUNDABOUTS
 from algorithms.experiments.cli import make_parser
+from algorithms.experiments.run_directory import Run
+from algorithms.planning.driver_table import LEARNER, bounds, driver_rows, drives_in, learner
 from algorithms.planning.suite_bounds import ceiling, floor
 from algorithms.planning.suite_plans import (
     HORIZON,
@@ -27,6 +35,7 @@ from algorithms.planning.suite_plans import (
     write_plans,
 )
 from mo_deepdrive import suite
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.splits import SPLITS
 
 if TYPE_CHECKING:
@@ -36,14 +45,27 @@ if TYPE_CHECKING:
 def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     """The options of this script."""
     parser = make_parser(__doc__)
-    parser.add_argument("what", choices=("plan", "floor", "ceiling"))
+    parser.add_argument("what", choices=("plan", "floor", "ceiling", "drivers"))
     parser.add_argument("tasks", nargs="+", choices=suite.load().tasks, metavar="TASK")
     parser.add_argument("--scenarios", type=int, default=128, help="of the test split (default: %(default)s)")
     parser.add_argument("--generations", type=int, default=20, help="of a search (default: %(default)s)")
     parser.add_argument("--horizon", type=float, default=HORIZON, help="s of a planned drive (default: %(default)s)")
     parser.add_argument("--from", dest="start", metavar="TASK", help="start from the plans of another task")
+    parser.add_argument("--runs", nargs="+", default=[], metavar="RUN", help="runs in the table of drivers")
+    parser.add_argument("--label", metavar="NAME", help="what the runs are called in the table")
+    parser.add_argument("--episodes", type=int, default=1000, metavar="N", help="per driver (default: %(default)s)")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="CSV file of the drivers")
     options = parser.parse_args(arguments)
-    check_least(parser, options, 1, "scenarios", "generations", "horizon")
+    check_least(parser, options, 1, "scenarios", "generations", "horizon", "episodes")
+    if options.what == "drivers":
+        if options.output is None:
+            parser.error("drivers needs --output FILE")
+        if options.runs and not options.label:
+            parser.error("--runs needs --label NAME")
+        check_folder(parser, options.output)
+        for task_id in options.tasks:
+            if suite.load().task(task_id).config().scenario not in ROUNDABOUTS:
+                parser.error(f"drivers is for tasks in the roundabout, not for {task_id}")
     return options
 
 
@@ -61,9 +83,50 @@ def plan(task_id: str, options: argparse.Namespace) -> None:
     print(f"{task_id}: {values.mean():.4f} over {len(values)} scenarios", flush=True)
 
 
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def drivers(options: argparse.Namespace) -> None:
+    """Write the rows of bounds, or of runs if some are given, in place of those that the file has of them.
+
+    Raises:
+        ValueError: for a run that drives elsewhere.
+    """
+    tasks = suite.load()
+    runs = [Run.open(path) for path in options.runs]
+    for run in runs:
+        if not any(drives_in(run, tasks.task(task_id)) for task_id in options.tasks):
+            raise ValueError(f"--runs {run.path} drives in the environment of none of {', '.join(options.tasks)}")
+    rows: list[dict[str, str]] = []
+    if options.output.is_file():
+        with options.output.open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream))
+    for task_id in options.tasks:
+        task = tasks.task(task_id)
+        there = [run for run in runs if drives_in(run, task)]
+        chosen = [(options.label, *learner(run)) for run in there] if runs else bounds(task)
+        found = driver_rows(task_id, chosen, options.episodes)
+        for row in found:
+            print(f"{task_id}: {row['driver']}: arrived {row['arrived']:.3f}, utility {row['utility']:.4g}", flush=True)
+        new = {options.label} if runs else {row["driver"] for row in rows if row["kind"] != LEARNER}
+        rows = [row for row in rows if row["task"] != task_id or row["driver"] not in new]
+        rows += [{name: _cell(value) for name, value in row.items()} for row in found]
+    atomic_write(options.output, csv_bytes([list(rows[0]), *(list(row.values()) for row in rows)]))
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line ``arguments``; those of the process if None."""
     options = parse_arguments(arguments)
+    if options.what == "drivers":
+        try:
+            drivers(options)
+        except (ValueError, OSError) as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 2
+        return 0
     for task_id in options.tasks:
         if options.what == "plan":
             plan(task_id, options)

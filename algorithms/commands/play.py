@@ -1,10 +1,12 @@
-"""Drive in a window: alone, as two people at one keyboard, or against a trained policy.
+"""Drive in a window: alone, as two people at one keyboard, or among trained policies or scripted drivers.
 
     mo-deepdrive play --env mo-deepdrive-one-waypoint-v0
     mo-deepdrive play --env mo-deepdrive-intersection-v0
     mo-deepdrive play --env mo-deepdrive-intersection-v0 --against RUN --vehicle 1 --record drive.mp4
+    mo-deepdrive play --env mo-deepdrive-roundabout-v0 --against rule:balanced
 
-RUN is the directory of a run, or the name of a policy of the zoo (mo-deepdrive zoo lists them).
+RUN, which drives all other vehicles, is the directory of a run, the name of a policy of the zoo (mo-deepdrive zoo lists
+them), or in a roundabout a scripted driver: rule:hurried, rule:balanced or rule:careful.
 
 Arrow keys: up accelerates, down brakes, left and right steer. With two people the arrow keys drive vehicle 0, and
 W A S D drives vehicle 1. R restarts the episode; Escape or closing the window quits. Hard braking and fast turns can
@@ -36,8 +38,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
-    from algorithms.agent import Agent
     from mo_deepdrive.envs.vector import DrivingVectorEnv
+    from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.evaluation.policy_driver import PolicyDriver
     from mo_deepdrive.play import EpisodeOutcome
 
@@ -56,9 +58,9 @@ def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
     parser.add_argument("--env", required=True, metavar="ID", help="one of this package's environments")
     parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: random)")
     parser.add_argument("--fps", type=int, metavar="N", help="decisions per second (default: real time)")
-    parser.add_argument("--against", metavar="RUN", help="run or policy of the zoo that drives the other vehicle")
+    parser.add_argument("--against", metavar="RUN", help="what drives the other vehicles")
     help_text = "the vehicle you drive against RUN (default: 0, or one that RUN did not learn to drive)"
-    parser.add_argument("--vehicle", type=int, choices=(0, 1), help=help_text)
+    parser.add_argument("--vehicle", type=int, metavar="V", help=help_text)
     parser.add_argument("--stochastic", action="store_true", help="sample RUN's actions instead of the greedy ones")
     parser.add_argument("--record", metavar="FILE", help="write an MP4 of the session")
     add_trust_argument(parser)
@@ -71,13 +73,13 @@ def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
     return options
 
 
-def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | None, list[int]]:
-    """The environment that the options ask for, the agent of the other vehicle, if any, and the user's vehicles.
+def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
+    """The environment that the options ask for, what drives the other vehicles, if any, and the user's vehicles.
 
     Raises:
         ValueError: for an unknown environment or run, or one that does not fit.
     """
-    from mo_deepdrive.play import make_play_env
+    from mo_deepdrive.play import KEYBOARD, make_play_env
 
     spec = find_environment(options.env, "--env")
     if not is_ours(spec):
@@ -87,24 +89,52 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
             if given:
                 raise ValueError(f"{name} requires --against RUN")
         env = make_play_env(options.env)
+        if env.vehicles > len(KEYBOARD):
+            raise ValueError(
+                f"--env {options.env} has {env.vehicles} vehicles, and a keyboard has room for {len(KEYBOARD)} people; "
+                "add --against RUN"
+            )
         return env, None, list(range(env.vehicles))
     with needed_for("--against"):
-        from algorithms.experiments.build import load_policy
+        from algorithms.driving.named_rules import is_rule
         from mo_deepdrive.evaluation.metrics import vehicle_name
-    run = Run.open(options.against, trust=options.trust)
-    theirs = run.experiment.environment
-    if find_environment(theirs.id).id != spec.id:
-        raise ValueError(f"--against {options.against}: the run drives in {theirs.id}, not in {spec.id}")
-    warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors"))
-    agent = load_policy(run)
-    if agent.env.vehicles == 1:
+    policy, arguments, theirs = (open_rule if is_rule(options.against) else open_run)(options, spec.id)
+    vehicles = policy.env.vehicles
+    if vehicles == 1:
         raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")
-    partners = run.experiment.training.partners
-    free = [v for v in range(agent.env.vehicles) if set(partners) <= {vehicle_name(v)}]
+    free = [v for v in range(vehicles) if vehicle_name(v) in theirs] or list(range(vehicles))
     seat = free[0] if options.vehicle is None else options.vehicle
+    if seat not in range(vehicles):
+        raise ValueError(f"--vehicle {seat} must be between 0 and {vehicles - 1}")
     if seat not in free:
         raise ValueError(f"--vehicle {seat}: RUN learnt to drive {vehicle_name(seat)} alone; drive vehicle {free[0]}")
-    return make_play_env(theirs.id, **theirs.arguments), agent, [seat]
+    return make_play_env(spec.id, **arguments), policy, [seat]
+
+
+def open_rule(options: argparse.Namespace, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
+    """A scripted driver of all vehicles, the arguments of its environment, and nobody that drives beside it."""
+    from algorithms.experiments.build import open_driver
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+
+    seat = 1 - options.vehicle if options.vehicle in (0, 1) else 1
+    env = EnvAdapter(make_env(env_id, 1))
+    return open_driver(options.against, min(seat, env.vehicles - 1), env, "discrete"), {}, {}
+
+
+def open_run(options: argparse.Namespace, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
+    """The agent of a run, the arguments of its environment, and the partners that it learnt with.
+
+    Raises:
+        ValueError: if there is none, or it drives in another environment.
+    """
+    from algorithms.experiments.build import load_policy
+
+    run = Run.open(options.against, trust=options.trust)
+    theirs = run.experiment.environment
+    if find_environment(theirs.id).id != env_id:
+        raise ValueError(f"--against {options.against}: the run drives in {theirs.id}, not in {env_id}")
+    warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors"))
+    return load_policy(run), theirs.arguments, run.experiment.training.partners
 
 
 def print_outcome(objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
@@ -121,14 +151,14 @@ def print_outcome(objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
         print("  ".join((name.ljust(widths[0]), end.ljust(widths[1]), *cells)).rstrip())
 
 
-def make_driver(agent: Agent, options: argparse.Namespace) -> PolicyDriver:
-    """The trained policy as a driver."""
+def make_driver(policy: Policy, options: argparse.Namespace) -> PolicyDriver:
+    """The policy as a driver."""
     import torch
 
     from mo_deepdrive.evaluation.policy_driver import PolicyDriver
 
     generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
-    return PolicyDriver(agent, generator)
+    return PolicyDriver(policy, generator)
 
 
 def recorder(options: argparse.Namespace, rate: int) -> AbstractContextManager[Callable[[Any], None] | None]:
@@ -149,11 +179,11 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     from mo_deepdrive.quiet_pygame import pygame
 
     with exit_on_error(ValueError, OSError, pygame.error, program=program):
-        env, agent, seats = open_environment(options)
+        env, policy, seats = open_environment(options)
         # Only a user who sets SDL_VIDEODRIVER can want a window without a display.
         open_display(allow_invisible=bool(os.environ.get("SDL_VIDEODRIVER")))
         rate = env.config.decision_frequency
-        driver = None if agent is None else make_driver(agent, options)
+        driver = None if policy is None else make_driver(policy, options)
         with recorder(options, rate) as on_frame:
             human_env = HumanPlayEnv(env, seats, driver=driver, on_frame=on_frame)
             human_env.reset(seed=options.seed)

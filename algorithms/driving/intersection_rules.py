@@ -12,15 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.driving.left_turn_rules import (
-    COLUMN,
-    CURVATURE_PER_STEER,
-    GapRule,
-    LeftTurner,
-    continuous_actions,
-    discrete_actions,
-    locate,
-)
+from algorithms.driving.controls import CURVATURE_PER_STEER, PREFIX, continuous_actions, discrete_actions
+from algorithms.driving.left_turn_rules import COLUMN, GapRule, LeftTurner, locate
 from mo_deepdrive.actions import CONTINUOUS, action_table
 from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS
@@ -38,7 +31,6 @@ if TYPE_CHECKING:
 
 SCENARIO = SCENARIOS["intersection"]
 SEEN = {entry.name: column for column, entry in enumerate(layout(SCENARIO))}
-PREFIX = "rule:"  # of the names
 
 PASSED = -(2.0 * LANE_WIDTH + LENGTH)  # m, distance to the crossing of a vehicle whose rear has left it
 PAST_LINE = -0.3  # m beyond the line a vehicle no longer waits

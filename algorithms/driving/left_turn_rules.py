@@ -12,12 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from algorithms.driving.controls import (
+    CURVATURE_PER_STEER,
+    THROTTLE,
+    braking_distance,
+    continuous_actions,
+    discrete_actions,
+)
 from mo_deepdrive.actions import CONTINUOUS, action_table
 from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
-from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, MAX_ACCELERATION, STEER_RANGE
+from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,13 +35,6 @@ WAYPOINTS = np.array(SCENARIO.routes[0].waypoints)
 LEGS = np.hypot(*np.diff(WAYPOINTS, axis=0).T)  # m, lengths of the two legs after the first waypoint
 COLUMN = {entry.name: column for column, entry in enumerate(layout(SCENARIO))}
 
-# Of the simulator's vehicle, by its equations of motion (docs/simulator.md).
-CURVATURE_PER_STEER = 8.4  # 1/m per rad
-DRAG = 0.06  # deceleration by friction (m/s^2) per m/s
-BRAKING = 2.45  # deceleration (m/s^2) per m/s and unit of brake
-DECISION = 0.1  # s
-THROTTLE = 1.0  # m/s^2, of the discrete actions
-
 # The path: along the middle of the first lane, an arc, and along the last lane, a little left of its middle so that the
 # front, which swings out, stays in the lane.
 RADIUS = 7.4  # m
@@ -46,8 +45,6 @@ PREVIEW = 0.42  # s by which the wheel is ahead of the path, about the lag of th
 HEADING_GAIN = 0.22  # curvature (1/m) per rad of error
 OFFSET_GAIN = 0.063  # curvature (1/m) per m of error
 MAX_CURVATURE = 0.16  # 1/m, a little above that of the arc
-SLACK = 0.04  # share of the target speed that may be lost before the rule speeds up again
-SOFT_CHANGE = 0.15  # m/s^2 by which the throttle changes in a decision, of continuous actions
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ class LeftTurner:
     def may_go(self, seen: Floats, line: Floats) -> NDArray[np.bool_]:
         """Whether vehicles are at the line (N,) and no oncoming car comes within the gap."""
         speed = seen[:, COLUMN["speed"]]
-        here = line <= _braking_distance(speed) + 0.3
+        here = line <= braking_distance(speed) + 0.3
         to_lane = np.maximum(line + self.rule.stop_distance + TO_ONCOMING_LANE, 0.0)
         lead_time = (np.sqrt(speed**2 + 2.0 * THROTTLE * to_lane) - speed) / THROTTLE
         return here & (free_time(seen, lead_time) >= self.rule.gap) | (self.rule.gap == 0.0)
@@ -117,7 +114,7 @@ class LeftTurner:
         )
         waiting = np.minimum(self.rule.approach_speed, np.where(line > 0.3, 1.5 * line, 0.0))
         target = np.where(goes, rolling, waiting)
-        brakes = ~goes & (line <= _braking_distance(speed))
+        brakes = ~goes & (line <= braking_distance(speed))
         steer = path_curvature(centre, heading, speed) / CURVATURE_PER_STEER
         if self.table is None:
             return continuous_actions(seen, steer, target, brakes, line)
@@ -146,50 +143,6 @@ class GapDriver:
         self._goes &= np.any(accrued != 0.0, axis=1)
         self._goes |= self._turner.may_go(seen, self._turner.line(locate(seen)[0]))
         return self._turner.actions(seen, self._goes)
-
-
-def discrete_actions(
-    seen: Floats, steer: Floats, target: Floats, brakes: NDArray[np.bool_], table: Floats
-) -> NDArray[Any]:
-    """The actions (N,) whose change of speed is the right one and whose steering comes nearest.
-
-    Args:
-        seen: observations (N, size).
-        steer: (N,) wanted (rad).
-        target: (N,) speed (m/s).
-        brakes: (N,) whether to brake.
-        table: of the action set.
-    """
-    speed, throttle = seen[:, COLUMN["speed"]], seen[:, COLUMN["throttle"]]
-    wanted = np.where(throttle > 0.0, target, target * (1.0 - SLACK))
-    change = np.where(speed < wanted, INCREASE, np.where(throttle > 0.0, DECREASE, MAINTAIN))
-    change = np.where(brakes, DECREASE, change)
-    offered = (
-        table[:, DECAY] * seen[:, COLUMN["steer"], None]
-        + table[:, OFFSET]
-        + table[:, CURL] / np.maximum(speed, 1.0)[:, None] ** 2
-    )
-    error = np.where(table[:, SPEED_CHANGE] == change[:, None], np.abs(offered - steer[:, None]), np.inf)
-    return np.asarray(error.argmin(axis=1))
-
-
-def continuous_actions(
-    seen: Floats, steer: Floats, target: Floats, brakes: NDArray[np.bool_], room: Floats
-) -> NDArray[Any]:
-    """The actions (N, 3); the arguments are those of :func:`discrete_actions`, but ``room`` (N,) to stop in (m)."""
-    speed, throttle = seen[:, COLUMN["speed"]], seen[:, COLUMN["throttle"]]
-    wanted = np.clip(target - speed, 0.0, THROTTLE) + DRAG * speed
-    wanted = np.where(brakes | (target < speed - 0.5), 0.0, wanted)
-    push = np.clip(wanted, throttle - SOFT_CHANGE, throttle + SOFT_CHANGE)
-    push = np.where(brakes, 0.0, np.clip(push, 0.0, MAX_ACCELERATION))
-    # To rest within the distance that is left: v' = -BRAKING b v, so b = v / (BRAKING distance).
-    brake = np.where(brakes, speed / (BRAKING * np.maximum(room, 0.3 * np.maximum(speed, 0.5))), 0.0)
-    actions = (steer / STEER_RANGE, push / MAX_ACCELERATION, 2.0 * brake / MAX_ACCELERATION - 1.0)
-    return np.clip(np.stack(actions, axis=1), -1.0, 1.0).astype(np.float32)
-
-
-def _braking_distance(speed: Floats) -> Floats:
-    return speed * (1.0 / BRAKING + 1.5 * DECISION)
 
 
 def free_time(seen: Floats, lead_time: Floats) -> Floats:

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 class ScriptedPolicy:
-    """A policy (:class:`mo_deepdrive.evaluation.policy.Policy`) of which one vehicle follows a script, and others idle.
+    """A policy (:class:`mo_deepdrive.evaluation.policy.Policy`) of which vehicles follow a script, and others idle.
 
     Args:
         env: where it drives.
-        vehicle: the index of the vehicle that is driven; None if all idle.
-        driver: gives the actions (N,) or (N, k), as the environment takes them, for the observations (N, o) of that
-            vehicle.
+        vehicle: the index of the vehicle that is driven; None for all.
+        driver: gives the actions (...) or (..., k), as the environment takes them, for the observations (N, o) of that
+            vehicle, or (N, V, o) of all; without one all idle.
     """
 
     observes_accrued_reward = False
@@ -56,6 +56,7 @@ class ScriptedPolicy:
         """Actions (N, V) or (N, V, k) for observations (N, V, o)."""
         continuous = (self.env.actions,) if self.env.continuous else ()
         actions = np.zeros((len(observations), self.env.vehicles, *continuous), np.float32 if continuous else np.int64)
-        if self._vehicle is not None and self._driver is not None:
-            actions[:, self._vehicle] = self._driver(observations[:, self._vehicle])
+        if self._driver is not None:
+            driven = slice(None) if self._vehicle is None else self._vehicle
+            actions[:, driven] = self._driver(observations[:, driven])
         return self.env.policy_actions(actions[:, 0] if self.env.vehicles == 1 else actions)

@@ -1,7 +1,7 @@
 """Policies that need no skill, by which the floors of the suite are set: a task that one of them solves tests nothing.
 
 They see nothing of what a task is about: they stand still, act at random, hold one action, go at once, or go after a
-fixed time. Those of the left turn know the road, and are blind to traffic.
+fixed time. Those of the left turn and of the roundabout know the road, and are blind to traffic.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from algorithms.driving.intersection_rules import as_in_left_turn
 from algorithms.driving.left_turn_rules import GapRule, LeftTurner
+from algorithms.driving.roundabout_rules import ROUNDABOUTS, RoundaboutDriver, RoundaboutRule
 from mo_deepdrive.action_sequences import idle
 from mo_deepdrive.actions import CONTINUOUS, action_names
 
@@ -26,33 +27,70 @@ if TYPE_CHECKING:
     Function = Callable[..., NDArray[Any]]
 
 WAITS = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0)  # s
+LONG_WAITS = (0.0, 20.0, 30.0, 40.0)  # s, of vehicles among others in a roundabout
+SPEEDS = (3.0, 4.0, 5.0)  # m/s
 STEERS, ACCELERATIONS = (-1.0, -0.3, 0.0, 0.3, 1.0), (0.25, 0.5, 1.0)  # of continuous actions that are held
 
 
 class Timed:
-    """Turns left along the lanes after a fixed time, whatever comes.
+    """Goes after a fixed time, whatever comes.
 
     Args:
         wait: seconds before it goes.
-        action_type: "discrete", "discrete-16" or "continuous".
         decision: seconds per decision.
-        others: whether it is one of two vehicles, whose observations have a second axis.
+        drives: gives actions for observations and whether to go, else it waits.
     """
 
-    def __init__(self, wait: float, action_type: str, decision: float, *, others: bool):
-        self._turner = LeftTurner(GapRule(gap=0.0), action_type)
+    def __init__(self, wait: float, decision: float, drives: Callable[[NDArray[Any], bool], NDArray[Any]]):
         self._decisions = round(wait / decision)
-        self._others = others
+        self._drives = drives
         self._past = 0
 
     def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], _discounts: NDArray[Any]) -> NDArray[Any]:
         """Actions for observations (N, o) or (N, V, o)."""
         self._past = self._past + 1 if accrued.any() else 0
+        return self._drives(observations, self._past >= self._decisions)
+
+
+class BlindTurner:
+    """Turns left along the lanes, and sees nobody on them.
+
+    Args:
+        action_type: "discrete", "discrete-16" or "continuous".
+        others: whether it is one of two vehicles, whose observations have a second axis.
+    """
+
+    def __init__(self, action_type: str, *, others: bool):
+        self._turner = LeftTurner(GapRule(gap=0.0), action_type)
+        self._others = others
+
+    def __call__(self, observations: NDArray[Any], goes: bool) -> NDArray[Any]:
+        """Actions for observations (N, o) or (N, V, o)."""
         seen = np.asarray(observations, dtype=np.float64)
         if self._others:
             seen = as_in_left_turn(seen[:, 0])
-        actions = self._turner.actions(seen, np.full(len(seen), self._past >= self._decisions))
+        actions = self._turner.actions(seen, np.full(len(seen), goes))
         return np.stack([actions] * 2, axis=1) if self._others else actions
+
+
+class BlindFollower:
+    """Follows its lane at a constant speed, and sees nobody on it.
+
+    Args:
+        speed: in m/s.
+        action_type: "discrete", "discrete-16" or "continuous".
+    """
+
+    def __init__(self, speed: float, action_type: str):
+        rule = RoundaboutRule(gap=0.0, approach_speed=speed, inside_speed=speed, exit_speed=speed)
+        self._driver = RoundaboutDriver(rule, action_type, blind=True)
+        self._idle = idle(action_type)
+
+    def __call__(self, observations: NDArray[Any], goes: bool) -> NDArray[Any]:
+        """Actions for observations (N, o) or (N, V, o)."""
+        if goes:
+            return self._driver(observations)
+        return np.broadcast_to(self._idle, (*observations.shape[:-1], *self._idle.shape)).copy()
 
 
 def unskilled_policies(config: EnvConfig) -> dict[str, Function]:
@@ -75,12 +113,19 @@ def unskilled_policies(config: EnvConfig) -> dict[str, Function]:
     else:
         names = action_names(config.action_type)
         found |= {f"holds '{name}'": _holding(np.array(i), axes) for i, name in enumerate(names) if i}
+    decision = 1.0 / config.decision_frequency
     if scenario.lanes:
-        decision = 1.0 / config.decision_frequency
-        for wait in WAITS:
-            name = f"goes after {wait:g} s" if wait else "goes at once"
-            found[name] = Timed(wait, config.action_type, decision, others=scenario.vehicles > 1)
+        turner = BlindTurner(config.action_type, others=scenario.vehicles > 1)
+        found |= {_timed(wait): Timed(wait, decision, turner) for wait in WAITS}
+    if scenario.name in ROUNDABOUTS:
+        for speed in SPEEDS:
+            follower = BlindFollower(speed, config.action_type)
+            found |= {f"{_timed(wait)} at {speed:g} m/s": Timed(wait, decision, follower) for wait in LONG_WAITS}
     return found
+
+
+def _timed(wait: float) -> str:
+    return f"goes after {wait:g} s" if wait else "goes at once"
 
 
 def _holding(action: NDArray[Any], axes: tuple[int, ...]) -> Function:

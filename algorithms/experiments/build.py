@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from algorithms.driving.intersection_rules import PREFIX, SCENARIO, make_rule
+from algorithms.driving.named_rules import is_rule, scripted_policy
 from algorithms.driving.scripted_policy import ScriptedPolicy
 from algorithms.experiments.config import Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
@@ -148,8 +148,8 @@ def open_driver(
     """The driver of a vehicle.
 
     Args:
-        name: the directory of a run, a policy of the zoo, or a scripted driver of the intersection such as
-            ``rule:gap_3`` (:func:`algorithms.driving.intersection_rules.make_rule`).
+        name: the directory of a run, a policy of the zoo, or a scripted driver such as ``rule:gap_3``
+            (``algorithms/driving/named_rules.py``).
         vehicle: the index of the vehicle that it is to drive.
         env: where it drives.
         action_type: of that environment: "discrete", "discrete-16" or "continuous".
@@ -159,13 +159,8 @@ def open_driver(
     Raises:
         ValueError: if there is none, it drives another vehicle or in another environment, or it is a front.
     """
-    if name.startswith(PREFIX):
-        if env.name not in SCENARIO.ids:
-            raise ValueError(f"{name!r} drives in {' and '.join(SCENARIO.ids)}, not in {env.name}")
-        driver = make_rule(name, action_type)
-        if driver.vehicle != vehicle:
-            raise ValueError(f"{name!r} drives {vehicle_name(driver.vehicle)}, not {vehicle_name(vehicle)}")
-        return ScriptedPolicy(env, vehicle, driver)
+    if is_rule(name):
+        return scripted_policy(name, vehicle, env, action_type)
     run = Run.open(name, trust=trust, imports=imports)
     if not run.experiment.known_utility:
         raise ValueError(f"{name!r} is a front of policies, not one that drives")
@@ -197,7 +192,7 @@ def idle(vehicle: int, env: EnvAdapter) -> Population:
 
 def _digest(name: str) -> str:
     """What identifies a driver wherever its files are: the name of a script, the hash of a checkpoint."""
-    if name.startswith(PREFIX):
+    if is_rule(name):
         return name
     return hashlib.sha256(Run.open(name, trust=True).checkpoint.read_bytes()).hexdigest()[:DIGEST_LENGTH]
 

@@ -49,7 +49,7 @@ class UtilitySettings(UtilityChoice):
     """The utility that is maximised."""
 
     vehicles: dict[str, UtilityChoice] = {}
-    """Utilities of single vehicles that differ from it, by "vehicle_0" or "vehicle_1"."""
+    """Utilities of single vehicles that differ from it, by names such as "vehicle_1"."""
 
     def of_vehicle(self, v: int) -> UtilityChoice:
         """The utility of vehicle ``v``."""
@@ -78,10 +78,10 @@ class TrainingSettings(Settings):
     compiles those of one seed on the CPU, ``torch.compile`` those on a GPU and those of several ``seeds``, for about a
     minute when training begins. None for Numba alone."""
     partners: dict[str, list[str]] = {}
-    """What drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo and scripted
+    """What drives the vehicles that do not learn, by names such as "vehicle_1": runs, policies of the zoo and scripted
     drivers, which take turns over the parallel environments."""
     guides: dict[str, GuideSettings] = {}
-    """What begins some episodes of vehicles that learn, by "vehicle_0" or "vehicle_1"; see GuideSettings."""
+    """What begins some episodes of vehicles that learn, by names such as "vehicle_1"; see GuideSettings."""
 
 
 class EvaluationSettings(Settings):

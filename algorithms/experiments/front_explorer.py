@@ -192,7 +192,7 @@ def explorable_best_known(name: str) -> ExplorableFront:
         returns=returns[kept][:, None],
         scales=scales,
         signs=signs(objectives),
-        success=np.array([float(drive.end == "arrived") for drive in scene.drives]),
+        success=np.array([float(drive.ends == ("arrived",)) for drive in scene.drives]),
         lengths=np.array([len(drive.readings) - 1.0 for drive in scene.drives]),
         command=f"mo_deepdrive.reference_fronts.shipped({scenario_name!r}, {action_type!r})[{{policy}}]",
         numbers=tuple(kept.tolist()),

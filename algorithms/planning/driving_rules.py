@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numba
 import numpy as np
 
-from algorithms.driving.left_turn_rules import CURVATURE_PER_STEER, DRAG
+from algorithms.driving.controls import CURVATURE_PER_STEER, DRAG
 from algorithms.planning.plans import FULL_SCALE
 from mo_deepdrive.observation import OWN
 from mo_deepdrive.simulation.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE

@@ -10,6 +10,7 @@ import numpy as np
 
 from algorithms.driving.intersection_rules import make_rule
 from algorithms.driving.left_turn_rules import GapDriver, GapRule
+from algorithms.driving.roundabout_rules import ROUNDABOUTS, RoundaboutDriver, RoundaboutRule
 from algorithms.driving.unskilled import unskilled_policies
 from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.suite_plans import HORIZON
@@ -27,10 +28,13 @@ if TYPE_CHECKING:
 TRIED = 24  # episodes of the validation split by which candidates are compared
 TRIED_WITH_PARTNERS = 16  # of each partner
 TRIED_FOR_RISK = 600  # where a rare collision decides
+TRIED_IN_ROUNDABOUTS = 100
 BLIND_SCENARIOS = 16  # of the validation split, in which the best open-loop policy is searched
 GAPS = (4.25, 4.5, 4.75, 5.0)  # s, of rules for the left turn
 SPEEDS = ((2.8, 6.0, 8.0), (3.5, 6.5, 9.0), (2.0, 5.0, 6.0))  # m/s, of the approach, in the crossing and after it
 FRONT_GAPS = (2.0, 3.0, 4.0, 4.5, 5.0, 6.0, 8.0)  # s, of the front of rules
+ENTRY_GAPS = (2.5, 3.0, 3.5, 4.5)  # s, of rules for the roundabout
+ROUNDABOUT_SPEEDS = ((4.2, 4.0, 4.5), (4.2, 4.3, 5.5), (3.5, 3.7, 4.2))  # m/s, before, inside, after
 MEETING_GAPS = (4, 5, 6, 7, 8, 10)  # s, of rules for the intersection
 
 
@@ -58,6 +62,7 @@ def best_of(candidates: dict[str, Any], task_id: str) -> Found:
     task = suite.load().task(task_id)
     tried = TRIED_WITH_PARTNERS if task.partners else TRIED
     tried = TRIED_FOR_RISK if task.score == "certainty_equivalent" else tried
+    tried = TRIED_IN_ROUNDABOUTS if task.config().scenario in ROUNDABOUTS else tried
     start = SPLITS["validation"].start
     worth = {
         name: score_of(policy, task_id, episodes=tried, first_episode=start) for name, policy in candidates.items()
@@ -74,7 +79,8 @@ def floor(task_id: str) -> Found:
         by = f"the best of {len(candidates)} policies without skill, for each preference"
         by = f"the front of {len(candidates)} policies without skill" if task.preferences is None else by
         return Found(score_of(list(candidates.values()), task_id), by)
-    if not SCENARIOS[task.config().scenario].lanes and not task.config().fixed_destination:
+    scenario = SCENARIOS[task.config().scenario]
+    if not scenario.lanes and not scenario.roads and not task.config().fixed_destination:
         candidates["the best open-loop policy"] = _blind(task)
     still = next(iter(candidates))  # which may be the best of the test split, if not of the other one
     found = best_of(candidates, task_id)
@@ -141,6 +147,8 @@ def ceiling(task_id: str) -> Found:
             rules: list[Any] = [*unskilled_policies(config).values(), *left_turn_rules(FRONT_GAPS).values()]
             return Found(score_of(rules, task_id), f"the best of {len(rules)} rules for each preference")
         return best_of(left_turn_rules(GAPS), task_id)
+    if config.scenario in ROUNDABOUTS:
+        return best_of(roundabout_rules(), task_id)
     scenarios = planned_scenarios(task_id)
     policy = planned(task_id) if task.preferences is None else PlannedForPreferences(task_id)
     by = f"drives that were planned in the first {scenarios} scenarios of the test split"
@@ -155,6 +163,17 @@ def left_turn_rules(gaps: Any) -> dict[str, GapDriver]:
             rule = GapRule(gap=gap, approach_speed=approach, turn_speed=turn, exit_speed=leave)
             name = f"the rule that waits for a gap of {gap:g} s and drives at {approach:g}, {turn:g} and {leave:g} m/s"
             found[name] = GapDriver(rule)
+    return found
+
+
+def roundabout_rules() -> dict[str, RoundaboutDriver]:
+    """Rules for the roundabout by name: every gap with every set of speeds."""
+    found = {}
+    for gap in ENTRY_GAPS:
+        for approach, inside, leave in ROUNDABOUT_SPEEDS:
+            rule = RoundaboutRule(gap=gap, approach_speed=approach, inside_speed=inside, exit_speed=leave)
+            speeds = f"{approach:g}, {inside:g} and {leave:g} m/s"
+            found[f"the rule that enters with a gap of {gap:g} s and drives at {speeds}"] = RoundaboutDriver(rule)
     return found
 
 

@@ -57,7 +57,7 @@ def write_gif(clips: Sequence[Track], path: str | Path, *, fps: int = 10, side: 
 def _encode(frames: Sequence[Frame], milliseconds: float) -> bytes:
     """A looping GIF of frames of one size, each shown for so long."""
     samples = np.vstack(frames[:: max(1, len(frames) // 8)])
-    palette = Image.fromarray(samples).quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
+    palette = Image.fromarray(samples).quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1)
     images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     buffer = io.BytesIO()
     images[0].save(buffer, format="GIF", save_all=True, append_images=images[1:], duration=milliseconds, loop=0)

@@ -1,4 +1,4 @@
-"""Tables and a picture of cross-play: a row per driver of vehicle 0, a column per driver of vehicle 1."""
+"""Tables and a picture of cross-play: a row per driver of vehicle 0, a column per driver of the others."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from algorithms.reporting.style import LARGE_DPI, figure_style, save_figure
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
-from mo_deepdrive.evaluation.cross_play import ARRIVALS, COLLISIONS, SCORES
-from mo_deepdrive.evaluation.metrics import UTILITY_ESR, vehicle_prefix
+from mo_deepdrive.evaluation.cross_play import OTHERS
+from mo_deepdrive.evaluation.metrics import COLLISION, SUCCESS, UTILITY_ESR, end_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,23 +22,17 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.cross_play import Encounter
 
 CELL = 0.3  # in, side of a cell of the picture
-MOST_WITH_NUMBERS = 40  # drivers of a vehicle, above which the cells have no numbers
-# What is drawn: score, title, colour map, and whether its cells are percentages.
-PANELS = (
-    (ARRIVALS, "both arrive (%)", "Blues", True),
-    (COLLISIONS, "collisions (%)", "OrRd", True),
-    (f"{vehicle_prefix(0, 2)}{UTILITY_ESR}", "utility of vehicle 0", "Purples", False),
-    (f"{vehicle_prefix(1, 2)}{UTILITY_ESR}", "utility of vehicle 1", "Purples", False),
-)
+MOST_WITH_NUMBERS = 40  # drivers of a role, above which the cells have no numbers
+COLLISIONS = end_by(COLLISION)
 
 
-def drivers_of(encounters: Sequence[Encounter], v: int) -> list[str]:
-    """The drivers of vehicle ``v``, in the order of the encounters."""
-    return list(dict.fromkeys(each.drivers[v] for each in encounters))
+def drivers_of(encounters: Sequence[Encounter], role: int) -> list[str]:
+    """The drivers of vehicle 0 (role 0) or of the others (1), in the order of the encounters."""
+    return list(dict.fromkeys(each.drivers[role] for each in encounters))
 
 
 def matrix(encounters: Sequence[Encounter], score: str) -> NDArray[np.float64]:
-    """(K, L) values of a score, of K drivers of vehicle 0 with L drivers of vehicle 1."""
+    """(K, L) values of a score, of K drivers of vehicle 0 with L drivers of the others."""
     rows, columns = drivers_of(encounters, 0), drivers_of(encounters, 1)
     values = np.full((len(rows), len(columns)), np.nan)
     for each in encounters:
@@ -52,13 +46,14 @@ def write_encounters(path: Path, encounters: Sequence[Encounter]) -> None:
     Raises:
         OSError: if the file cannot be written.
     """
-    header = ["vehicle_0", "vehicle_1", *(name + end for name in SCORES for end in ("", "/low", "/high"))]
+    names = list(encounters[0].estimates)
+    header = [*encounters[0].roles, *(name + end for name in names for end in ("", "/low", "/high"))]
     body = [
         [
             *each.drivers,
             *(
                 "" if number is None else f"{number:.5g}"
-                for name in SCORES
+                for name in names
                 for number in (each.estimates[name].value, each.estimates[name].low, each.estimates[name].high)
             ),
         ]
@@ -67,17 +62,17 @@ def write_encounters(path: Path, encounters: Sequence[Encounter]) -> None:
     atomic_write(path, csv_bytes([header, *body]))
 
 
-def summary_rows(encounters: Sequence[Encounter], v: int) -> list[list[str]]:
-    """A table as text, header first: each driver of vehicle ``v`` over the drivers that it met.
+def summary_rows(encounters: Sequence[Encounter], role: int) -> list[list[str]]:
+    """A table as text, header first: each driver of a role over the drivers of the other one that it met.
 
     Its arrivals, collisions and utility are means over these drivers; the last two columns are of the one with which it
     arrives least.
     """
-    own = f"{vehicle_prefix(v, 2)}success"
-    utility = f"{vehicle_prefix(v, 2)}{UTILITY_ESR}"
-    rows = [[f"vehicle_{v}", "met", "arrives (%)", "collisions (%)", "utility", "least with", "arrives (%)"]]
-    for name in drivers_of(encounters, v):
-        met = [each for each in encounters if each.drivers[v] == name]
+    name_of_role = encounters[0].roles[role]
+    own, utility = f"{name_of_role}/{SUCCESS}", f"{name_of_role}/{UTILITY_ESR}"
+    rows = [[name_of_role, "met", "arrives (%)", "collisions (%)", "utility", "least with", "arrives (%)"]]
+    for name in drivers_of(encounters, role):
+        met = [each for each in encounters if each.drivers[role] == name]
         means = {s: float(np.mean([each.estimates[s].value for each in met])) for s in (own, COLLISIONS, utility)}
         worst = min(met, key=lambda each: each.estimates[own].value)
         rows.append(
@@ -86,10 +81,18 @@ def summary_rows(encounters: Sequence[Encounter], v: int) -> list[list[str]]:
                 str(len(met)),
                 *(f"{100 * means[s]:.1f}" for s in (own, COLLISIONS)),
                 f"{means[utility]:.2f}",
-                worst.drivers[1 - v],
+                worst.drivers[1 - role],
                 f"{100 * worst.estimates[own].value:.1f}",
             ]
         )
+    return rows
+
+
+def matrix_rows(encounters: Sequence[Encounter], score: str) -> list[list[str]]:
+    """A score as a table as text, header first: a row per driver of vehicle 0, a column per driver of the others."""
+    rows = [[score, *(f"among {name}" for name in drivers_of(encounters, 1))]]
+    for name, values in zip(drivers_of(encounters, 0), matrix(encounters, score), strict=True):
+        rows.append([name, *(f"{value:.4g}" for value in values)])
     return rows
 
 
@@ -104,22 +107,35 @@ def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> N
     Raises:
         OSError: if the file cannot be written.
     """
-    rows, columns = drivers_of(encounters, 0), drivers_of(encounters, 1)
+    rows, columns, roles = drivers_of(encounters, 0), drivers_of(encounters, 1), encounters[0].roles
     longest = max(map(len, [*rows, *columns]))
     width = 2 * (CELL * len(columns) + 0.085 * longest + 1.1)
     height = 2 * (CELL * len(rows) + 0.085 * longest + 0.7) + 0.6
     with figure_style():
         figure = Figure(figsize=(max(width, 8.0), max(height, 5.0)), layout="constrained")
         figure.suptitle(f"Cross-play\n{note}", fontsize=11, ha="left", x=0.02, parse_math=False)
-        for axis, (score, title, colours, percent) in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
+        for axis, (score, title, colours, percent) in zip(figure.subplots(2, 2).flat, _panels(roles), strict=True):
             values = matrix(encounters, score) * (100.0 if percent else 1.0)
             _draw(axis, values, colours, (0.0, 100.0) if percent else (float(values.min()), float(values.max())))
             axis.set_title(title)
             axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8, parse_math=False)
             axis.set_yticks(range(len(rows)), rows, fontsize=8, parse_math=False)
-            axis.set_xlabel("driver of vehicle 1")
-            axis.set_ylabel("driver of vehicle 0")
+            axis.set_xlabel(f"driver of {_plain(roles[1])}")
+            axis.set_ylabel(f"driver of {_plain(roles[0])}")
         save_figure(figure, path, LARGE_DPI)
+
+
+def _panels(roles: Sequence[str]) -> list[tuple[str, str, str, bool]]:
+    """What is drawn: score, title, colour map, and whether its cells are percentages."""
+    return [
+        (SUCCESS, f"{'all' if OTHERS in roles else 'both'} arrive (%)", "Blues", True),
+        (COLLISIONS, "collisions (%)", "OrRd", True),
+        *((f"{role}/{UTILITY_ESR}", f"utility of {_plain(role)}", "Purples", False) for role in roles),
+    ]
+
+
+def _plain(role: str) -> str:
+    return "the others" if role == OTHERS else role.replace("_", " ")
 
 
 def _draw(axis: Axes, values: NDArray[np.float64], colours: str, limits: tuple[float, float]) -> None:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 HALO = withStroke(linewidth=2.0, foreground="white")
 BARS = 8  # policies in bars.png
 MOST_PAIRED = 8  # objectives of which scatter.png shows all pairs
+MOST_DRAWN = 20  # objectives that all figures but importance.png have room for
 # The paper's names for low values of these costs (its figure 7).
 PAPER_NAMES = {"g_force": "comfort", "jerk": "smoothness"}
 
@@ -37,7 +38,8 @@ def draw_front(
 ) -> list[Path]:
     """Draw a front into ``directory``: importance, reduction, parallel, scatter and bars, all ``.png``.
 
-    Of more than eight objectives there is no scatter, which has a panel for each pair.
+    Of more than eight objectives there is no scatter, which has a panel for each pair; of more than twenty, those of
+    several vehicles, there is importance alone; the explorer shows them vehicle by vehicle.
 
     In all figures a policy has the same colour and the same number, its row in ``front.csv``. Returns are discounted,
     as they determine dominance, except in bars.png.
@@ -64,13 +66,11 @@ def draw_front(
             raise ValueError(f"reference_front has shape {reference_front.shape}; it must be (k, {d}), k at least 1")
     paths = []
     with figure_style({"text.parse_math": False}):
-        figures = {
-            "importance": _importance(view),
-            "reduction": _reduction(view),
-            "parallel": _parallel(view),
-            **({"scatter": _scatter(view, reference_front)} if d <= MOST_PAIRED else {}),
-            "bars": _bars(view),
-        }
+        figures = {"importance": _importance(view)}
+        if d <= MOST_DRAWN:
+            figures |= {"reduction": _reduction(view), "parallel": _parallel(view), "bars": _bars(view)}
+        if d <= MOST_PAIRED:
+            figures["scatter"] = _scatter(view, reference_front)
         for name, figure in figures.items():
             path = Path(directory) / f"{name}.png"
             save_figure(figure, path)

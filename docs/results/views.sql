@@ -78,3 +78,23 @@ SELECT measurement, device, CASE
   printf('%,d', 1000 * cast(round(old / 1000.0) AS INTEGER)) AS "one thread, steps/s",
   printf('%,d', 100000 * cast(round(new / 100000.0) AS INTEGER)) AS "GPU, steps/s", printf('%.0f', speedup) AS "speed-up"
 FROM benchmark_gpu ORDER BY measurement LIKE '%/%';
+
+CREATE VIEW roundabout_drivers AS -- roundabout, roundabout_solo: floors, rules and learners, the best one first
+SELECT task, driver, CASE kind WHEN 'learner' THEN count(*) END AS seeds,
+  decimals(100 * avg(arrived), 1) AS "arrived (%)", decimals(100 * avg(collided), 1) AS "collided (%)",
+  decimals(avg(utility), 2) || CASE WHEN count(*) > 1
+    THEN ' (' || decimals(min(utility), 2) || ' to ' || decimals(max(utility), 2) || ')' ELSE '' END AS utility,
+  decimals(avg(worst_off), 2) AS "worst-off", decimals(avg(gini), 2) AS Gini, decimals(-avg(time), 1) AS "time (s)",
+  decimals(-avg(jerk), 0) AS "jerk (m/s³)", decimals(-avg(near_miss), 2) AS "near misses",
+  decimals(-avg(right_of_way), 2) AS "right of way (m/s)"
+FROM roundabout GROUP BY task, driver ORDER BY avg(utility) DESC;
+
+CREATE VIEW roundabout_types AS -- roundabout: what a rule of a kind gets among others of a kind
+WITH cells AS (
+  SELECT vehicle_0, others, decimals("vehicle_0/utility_esr", 2) || ' in ' || decimals(-"vehicle_0/return/time", 1) || ' s' AS cell
+  FROM roundabout_types_cross_play)
+SELECT replace(vehicle_0, 'rule:', '') AS " ",
+  max(CASE others WHEN 'rule:hurried' THEN cell END) AS "among hurried",
+  max(CASE others WHEN 'rule:balanced' THEN cell END) AS "among balanced",
+  max(CASE others WHEN 'rule:careful' THEN cell END) AS "among careful"
+FROM cells GROUP BY vehicle_0 ORDER BY instr('hurried balanced careful', replace(vehicle_0, 'rule:', ''));

@@ -1,36 +1,39 @@
-"""Cross-play: every driver of vehicle 0 with every driver of vehicle 1, most of which have never met.
+"""Cross-play: every driver of one vehicle with every driver of the others, most of which have never met.
 
 Policies that have trained together may rely on each other's habits; what they are worth with strangers is seen off the
-diagonal (Hu et al. 2020, "'Other-Play' for zero-shot coordination").
+diagonal (Hu et al. 2020, "'Other-Play' for zero-shot coordination"). With drivers of several preferences it shows what
+each gets among its own kind and among the others.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mo_deepdrive.evaluation.episodes import evaluate
-from mo_deepdrive.evaluation.metrics import COLLISION, SUCCESS, UTILITY_ESR, end_by, vehicle_prefix
+from mo_deepdrive.evaluation.metrics import SUCCESS, UTILITY_ESR, return_of, vehicle_name
 from mo_deepdrive.evaluation.statistics import Estimate, mean, rate
 from mo_deepdrive.evaluation.team import Team
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from mo_deepdrive.evaluation.episodes import UtilityLike
+    from mo_deepdrive.evaluation.evaluation import Evaluation
     from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.evaluation.splits import Split
 
-ROLES = 2  # vehicles
-ARRIVALS, COLLISIONS = SUCCESS, end_by(COLLISION)
-# The scores of an encounter, in order.
-SCORES = (
-    ARRIVALS,
-    COLLISIONS,
-    *(f"{vehicle_prefix(v, ROLES)}{name}" for name in (SUCCESS, UTILITY_ESR) for v in range(ROLES)),
-)
+OTHERS = "others"
+
+
+def roles_of(vehicles: int) -> tuple[str, str]:
+    """The two roles: vehicle 0, and vehicle 1 or, if there are more, all others."""
+    return vehicle_name(0), vehicle_name(1) if vehicles == 2 else OTHERS
 
 
 @dataclass(frozen=True)
@@ -38,20 +41,27 @@ class Encounter:
     """What two drivers achieve together.
 
     Attributes:
-        drivers: name of the driver of vehicle 0, and of that of vehicle 1.
-        estimates: SCORES with their 95% intervals over the episodes: "success" is the share of episodes in which both
-            arrive, "end/collision" of those with a collision.
+        drivers: name of the driver of vehicle 0, and of that of all others.
+        estimates: with their 95% intervals over the episodes, those of all together (``Evaluation.team_samples``), such
+            as "success", the share of episodes in which all arrive; then arrivals and utility of both roles, such as
+            "vehicle_0/success", which for several others are means over them; and the returns of vehicle 0.
     """
 
     drivers: tuple[str, str]
     estimates: dict[str, Estimate]
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """The names of the two roles, as of :func:`roles_of`."""
+        end = f"/{SUCCESS}"
+        return tuple(name.removesuffix(end) for name in self.estimates if name.endswith(end))
 
 
 def cross_play(
     drivers: Sequence[Mapping[str, Policy]],
     env_id: str,
     *,
-    utility: UtilityLike,
+    utility: UtilityLike | Mapping[str, UtilityLike],
     split: Split | None = None,
     episodes: int = 200,
     seed: int | None = None,
@@ -59,12 +69,12 @@ def cross_play(
     env_kwargs: Mapping[str, Any] | None = None,
     progress: Callable[[], None] | None = None,
 ) -> list[Encounter]:
-    """Let every driver of vehicle 0 drive with every driver of vehicle 1, on the same scenarios.
+    """Let every driver of vehicle 0 drive with every driver of all other vehicles, on the same scenarios.
 
     Args:
-        drivers: for each of the two vehicles its drivers by name.
-        env_id: an environment of two vehicles.
-        utility: by which both vehicles are judged, whatever their drivers maximised.
+        drivers: those of vehicle 0 by name, and those of the others, of which one drives all of them at a time.
+        env_id: an environment of several vehicles.
+        utility: by which all vehicles are judged, whatever their drivers maximised; or one for every driver by name.
         split: the scenarios: "validation" (default), or "test" for final scores.
         episodes: of every encounter.
         seed: of the first episode, instead of a split.
@@ -78,26 +88,44 @@ def cross_play(
     Raises:
         ValueError: for invalid arguments, or drivers that do not drive in the environment.
     """
-    if len(drivers) != ROLES or not all(drivers):
-        raise ValueError(f"drivers must be those of {ROLES} vehicles, at least one each")
+    if len(drivers) != 2 or not all(drivers):
+        raise ValueError("drivers must be those of vehicle 0 and those of the others, at least one each")
+
+    def utility_of(name: str) -> UtilityLike:
+        return utility[name] if isinstance(utility, Mapping) else utility
+
     found = []
     for first, one in drivers[0].items():
         for second, other in drivers[1].items():
+            others = one.env.vehicles - 1
             result = evaluate(
-                Team([one, other]),
+                Team([one, other], [0] + [1] * others),
                 env_id,
                 split=split,
                 episodes=episodes,
                 seed=seed,
-                utility=utility,
+                utility=[utility_of(first)] + [utility_of(second)] * others,
                 env_kwargs=env_kwargs,
                 greedy=greedy,
             )
-            collided = np.array([COLLISION in ends for ends in result.ends.tolist()])
-            by_vehicle = [rate(result.succeeded[:, v]) for v in range(ROLES)]
-            by_vehicle += [mean(result.episode_utilities(v)) for v in range(ROLES)]
-            estimates = [rate(np.asarray(result.succeeded.all(axis=1))), rate(collided), *by_vehicle]
-            found.append(Encounter((first, second), dict(zip(SCORES, estimates, strict=True))))
+            found.append(Encounter((first, second), _estimates(result)))
             if progress is not None:
                 progress()
     return found
+
+
+def _estimates(result: Evaluation) -> dict[str, Estimate]:
+    vehicles = result.returns.shape[1]
+    estimates = {name: _mean(samples) for name, samples in result.team_samples().items()}
+    utilities = np.stack([result.episode_utilities(v) for v in range(vehicles)], axis=1)
+    for name, samples in ((SUCCESS, result.succeeded), (UTILITY_ESR, utilities)):
+        for role, part in zip(roles_of(vehicles), (samples[:, 0], samples[:, 1:]), strict=True):
+            alone = part.ndim == 1 or part.shape[1] == 1
+            estimates[f"{role}/{name}"] = _mean(part.reshape(-1) if alone else part.mean(axis=1))
+    for i, objective in enumerate(result.objectives):
+        estimates[f"{vehicle_name(0)}/{return_of(objective)}"] = mean(result.returns[:, 0, i])
+    return estimates
+
+
+def _mean(samples: NDArray[Any]) -> Estimate:
+    return rate(samples) if samples.dtype == np.bool_ else mean(samples)

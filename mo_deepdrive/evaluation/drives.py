@@ -1,4 +1,4 @@
-"""Drives as the simulator reports them: the pose, speed, g-force and jerk of a vehicle after every decision."""
+"""Drives as the simulator reports them: the pose, speed, g-force and jerk of every vehicle after every decision."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import find_spec
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
 from mo_deepdrive.simulation.state import ENDS
 
@@ -22,18 +20,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mo_deepdrive.evaluation.policy import Policy
+    from mo_deepdrive.routes import Route
 
 READINGS = ("x", "y", "heading", "speed", "g_force", "jerk")  # fields of the state: m, m, rad, m/s, g, m/s^3
+POSE = READINGS[:3]
 
 
 class BatchDriver(Protocol):
-    """Acts for the vehicles of N environments, one in each."""
+    """Acts for the vehicles of N environments."""
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """Actions (N,) or (N, k), as the environment takes them, for observations (N, o)."""
+        """Actions, as the vector environment takes them, for observations (N, V, o)."""
 
     def observe(self, rewards: NDArray[np.float32]) -> None:
-        """Receive the rewards (N, d) of a decision."""
+        """Receive the rewards (N, V, d) of a decision."""
 
 
 class PoliciesDriver:
@@ -46,20 +46,20 @@ class PoliciesDriver:
 
     def __init__(self, policy: Policy, num_envs: int):
         self._policy = policy
-        self._accrued_reward = AccruedReward.begin(num_envs, 1, len(policy.env.objectives))
+        self._accrued_reward = AccruedReward.begin(num_envs, policy.env.vehicles, len(policy.env.objectives))
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
         """As of :class:`BatchDriver`."""
-        actions = self._policy.act(observations[:, None], self._accrued_reward, None)
+        actions = self._policy.act(observations, self._accrued_reward, None)
         return self._policy.env.environment_actions(actions)
 
     def observe(self, rewards: NDArray[np.float32]) -> None:
         """As of :class:`BatchDriver`."""
-        self._accrued_reward.add(rewards[:, None], self._policy.gamma)
+        self._accrued_reward.add(rewards, self._policy.gamma)
 
 
 class PlanDriver:
-    """Sequences of actions as a :class:`BatchDriver`; after its last action a vehicle is idle.
+    """Sequences of actions of one vehicle as a :class:`BatchDriver`; after its last action it is idle.
 
     Args:
         plans: N sequences, as :func:`mo_deepdrive.action_sequences.decode` returns them.
@@ -85,17 +85,32 @@ class PlanDriver:
 
 @dataclass(frozen=True)
 class Drive:
-    """One episode of one vehicle with T decisions.
+    """One episode of V vehicles, the longest of which takes T decisions.
 
     Attributes:
-        readings: (T + 1, 6) :data:`READINGS` at the start and after every decision.
-        cars: (T + 1, C, 2) centres (m) of the oncoming cars; NaN while a car is absent.
-        end: why the episode ended, one of :data:`mo_deepdrive.simulation.state.ENDS`.
+        readings: (T + 1, V, 6) :data:`READINGS` at the start and after every decision; NaN once a vehicle has ended.
+        cars: (T + 1, C, 3) :data:`POSE` of the cars with scripted drivers; NaN while a car is absent.
+        ends: V reasons, each one of :data:`mo_deepdrive.simulation.state.ENDS`.
     """
 
     readings: NDArray[np.float64]
     cars: NDArray[np.float64]
-    end: str
+    ends: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Road:
+    """A lane of segments.
+
+    Attributes:
+        line: (P, 2) points of its middle (m).
+        width: of the lane (m).
+        give_way: (2, 2) the ends (m) of the line before which those wait who have no right of way; (0, 2) if none.
+    """
+
+    line: NDArray[np.float64]
+    width: float
+    give_way: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -104,17 +119,19 @@ class Scene:
 
     Attributes:
         seed: of the scenario.
-        route: (W, 2) waypoints (m).
+        routes: V times (W, 2), the waypoints (m) of a vehicle, or the end of its road.
         obstacles: (B, 2, 2) the two ends (m) of every obstacle.
-        lanes: whether there are roads.
+        lanes: whether two roads cross in the middle.
+        roads: the lanes of a scenario whose roads are data.
         decision_frequency: decisions per second.
         drives: K drives.
     """
 
     seed: int
-    route: NDArray[np.float64]
+    routes: tuple[NDArray[np.float64], ...]
     obstacles: NDArray[np.float64]
     lanes: bool
+    roads: tuple[Road, ...]
     decision_frequency: int
     drives: tuple[Drive, ...]
 
@@ -123,13 +140,15 @@ class Scene:
 
         Of oncoming cars it shows where they are on the map.
         """
-        cars = any(drive.cars.shape[1] for drive in self.drives)
+        cars = self.lanes and any(drive.cars.shape[1] for drive in self.drives)
+        driven = (drive.readings[..., :2].reshape(-1, 2) for drive in self.drives)
         corners = MAP_CENTRE + np.array([[-0.5, -0.5], [0.5, 0.5]]) * (MAP_SIZE - 2 * margin)
         points = np.concatenate(
             [
-                self.route,
+                *self.routes,
                 self.obstacles.reshape(-1, 2),
-                *(drive.readings[:, :2] for drive in self.drives),
+                *(points[np.isfinite(points[:, 0])] for points in driven),
+                *(road.line for road in self.roads),
                 corners if cars else np.zeros((0, 2)),
             ]
         )
@@ -140,11 +159,8 @@ class Scene:
 
 
 def is_drivable(env_id: str) -> bool:
-    """Whether an environment is one of this package with one vehicle and waypoints, whose drives can be recorded."""
-    spec = find_spec(env_id)
-    ours = str(spec.vector_entry_point).startswith("mo_deepdrive.")
-    scenario = SCENARIOS[spec.kwargs["scenario"]] if ours else None
-    return scenario is not None and scenario.vehicles == 1 and not scenario.roads
+    """Whether an environment is one of this package, whose drives can be recorded."""
+    return str(find_spec(env_id).vector_entry_point).startswith("mo_deepdrive.")
 
 
 def record_scenes(
@@ -154,7 +170,7 @@ def record_scenes(
 
     Args:
         driver: acts in N = S K environments: those of the first scenario first.
-        env_id: of an environment of this package with one vehicle.
+        env_id: of an environment of this package, with V vehicles.
         env_arguments: its keyword arguments.
         seeds: of the S scenarios.
         drives: K.
@@ -163,26 +179,27 @@ def record_scenes(
         S scenes.
 
     Raises:
-        ValueError: if the environment is not one of this package with one vehicle.
+        ValueError: if the environment is not one of this package.
     """
+    if not is_drivable(env_id):
+        raise ValueError(f"drives in {env_id!r} cannot be recorded: it is not a driving scenario")
     count = len(seeds) * drives
     env: Any = gymnasium.make_vec(env_id, num_envs=count, autoreset_mode=AutoresetMode.NEXT_STEP, **env_arguments)
     try:
         inner = env.unwrapped
-        if not isinstance(inner, DrivingVectorEnv) or inner.vehicles != 1:
-            raise ValueError(f"drives in {env_id!r} cannot be recorded: it is not a driving scenario with one vehicle")
+        shape = (count, inner.vehicles)
         observations, _ = env.reset(seed=[seed for seed in seeds for _ in range(drives)])
-        state = inner.batch.state[:, 0]
+        state = inner.batch.state
         places = state[::drives].copy()
-        readings, cars = [_readings(state)], [_cars(state)]
-        last = np.zeros(count, dtype=np.int64)
-        ends = np.zeros(count, dtype=np.int64)
+        readings, cars = [_stacked(state, READINGS)], [_cars(state)]
+        last = np.zeros(shape, dtype=np.int64)
+        ends = np.zeros(shape, dtype=np.int64)
         while (last == 0).any():  # a world whose episode is over begins another one, which is not kept
-            observations, rewards, terminated, truncated, _ = env.step(driver.act(observations))
-            driver.observe(rewards)
-            readings.append(_readings(state))
+            observations, rewards, terminated, truncated, _ = env.step(driver.act(observations.reshape(*shape, -1)))
+            driver.observe(rewards.reshape(*shape, -1))
+            readings.append(np.where((last == 0)[..., None], _stacked(state, READINGS), np.nan))
             cars.append(_cars(state))
-            over = (last == 0) & (terminated | truncated)
+            over = (last == 0) & (terminated | truncated).reshape(shape)
             last[over] = len(readings) - 1
             ends[over] = state["end"][over]
         scenario = inner.batch.scenario
@@ -191,18 +208,23 @@ def record_scenes(
         env.close()
     recorded = [
         Drive(
-            np.stack([frame[row] for frame in readings[: last[row] + 1]]),
-            np.stack([frame[row] for frame in cars[: last[row] + 1]]),
-            ENDS[ends[row]],
+            np.stack([frame[row] for frame in readings[: longest + 1]]),
+            np.stack([frame[row] for frame in cars[: longest + 1]]),
+            tuple(ENDS[end] for end in ends[row]),
         )
-        for row in range(count)
+        for row, longest in enumerate(last.max(axis=1))
     ]
+    roads = tuple(map(_road, scenario.routes)) if scenario.roads else ()
     return [
         Scene(
             seed=seed,
-            route=place["waypoints"][: place["n_waypoints"]].copy(),
-            obstacles=place["obstacle"].reshape(-1, 2, 2)[: scenario.obstacles].copy(),
+            routes=tuple(
+                roads[vehicle["route"]].line[-1:] if roads else vehicle["waypoints"][: vehicle["n_waypoints"]].copy()
+                for vehicle in place
+            ),
+            obstacles=place[0]["obstacle"].reshape(-1, 2, 2)[: scenario.obstacles].copy(),
             lanes=scenario.lanes,
+            roads=roads,
             decision_frequency=frequency,
             drives=tuple(recorded[s * drives : (s + 1) * drives]),
         )
@@ -210,10 +232,20 @@ def record_scenes(
     ]
 
 
-def _readings(state: NDArray[Any]) -> NDArray[np.float64]:
-    return np.stack([state[name] for name in READINGS], axis=1)
+def _road(route: Route) -> Road:
+    give_way = np.zeros((0, 2))
+    if route.priority is not None and route.priority[0] > 0.0:
+        x, y, heading = route.traced(route.priority[0], 0.1)[0]
+        side = np.array([np.cos(heading), np.sin(heading)]) * route.lane_width / 2
+        give_way = np.array([x, y]) + np.stack([-side, side])
+    return Road(np.array(route.traced())[:, :2], route.lane_width, give_way)
+
+
+def _stacked(records: NDArray[Any], names: Sequence[str]) -> NDArray[np.float64]:
+    return np.stack([records[name] for name in names], axis=-1)
 
 
 def _cars(state: NDArray[Any]) -> NDArray[np.float64]:
-    centres = np.stack([state["cars"]["x"], state["cars"]["y"]], axis=-1)
-    return np.where(state["cars"]["present"][..., None], centres, np.nan)
+    cars = state[:, 0]["cars"]
+    heading = np.arctan2(cars["sin_heading"], cars["cos_heading"])
+    return np.where(cars["present"][..., None], np.stack([cars["x"], cars["y"], heading], axis=-1), np.nan)

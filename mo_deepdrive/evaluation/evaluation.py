@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from mo_deepdrive.evaluation.metrics import (
     COMFORT,
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
+    GINI_UTILITY_ESR,
     LENGTH,
     OUR_ENDS,
     SUCCESS,
@@ -34,6 +35,7 @@ from mo_deepdrive.evaluation.metrics import (
 )
 from mo_deepdrive.evaluation.splits import describe_episodes
 from mo_deepdrive.evaluation.statistics import Estimate, mean, rate, utility_of_mean
+from mo_deepdrive.evaluation.team_utility import generalised_gini, total, worst_off
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -129,10 +131,6 @@ class Evaluation:
         """(E,) utility of every undiscounted return of vehicle ``v``; its mean is the ESR value."""
         return np.asarray(self.utilities[v](self.returns[:, v]))
 
-    def worst_off_utilities(self) -> NDArray[np.float64]:
-        """(E,) the least utility of an undiscounted return among the vehicles, in every episode."""
-        return np.asarray(np.min([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=0))
-
     def team_samples(self) -> dict[str, NDArray[Any]]:
         """(E,) what is measured of all vehicles together, by metric; means are the metrics."""
         samples: dict[str, NDArray[Any]] = {
@@ -140,9 +138,10 @@ class Evaluation:
             end_by(COLLISION): np.array([COLLISION in ends for ends in self.ends.tolist()]),
         }
         if self.utilities:
-            each = [self.episode_utilities(v) for v in range(self.returns.shape[1])]
-            samples[TOTAL_UTILITY_ESR] = cast("NDArray[Any]", np.sum(each, axis=0))
-            samples[WORST_OFF_UTILITY_ESR] = self.worst_off_utilities()
+            each = np.stack([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=1)
+            samples[TOTAL_UTILITY_ESR] = total(each)
+            samples[WORST_OFF_UTILITY_ESR] = worst_off(each)
+            samples[GINI_UTILITY_ESR] = generalised_gini(each)
         return samples
 
     @property
@@ -207,7 +206,8 @@ def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
     """Every metric of an evaluation with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
 
     With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in which
-    any collided, ``total_utility_esr`` the sum of the utilities, ``worst_off_utility_esr`` the least of them.
+    any collided, ``total_utility_esr`` the sum of the utilities, ``worst_off_utility_esr`` the least of them,
+    ``gini_utility_esr`` the sum that counts the worse-off for more.
 
     Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes in one
     decision have none.

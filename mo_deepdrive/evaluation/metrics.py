@@ -44,6 +44,7 @@ UTILITY_ESR, UTILITY_SER = "utility_esr", "utility_ser"
 DISCOUNTED_UTILITY_ESR, DISCOUNTED_UTILITY_SER = "discounted_utility_esr", "discounted_utility_ser"
 TOTAL_UTILITY_ESR = "total_utility_esr"  # sum over the vehicles
 WORST_OFF_UTILITY_ESR = "worst_off_utility_esr"  # mean over episodes of the least one among the vehicles
+GINI_UTILITY_ESR = "gini_utility_esr"  # mean over episodes of the sum that counts the worse-off for more
 SUCCESS, LENGTH = "success", "length"
 RETURN, DISCOUNTED_RETURN, END = "return/", "discounted_return/", "end/"
 
@@ -201,7 +202,7 @@ def name_and_unit(objective: str) -> tuple[str, str]:
         return objective, ""
     unit = OBJECTIVES[INDEX[name]].unit
     plain = objective.replace("/", ": ").replace("_", " ").replace("g force", "g-force")
-    return plain, "" if unit == "1" else unit.replace("^3", "³")
+    return plain, "" if unit == "1" else unit.replace("^2", "²").replace("^3", "³")
 
 
 def label(objective: str, how: str = "sum") -> str:

@@ -1,4 +1,4 @@
-"""Several policies as one: a policy of its own for each vehicle, or policies that take turns."""
+"""Several policies as one: one that drives some of the vehicles each, or policies that take turns."""
 
 from __future__ import annotations
 
@@ -21,19 +21,21 @@ if TYPE_CHECKING:
 
 
 class Team:
-    """A policy that drives vehicle v as the v-th of its members does.
+    """A policy that drives each vehicle as one of its members does.
 
     Args:
-        members: one policy per vehicle, each of which acts for all vehicles.
+        members: policies, each of which acts for all vehicles.
+        seats: of every vehicle the index of the member that drives it; None if the v-th member drives vehicle v.
 
     Raises:
-        ValueError: if members and vehicles are not equally many, or the members' environments differ.
+        ValueError: if seats and vehicles are not equally many, or the members' environments differ.
     """
 
-    def __init__(self, members: Sequence[Policy]):
+    def __init__(self, members: Sequence[Policy], seats: Sequence[int] | None = None):
         self.env: EnvAdapter = members[0].env
-        if len(members) != self.env.vehicles:
-            raise ValueError(f"{len(members)} members for {self.env.vehicles} vehicles")
+        self.seats = tuple(range(len(members)) if seats is None else seats)
+        if len(self.seats) != self.env.vehicles:
+            raise ValueError(f"{len(self.seats)} members for {self.env.vehicles} vehicles")
         for member in members[1:]:
             check_same_task(member.env, self.env)
         self.members = tuple(members)
@@ -43,12 +45,12 @@ class Team:
         """Those of the members, each for its own vehicle; empty if one of them has none."""
         if not all(member.utilities for member in self.members):
             return ()
-        return tuple(member.utilities[v] for v, member in enumerate(self.members))
+        return tuple(self.members[seat].utilities[v] for v, seat in enumerate(self.seats))
 
     @property
     def gamma(self) -> NDArray[np.float32]:
         """(V,) discount factors of the accrued rewards that the members observe."""
-        return np.array([_gamma_of(member, v) for v, member in enumerate(self.members)], dtype=np.float32)
+        return np.array([_gamma_of(self.members[seat], v) for v, seat in enumerate(self.seats)], dtype=np.float32)
 
     @property
     def device(self) -> torch.device:
@@ -59,8 +61,8 @@ class Team:
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy if ``generator`` is None."""
-        actions = [member.act(observations, accrued_reward, generator)[:, v] for v, member in enumerate(self.members)]
-        return np.stack(actions, axis=1)
+        acted = [member.act(observations, accrued_reward, generator) for member in self.members]
+        return np.stack([acted[seat][:, v] for v, seat in enumerate(self.seats)], axis=1)
 
 
 class Population:

@@ -21,7 +21,7 @@ from algorithms.reporting.explorer.explorable_front import ExplorableFront
 from algorithms.reporting.explorer.page import write_page
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.choice import expected_utility, rank_policies, weighted_sum
-from mo_deepdrive.evaluation.drives import PlanDriver, record_scenes
+from mo_deepdrive.evaluation.drives import PlanDriver, Scene, record_scenes
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
@@ -306,23 +306,62 @@ def test_vehicles_are_where_the_simulator_had_them(page: Page, request: pytest.F
         assert float(cells[3]) == pytest.approx(now["g_force"], abs=0.0011)
 
 
-def test_oncoming_cars_are_where_the_simulator_had_them(page: Page, tmp_path: Path) -> None:
-    env_id = "mo-deepdrive-left-turn-v0"
-    objectives = SCENARIOS["left_turn"].objectives
-    plans = [np.full(20, 14), np.full(60, 1)]
-    scenes = record_scenes(PlanDriver(plans, np.array(0)), env_id, {"time_limit": 10}, seeds=[4], drives=2)
-    made_up = np.arange(14.0).reshape(2, 1, 7)
-    front = ExplorableFront(
-        title="cars",
+def made_up_front(scenes: list[Scene], objectives: tuple[str, ...]) -> ExplorableFront:
+    """Two policies with these drives."""
+    d = len(objectives)
+    return ExplorableFront(
+        title="made up",
         objectives=objectives,
-        returns=made_up,
-        scales=np.ones(7),
-        signs=np.ones(7),
+        returns=np.arange(2.0 * d).reshape(2, 1, d),
+        scales=np.ones(d),
+        signs=np.ones(d),
         success=np.zeros(2),
         lengths=np.ones(2),
         command="{preference}",
         scenes=tuple(scenes),
     )
+
+
+class Spread:
+    """Drives vehicle v of policy k as the number v + k says."""
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        policies, vehicles, _ = observations.shape
+        return 1 + (np.arange(vehicles) + np.arange(policies)[:, None]) % 8
+
+    def observe(self, rewards: np.ndarray) -> None:
+        pass
+
+
+def test_of_many_vehicles_each_is_shown_until_it_has_ended_with_its_own_returns(page: Page, tmp_path: Path) -> None:
+    arguments = {"vehicles": 8, "time_limit": 8}
+    scenes = record_scenes(Spread(), "mo-deepdrive-roundabout-v0", arguments, seeds=[4], drives=2)
+    objectives = tuple(f"vehicle_{v}/{name}" for v in range(8) for name in ("distance", "jerk"))
+    write_page([made_up_front(scenes, objectives)], tmp_path / "explore.html", "Explorer")
+    page.open(tmp_path / "explore.html", "#mode=picked&policy=1&compare=0")
+    readings = scenes[0].drives[1].readings
+    lasts = np.isfinite(readings[:, :, 0]).sum(axis=0) - 1
+    assert len(set(lasts)) > 1
+    for step in sorted({0, *lasts}):
+        page.scrub(int(step))
+        shown = [each for each in page.all("#map .vehicle") if each.get_attribute("data-policy") == "1"]
+        shown = [each for each in shown if each.is_displayed()]
+        driving = np.flatnonzero(lasts >= step)
+        assert [int(each.get_attribute("data-vehicle")) for each in reversed(shown)] == driving.tolist()
+        moved = [re.findall(r"-?[\d.]+", each.get_attribute("transform"))[:2] for each in reversed(shown)]
+        np.testing.assert_allclose(np.array(moved, dtype=float), readings[step, driving, :2], atol=0.0051)
+    assert len(page.all("#map .lanes polyline")) == 36
+    page.find("#vehicle option[value='5']").click()
+    assert page.text("#values").splitlines()[::2] == ["vehicle 5: distance", "vehicle 5: jerk", "time", "arrivals"]
+    assert page.text("#weights").count("vehicle 5") == page.text("#policies thead").count("vehicle 5") == 2
+    assert page.text("#readings tbody tr:nth-child(6)").startswith("policy 1, vehicle 5")
+
+
+def test_oncoming_cars_are_where_the_simulator_had_them(page: Page, tmp_path: Path) -> None:
+    env_id = "mo-deepdrive-left-turn-v0"
+    plans = [np.full(20, 14), np.full(60, 1)]
+    scenes = record_scenes(PlanDriver(plans, np.array(0)), env_id, {"time_limit": 10}, seeds=[4], drives=2)
+    front = made_up_front(scenes, SCENARIOS["left_turn"].objectives)
     write_page([front], tmp_path / "explore.html", "Explorer")
     page.open(tmp_path / "explore.html", "#mode=picked&policy=1&compare=0")
     cars = scenes[0].drives[1].cars
@@ -332,7 +371,7 @@ def test_oncoming_cars_are_where_the_simulator_had_them(page: Page, tmp_path: Pa
         shown = [car for car in page.all("#map .oncoming") if car.value_of_css_property("display") != "none"]
         present = cars[step][np.isfinite(cars[step][:, 0])]
         moved = [re.findall(r"-?[\d.]+", car.get_attribute("transform")) for car in shown]
-        np.testing.assert_allclose(np.array(moved, dtype=float).reshape(-1, 3)[:, :2], present, atol=0.0051)
+        np.testing.assert_allclose(np.array(moved, dtype=float).reshape(-1, 3)[:, :2], present[:, :2], atol=0.0051)
         seen += len(shown)
     assert seen > 5
 
@@ -379,11 +418,11 @@ def few(front: ExplorableFront, count: int) -> ExplorableFront:
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ('{"format":1,"fronts":[]}', "The data of this page have format 1; its code reads format 2."),
+        ('{"format":1,"fronts":[]}', "The data of this page have format 1; its code reads format 3."),
         ("[]", "The data of this page have format undefined"),
         ("null", "The data of this page have format undefined"),
-        ('{"format":2,"fronts":[]}', "This page has no front."),
-        ('{"format":2,"fronts":[', "The data of this page are broken."),
+        ('{"format":3,"fronts":[]}', "This page has no front."),
+        ('{"format":3,"fronts":[', "The data of this page are broken."),
     ],
 )
 def test_data_that_cannot_be_read_are_a_message(

@@ -1,4 +1,4 @@
-"""The example of docs/lab/rllib.md: its runner, what its learners are given, a short run, and its curve."""
+"""The examples that use RLlib: that of docs/lab/rllib.md (its runner, learners, a run, its curve), and a tutorial's."""
 
 from __future__ import annotations
 
@@ -159,3 +159,22 @@ def test_an_update_changes_both_policies_with_either_runner(agents: Any, algorit
         assert np.isfinite(result["learners"][vehicle]["total_loss"])
         after = algorithm.get_module(vehicle).actor.parameters()
         assert any((old != new).any() for old, new in zip(before[vehicle], after, strict=True))
+
+
+@pytest.mark.usefixtures("cluster")
+def test_the_vehicles_of_the_roundabout_learn_and_drive_by_one_policy(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    example = importlib.import_module("rllib_roundabout")
+    algorithm = example.make_config(worlds=2, decisions=32).build_algo()
+    before = [each.detach().clone() for each in algorithm.get_module("shared").actor.parameters()]
+    sampled = algorithm.train()["env_runners"]["num_module_steps_sampled"]
+    after = list(algorithm.get_module("shared").actor.parameters())
+    algorithm.stop()
+    assert sampled.keys() == {"shared"}
+    assert sampled["shared"] > 4 * 2 * 32  # of up to eight vehicles
+    assert any((old != new).any() for old, new in zip(before, after, strict=True))
+    evaluation = example.main(updates=2, episodes=4, worlds=2, decisions=32)
+    assert evaluation.returns.shape == (4, 8, 10)
+    assert "worst_off_utility_esr" in capsys.readouterr().out

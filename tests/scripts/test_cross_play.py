@@ -8,11 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 from algorithms import zoo
+from algorithms.experiments.build import build
+from algorithms.experiments.config import make_experiment
+from algorithms.experiments.run_directory import Run
 
 PAIR = "intersection_nonlinear-mo_ppo"
+ROUNDABOUT = "mo-deepdrive-roundabout-v0"
 ONE_ROLE = "intersection_linear-mo_ppo-strangers_0"  # learnt to drive vehicle 0
 
 
@@ -41,9 +46,49 @@ def test_every_driver_meets_every_driver_of_the_other_vehicle(
     assert "written" in out
 
 
+@pytest.mark.slow
+def test_drivers_of_several_preferences_meet_in_a_roundabout(
+    load_script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    experiment = make_experiment(
+        {
+            "environment": {"id": ROUNDABOUT, "arguments": {"vehicles": 3}},
+            "algorithm": {"name": "conditioned_mo_ppo", "steps": 8, "hidden": [8], "minibatches": 1},
+            "training": {"total_timesteps": 64, "num_envs": 4},
+        }
+    )
+    run = Run.create(experiment, tmp_path / "run")
+    agent = build(experiment)
+    agent.train(64)
+    agent.save(run.checkpoint)
+    run.unlock()
+    matrix = ["--env", ROUNDABOUT, "--vehicles", "3", "--preference", "hurried", "time=5", "--preference", "careful"]
+    options = ["--episodes", "4", "--output", str(tmp_path / "made"), "--show", "vehicle_0/utility_esr"]
+    assert load_script("cross_play").main([str(run.path), *matrix, *options, "--utility", "own"]) == 0
+    assert "among careful" in capsys.readouterr().out
+    with (tmp_path / "made" / "cross_play.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [(row["vehicle_0"], row["others"]) for row in rows] == [
+        (one, other) for one in ("hurried", "careful") for other in ("hurried", "careful")
+    ]
+    # Each is judged by its own weights, in units of the scales of the run.
+    returns = np.array([[float(row[f"vehicle_0/return/{name}"]) for name in agent.env.objectives] for row in rows])
+    weights = np.ones((4, returns.shape[1]))
+    weights[:2, agent.env.objectives.index("time")] = 5.0
+    expected = (returns * weights / agent.scales).sum(axis=1) / weights.sum(axis=1)
+    np.testing.assert_allclose([float(row["vehicle_0/utility_esr"]) for row in rows], expected, rtol=1e-3)
+    refused = [str(run.path), *matrix, "--others", "rule:balanced", *options[:3], str(tmp_path), "--utility", "own"]
+    assert load_script("cross_play").main(refused) == 2
+    assert "--utility own: 'rule:balanced' has no preference" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--env", "mo-deepdrive-left-turn-v0"], "has one vehicle; cross-play needs several"),
+        (["--env", ROUNDABOUT, "--vehicle-0", "rule:careful", "--others", "rule:gap_3"], "no scripted driver"),
+        (["--env", ROUNDABOUT, "--vehicle-0", "rule:careful"], "others has no driver"),
+        (["--env", ROUNDABOUT, "--vehicles", "40"], "vehicles"),
         (["--vehicle-0", "rule:gap_3"], "vehicle_1 has no driver"),
         (["nobody"], "'nobody' is not a run directory"),
         (["one_waypoint_linear-ppo"], "'one_waypoint_linear-ppo' cannot drive vehicle_0"),

@@ -74,7 +74,7 @@ def test_a_best_known_front_is_shown_with_the_drives_of_its_actions(call: Call, 
     assert front["command"] == "mo_deepdrive.reference_fronts.shipped('static_obstacle', 'discrete')[{policy}]"
     assert front["budget"]["prices"] == {"collision": 10.0}
     (scene,) = front["scenes"]
-    ends = np.array([drive["end"] == "arrived" for drive in scene["drives"]])
+    ends = np.array([drive["vehicles"][0]["end"] == "arrived" for drive in scene["drives"]])
     assert np.array_equal(ends, undiscounted[:, 1] == 1.0)
     assert len(scene["obstacles"]) == 1
 

@@ -19,9 +19,9 @@ def main() -> Callable[[list[str]], int]:
     return runpy.run_path(str(REPOSITORY / "scripts" / "gif.py"))["main"]
 
 
-def test_two_policies_of_the_zoo_side_by_side(main: Callable[[list[str]], int], tmp_path: Path) -> None:
+def test_a_policy_of_the_zoo_and_a_rule_side_by_side(main: Callable[[list[str]], int], tmp_path: Path) -> None:
     path = tmp_path / "two.gif"
-    names = ["one_waypoint_linear-ppo", "static_obstacle_linear-ppo"]
+    names = ["one_waypoint_linear-ppo", "rule:hurried", "--frames", "40"]
     assert main([*names, "--output", str(path), "--side", "48", "--seed", "7"]) == 0
     with Image.open(path) as image:
         assert image.n_frames > 30
@@ -34,6 +34,7 @@ def test_two_policies_of_the_zoo_side_by_side(main: Callable[[list[str]], int], 
         (["one_waypoint_linear-pop"], "one_waypoint_linear-ppo"),
         (["one_waypoint_front-pcn"], "is a front of policies"),
         (["one_waypoint_linear-ppo", "--seed", "-1"], "--seed -1 must be between"),
+        (["one_waypoint_linear-ppo", "--frames", "0"], "--frames 0 must be at least 1"),
         (["one_waypoint_linear-ppo", "--side", "3"], "--side 3 must be at least 16"),
     ],
 )

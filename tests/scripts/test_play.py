@@ -17,6 +17,7 @@ from algorithms.experiments.run_directory import Run
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
+ROUNDABOUT = "mo-deepdrive-roundabout-v0"
 
 
 def make_run(path: Path, env_id: str = TWO, utility: str = "intersection_linear", **arguments: Any) -> Path:
@@ -152,6 +153,7 @@ def test_invalid_options_are_refused(
         return captured.err
 
     assert "--env = 'mo-deepdrive-intersction-v0'" in refused("--env", "mo-deepdrive-intersction-v0")
+    among_rules = ("--env", ROUNDABOUT, "--against", "rule:balanced")
     assert "did you mean 'mo-deepdrive-intersection-v0'" in refused("--env", "mo-deepdrive-intersction-v0")
     assert "only this package's environments" in refused("--env", "minecart-v0")
     assert "not a run directory" in refused("--env", TWO, "--against", str(tmp_path))
@@ -160,6 +162,8 @@ def test_invalid_options_are_refused(
     assert "checkpoint.safetensors" in refused("--env", TWO, "--against", str(untrained))
     assert "--against RUN" in refused("--env", TWO, "--vehicle", "1")
     assert "--against RUN" in refused("--env", TWO, "--stochastic")
+    assert "has 4 vehicles, and a keyboard has room for 2 people" in refused("--env", ROUNDABOUT)
+    assert "--vehicle 4 must be between 0 and 3" in refused(*among_rules, "--vehicle", "4")
     assert "--seed -1" in refused("--env", TWO, "--seed", "-1")
     assert "--fps 0" in refused("--env", TWO, "--fps", "0")
     assert "nowhere" in refused("--env", TWO, "--record", str(tmp_path / "nowhere" / "drive.mp4"))
@@ -204,3 +208,11 @@ def test_one_drives_the_vehicle_that_the_run_did_not_learn(
         play.main([*against, "--vehicle", str(1 - seat)])
     message = f"--vehicle {1 - seat}: RUN learnt to drive vehicle_{1 - seat} alone; drive vehicle {seat}"
     assert message in capsys.readouterr().err
+
+
+def test_one_drives_among_scripted_drivers(
+    play: ModuleType, typing: Typist, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typing({2: [(PRESS, pygame.K_ESCAPE)]})
+    assert play.main(["--env", ROUNDABOUT, "--against", "rule:careful", "--vehicle", "2", "--fps", "1000"]) == 0
+    assert "vehicle 2: arrow keys" in capsys.readouterr().out

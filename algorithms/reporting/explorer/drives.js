@@ -4,14 +4,16 @@ const SVG = "http://www.w3.org/2000/svg";
 
 /** A stored drive with its readings as numbers: each is the sum of the stored differences up to it. */
 function decodeDrive(stored, resolution) {
-  const sums = (differences, name) => {
-    let total = 0;
-    return differences.map((difference) => (difference === null ? null : (total += difference) * resolution[name]));
+  const decoded = ({ end, ...readings }) => {
+    const vehicle = { end, decisions: readings.x.length - 1 };
+    for (const [name, differences] of Object.entries(readings)) {
+      let total = 0;
+      vehicle[name] = differences.map((step) => (step === null ? null : (total += step) * resolution[name]));
+    }
+    return vehicle;
   };
-  const drive = { end: stored.end, decisions: stored.x.length - 1 };
-  for (const name of Object.keys(resolution)) drive[name] = sums(stored[name], name);
-  drive.cars = (stored.cars ?? []).map((car) => ({ x: sums(car.x, "x"), y: sums(car.y, "y") }));
-  return drive;
+  const [vehicles, cars] = [stored.vehicles.map(decoded), stored.cars.map(decoded)];
+  return { vehicles, cars, decisions: Math.max(...vehicles.map((vehicle) => vehicle.decisions)) };
 }
 
 function svg(name, attributes, ...children) {
@@ -34,6 +36,19 @@ function car(size, attributes) {
   const window = [[-x + 0.3, 0.1 * y], [x - 0.3, 0.1 * y], [x - 0.55, 0.42 * y], [-x + 0.55, 0.42 * y]];
   return svg("g", attributes, polygon(body, { stroke: "var(--page)", "stroke-width": 0.15 }),
     polygon(window, { fill: "var(--page)", "fill-opacity": 0.75 }));
+}
+
+/** Lanes of segments, each with the line before which those wait who have no right of way. */
+function lanes(scene) {
+  const group = svg("g", { class: "lanes" });
+  const line = (points, attributes) => svg("polyline", { points: points.map((point) => point.join(",")).join(" "),
+    fill: "none", "stroke-linejoin": "round", ...attributes });
+  for (const [more, stroke] of [[0.3, "var(--marking)"], [-0.1, "var(--asphalt)"]]) {
+    group.append(...scene.roads.map((road) => line(road.line, { stroke, "stroke-width": road.width + more })));
+  }
+  group.append(...scene.roads.map((road) => line(road.giveWay, { stroke: "var(--marking)", "stroke-width": 0.35,
+    "stroke-dasharray": "0.5 0.4" })));
+  return group;
 }
 
 /** Roads that cross at the centre, two lanes each. */
@@ -80,60 +95,69 @@ class DriveMap {
     const [left, low, size] = scene.box;
     const world = svg("g", { transform: "scale(1 -1)" }); // y points up
     this.element.setAttribute("viewBox", `${left} ${-low - size} ${size} ${size}`);
-    this.element.style.background = scene.lanes ? "var(--grass)" : "";
-    world.append(scene.lanes ? roads(scene) : grid(scene));
-    this.route(scene, world);
+    const paved = scene.lanes || scene.roads.length > 0;
+    this.element.style.background = paved ? "var(--grass)" : "";
+    world.append(scene.roads.length ? lanes(scene) : scene.lanes ? roads(scene) : grid(scene));
+    this.routes(scene, world, paved ? "var(--marking)" : "var(--ink)");
     for (const [start, end] of scene.obstacles) {
       world.append(svg("line", { x1: start[0], y1: start[1], x2: end[0], y2: end[1], stroke: "var(--obstacle)",
         "stroke-width": 0.5, "stroke-linecap": "round", class: "obstacle" }));
     }
-    this.tracks = drives.map(({ drive, label }, place) => {
-      const points = drive.x.map((x, step) => `${x},${drive.y[step]}`).join(" ");
+    const many = drives[0].drive.vehicles.length > 1;
+    this.tracks = drives.flatMap(({ drive, label }, place) => drive.vehicles.map((track, v) => {
+      const points = track.x.map((x, step) => `${x},${track.y[step]}`).join(" ");
       const line = { points, fill: "none", "stroke-linejoin": "round" };
       const path = svg("g", {}, svg("polyline", { ...line, stroke: "var(--page)", "stroke-width": 0.45 }),
         svg("polyline", { ...line, stroke: series(place), "stroke-width": 0.2,
           "stroke-dasharray": DASHES[place].map((part) => part / 8).join(" ") }));
-      const vehicle = car(scene.vehicle, { class: "vehicle", fill: series(place), "data-policy": label });
-      return { drive, path, vehicle };
-    });
+      const vehicle = car(scene.vehicle, { class: "vehicle", fill: series(place), "data-policy": label,
+        "data-vehicle": v });
+      const number = svg("text", { class: "number" }, many ? String(v) : "");
+      return { track, path, vehicle, number, shown: svg("g", {}, vehicle, number), leaves: many };
+    }));
     // The cars around the chosen policy: they react to it, so those of other policies are elsewhere.
+    this.decisions = drives[0].drive.decisions;
     this.cars = drives[0].drive.cars.map((track) => ({
       track,
       car: car(scene.vehicle, { class: "oncoming", fill: "var(--dim)" }),
     }));
     world.append(...this.tracks.map((track) => track.path), ...this.cars.map((each) => each.car));
-    world.append(...this.tracks.map((track) => track.vehicle).reverse());
+    world.append(...this.tracks.map(({ shown }) => shown).reverse());
     this.element.replaceChildren(this.title, world);
-    const names = drives.map(({ label, drive }) => `policy ${label} (${drive.end.replaceAll("_", " ")})`);
+    const ends = (drive) => drive.vehicles.map(({ end }) => end.replaceAll("_", " ")).join(", ");
+    const names = drives.map(({ label, drive }) => `policy ${label} (${ends(drive)})`);
     this.title.textContent = `Map seen from above with the drives of ${names.join(", ")}`;
   }
 
-  route(scene, world) {
-    scene.route.forEach(([x, y], k) => {
-      const last = k === scene.route.length - 1;
-      for (const r of last ? [scene.arrivalRadius, 1.8 * scene.arrivalRadius] : [scene.arrivalRadius]) {
-        world.append(svg("circle", { cx: x, cy: y, r, fill: "none", stroke: scene.lanes ? "var(--marking)" : "var(--ink)", "stroke-width": 0.15,
-          "stroke-opacity": 0.75 }));
-      }
-    });
+  routes(scene, world, stroke) {
+    for (const route of scene.routes) {
+      route.forEach(([cx, cy], k) => {
+        const last = k === route.length - 1;
+        for (const r of last ? [scene.arrivalRadius, 1.8 * scene.arrivalRadius] : [scene.arrivalRadius]) {
+          world.append(svg("circle", { cx, cy, r, fill: "none", stroke, "stroke-width": 0.15, "stroke-opacity": 0.75 }));
+        }
+      });
+    }
   }
 
-  /** Put every vehicle where it was after `step` decisions, or where its drive ended. */
+  /** Put every vehicle where it was after `step` decisions; one that has ended leaves the others, or stays alone. */
   move(step) {
-    for (const { drive, vehicle } of this.tracks) {
-      const now = Math.min(step, drive.decisions);
-      const degrees = (drive.heading[now] * 180) / Math.PI;
-      vehicle.setAttribute("transform",
-        `translate(${drive.x[now].toFixed(2)} ${drive.y[now].toFixed(2)}) rotate(${degrees.toFixed(2)})`);
-      vehicle.setAttribute("fill-opacity", step > drive.decisions ? 0.45 : 1);
+    const place = (element, track, now) => {
+      const at = `translate(${track.x[now].toFixed(2)} ${track.y[now].toFixed(2)})`;
+      element.setAttribute("transform", `${at} rotate(${((track.heading[now] * 180) / Math.PI).toFixed(2)})`);
+      return at;
+    };
+    for (const { track, vehicle, number, shown, leaves } of this.tracks) {
+      const ended = step > track.decisions;
+      number.setAttribute("transform", `${place(vehicle, track, Math.min(step, track.decisions))} scale(1 -1)`);
+      vehicle.setAttribute("fill-opacity", ended ? 0.45 : 1);
+      shown.style.display = ended && leaves ? "none" : "";
     }
-    const now = Math.min(step, this.tracks[0].drive.decisions);
+    const now = Math.min(step, this.decisions);
     for (const { track, car: element } of this.cars) {
       const present = Number.isFinite(track.x[now]);
       element.style.display = present ? "" : "none";
-      if (present) {
-        element.setAttribute("transform", `translate(${track.x[now].toFixed(2)} ${track.y[now].toFixed(2)}) rotate(180)`);
-      }
+      if (present) place(element, track, now);
     }
   }
 }

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.evaluation.drives import READINGS
+from mo_deepdrive.evaluation.drives import POSE, READINGS
 from mo_deepdrive.evaluation.metrics import name_and_unit
 from mo_deepdrive.evaluation.statistics import rate
 from mo_deepdrive.simulation.map import MAP_CENTRE
@@ -172,12 +172,16 @@ def scene_to_json(scene: Scene) -> dict[str, Any]:
         "seed": scene.seed,
         "frequency": scene.decision_frequency,
         "lanes": scene.lanes,
+        "roads": [
+            {"line": rounded(road.line, 5), "width": road.width, "giveWay": rounded(road.give_way)}
+            for road in scene.roads
+        ],
         "centre": MAP_CENTRE,
         "box": rounded(scene.box(MARGIN)),
         "laneWidth": LANE_WIDTH,
         "arrivalRadius": ARRIVAL_RADIUS,
         "vehicle": [LENGTH, WIDTH],
-        "route": rounded(scene.route),
+        "routes": [rounded(route) for route in scene.routes],
         "obstacles": rounded(scene.obstacles),
         "resolution": RESOLUTION,
         "drives": [drive_to_json(drive) for drive in scene.drives],
@@ -187,28 +191,23 @@ def scene_to_json(scene: Scene) -> dict[str, Any]:
 def drive_to_json(drive: Drive) -> dict[str, Any]:
     """A drive as whole numbers: every reading in units of RESOLUTION, first itself and then its differences.
 
-    The sum of the first n + 1 numbers times the resolution is the reading after n decisions, rounded once. Positions of
-    oncoming cars are stored alike, up to the last one; where a car is absent there is None.
+    The sum of the first n + 1 numbers times the resolution is the reading after n decisions, rounded once. Readings of
+    a vehicle are stored up to its end, poses of cars up to the last one; where a car is absent there is None.
     """
-    series = {name: _differences(drive.readings[:, column] / RESOLUTION[name]) for column, name in enumerate(READINGS)}
-    cars = [
-        {
-            name: _differences_where_present(drive.cars[:, car, axis] / RESOLUTION[name])
-            for axis, name in enumerate("xy")
-        }
-        for car in range(drive.cars.shape[1])
-    ]
-    return {**series, "end": drive.end, **({"cars": cars} if cars else {})}
+    return {
+        "vehicles": [{**_series(drive.readings[:, v], READINGS), "end": end} for v, end in enumerate(drive.ends)],
+        "cars": [_series(drive.cars[:, car], POSE) for car in range(drive.cars.shape[1])],
+    }
 
 
-def _differences(values: NDArray[np.float64]) -> list[int]:
-    whole = np.rint(values).astype(np.int64)
-    return [int(whole[0]), *np.diff(whole).tolist()]
+def _series(columns: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, list[int | None]]:
+    return {name: _differences(columns[:, k] / RESOLUTION[name]) for k, name in enumerate(names)}
 
 
-def _differences_where_present(values: NDArray[np.float64]) -> list[int | None]:
+def _differences(values: NDArray[np.float64]) -> list[int | None]:
     present = np.flatnonzero(np.isfinite(values))
     stored: list[int | None] = [None] * (int(present[-1]) + 1 if len(present) else 0)
-    for place, difference in zip(present.tolist(), _differences(values[present]) if len(present) else [], strict=True):
+    whole = np.rint(values[present]).astype(np.int64)
+    for place, difference in zip(present.tolist(), np.diff(whole, prepend=0).tolist(), strict=True):
         stored[place] = difference
     return stored

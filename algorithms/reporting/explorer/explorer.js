@@ -110,6 +110,12 @@ class Explorer {
     });
     change("speed", "change", (event) => (this.player.speed = Number(event.target.value)));
     change("scenario", "change", (event) => this.update({ scenario: Number(event.target.value) }));
+    change("vehicle", "change", (event) => {
+      const { step } = this;
+      this.front.vehicle = Number(event.target.value);
+      this.showFront();
+      this.showStep(step);
+    });
     window.addEventListener("hashchange", () => {
       if (location.hash === this.hash) return;
       this.read(location.hash);
@@ -162,6 +168,10 @@ class Explorer {
     byId("scenario-choice").hidden = front.scenes.length < 2;
     byId("scenario").replaceChildren(
       ...front.scenes.map((scene, i) => element("option", { value: i }, `${i + 1} (seed ${scene.seed})`)));
+    byId("vehicle-choice").hidden = front.vehicles < 2;
+    byId("vehicle").replaceChildren(...Array.from({ length: front.vehicles }, (_, v) =>
+      element("option", { value: v }, String(v))));
+    byId("vehicle").value = front.vehicle;
     this.panels.makeSliders();
     this.panels.makeRanges();
     this.width = byId("parallel").clientWidth;
@@ -182,10 +192,10 @@ class Explorer {
   drawParallel() {
     const { front } = this;
     this.parallel?.finalize();
-    const axes = front.axes.map((axis, i) => ({ axis: i, title: titled(axis),
+    const axes = front.columns.map((i) => ({ axis: i, title: titled(front.axes[i]),
       worst: front.text(front.valueAt(0, i), i), best: front.text(front.valueAt(1, i), i) }));
-    const points = (rows) => rows.flatMap((row, policy) => row.map((value, axis) => ({
-      policy, axis, value: front.scaled(value, axis) })));
+    const points = (rows) => rows.flatMap((row, policy) => front.columns.filter((i) => i < row.length).map((axis) => ({
+      policy, axis, value: front.scaled(row[axis], axis) })));
     byId("parallel").dataset.upright = isUpright(axes, this.width);
     const view = makeView(parallelSpec(axes, this.width), byId("parallel"),
       `Parallel coordinates of ${front.size} policies; the table of all policies has their numbers`);
@@ -203,8 +213,8 @@ class Explorer {
 
   showParallel() {
     const share = (value, axis) => Math.min(Math.max(this.front.scaled(value, axis), 0), 1);
-    const brushes = Object.entries(this.state.ranges).map(([axis, [low, high]]) => ({
-      axis: Number(axis), low: share(low, axis), high: share(high, axis) }));
+    const brushes = this.front.columns.filter((axis) => this.state.ranges[axis]).map((axis) => ({
+      axis, low: share(this.state.ranges[axis][0], axis), high: share(this.state.ranges[axis][1], axis) }));
     this.parallel.data("brushes", brushes).signal("chosen", this.shownPolicies()).signal("listed", this.listed())
       .signal("kept", this.kept()).run();
   }
@@ -251,8 +261,9 @@ class Explorer {
     const names = this.shown.map(({ label }) => `policy ${label}`).join(", ");
     this.charts = readings.map(([name, title], i) => {
       const view = makeView(timeSpec(title, width), host.children[i], `${title} over time of ${names}`);
-      const rows = this.shown.flatMap(({ drive }, place) => drive[name].map((value, step) => ({
-        place, time: step / this.scene.frequency, value })));
+      const rows = this.shown.flatMap(({ drive }, place) =>
+        drive.vehicles[this.front.vehicle][name].map((value, step) => ({
+          place, time: step / this.scene.frequency, value })));
       return view.data("readings", rows).signal("now", this.step / this.scene.frequency).run();
     });
   }
@@ -265,13 +276,14 @@ class Explorer {
     byId("clock").textContent = `${seconds(step)} of ${seconds(this.last)}`;
     this.map.move(step);
     for (const view of this.charts) view.signal("now", step / this.scene.frequency).run();
-    const cells = this.shown.map(({ label, drive }, place) => {
-      const now = Math.min(step, drive.decisions);
-      const state = step >= drive.decisions ? drive.end.replaceAll("_", " ") : "driving";
-      return element("tr", {}, element("th", { scope: "row" }, swatch(place), `policy ${label}`),
-        ...[drive.speed[now].toFixed(2), drive.g_force[now].toFixed(3), drive.jerk[now].toFixed(1), state].map((text) =>
-          element("td", {}, text)));
-    });
+    const cells = this.shown.flatMap(({ label, drive }, place) => drive.vehicles.map((vehicle, v) => {
+      const now = Math.min(step, vehicle.decisions);
+      const state = step >= vehicle.decisions ? vehicle.end.replaceAll("_", " ") : "driving";
+      const name = `policy ${label}${drive.vehicles.length > 1 ? `, vehicle ${v}` : ""}`;
+      const readings = [vehicle.speed[now].toFixed(2), vehicle.g_force[now].toFixed(3), vehicle.jerk[now].toFixed(1)];
+      return element("tr", {}, element("th", { scope: "row" }, swatch(place), name),
+        ...[...readings, state].map((text) => element("td", {}, text)));
+    }));
     byId("readings").replaceChildren(element("table", {},
       element("thead", {}, element("tr", {}, ...["", "speed (m/s)", "g-force (g)", "jerk (m/s³)", ""].map((text) =>
         element("th", { scope: "col" }, text)))), element("tbody", {}, ...cells)));

@@ -53,8 +53,16 @@ class FrontModel {
     const timed = stored.objectives.some(({ key }) => key === "time");
     this.seconds = timed || !stored.scenes.length ? null
       : stored.lengths.map((decisions) => decisions / stored.scenes[0].frequency);
+    this.vehicles = stored.scenes[0]?.drives[0].vehicles.length ?? 1;
+    this.vehicle = 0;
     this.decoded = new Map();
     this.take(0);
+  }
+
+  /** The axes on the page: of several vehicles those of the one that is shown, and the time. */
+  get columns() {
+    const others = (key) => key?.startsWith("vehicle_") && !key.startsWith(`vehicle_${this.vehicle}/`);
+    return this.axes.map((_, i) => i).filter((i) => this.vehicles < 2 || !others(this.objectives[i]?.key));
   }
 
   /**

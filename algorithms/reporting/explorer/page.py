@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from algorithms.reporting.explorer.explorable_front import ExplorableFront
 
 EXPLORER_FILE = "explore.html"
-FORMAT = 2  # of the data, which the page checks
+FORMAT = 3  # of the data, which the page checks
 SOURCES = resources.files("algorithms.reporting.explorer")
 # In this order, as one module.
 SCRIPTS = ("rules.js", "views.js", "drives.js", "model.js", "panels.js", "explorer.js")

@@ -45,7 +45,8 @@ class Panels {
 
   makeSliders() {
     const { front, state } = this;
-    byId("weights").replaceChildren(...front.objectives.map((objective, i) => this.slider({
+    const shown = front.columns.filter((i) => i < front.objectives.length).map((i) => [front.objectives[i], i]);
+    byId("weights").replaceChildren(...shown.map(([objective, i]) => this.slider({
       id: `weight-${i}`,
       label: objective.name,
       value: state.weights[i],
@@ -73,7 +74,8 @@ class Panels {
 
   makeRanges() {
     const { front } = this;
-    byId("ranges").replaceChildren(...front.axes.map((axis, i) => {
+    byId("ranges").replaceChildren(...front.columns.map((i) => {
+      const axis = front.axes[i];
       const limit = (end, name) => element("input", { type: "number", step: "any", "data-range": `${i}/${end}`,
         "aria-label": `${name} ${titled(axis)}`, onchange: (event) => {
           const range = [...(this.state.ranges[i] ?? [-Infinity, Infinity])];
@@ -120,8 +122,8 @@ class Panels {
     }
     const success = front.success[chosen];
     byId("values").replaceChildren(
-      ...front.axes.flatMap((axis, i) => [element("dt", {}, axis.name),
-        element("dd", {}, withUnit(front.text(front.rows[chosen][i], i), axis.unit))]),
+      ...front.columns.flatMap((i) => [element("dt", {}, front.axes[i].name),
+        element("dd", {}, withUnit(front.text(front.rows[chosen][i], i), front.axes[i].unit))]),
       ...(success === null ? [] : [element("dt", {}, "arrivals"),
         element("dd", {}, `${percent(success)}${between(front.successRange[chosen])}`)]));
     byId("command").value = this.explorer.command();
@@ -187,13 +189,14 @@ class Panels {
       return element("td", { class: better ? "better" : "worse" }, `${better ? "▲" : "▼"} ${text}`);
     };
     byId("trades").replaceChildren(
-      element("thead", {}, element("tr", {}, ...["For", "Policy", ...front.axes.map(titled), "", "Compare"].map(
+      element("thead", {}, element("tr", {}, ...["For", "Policy",
+        ...front.columns.map((i) => titled(front.axes[i])), "", "Compare"].map(
         (text) => element("th", { scope: "col" }, text)))),
       element("tbody", {}, ...found.map(({ k, better }) => element("tr", {},
         element("th", { scope: "row" }, better.length ? `better ${better.map((i) => front.axes[i].name).join(", ")}`
           : "a small change"),
         element("td", {}, String(front.numbers[k])),
-        ...front.axes.map((_, i) => difference(k, i)),
+        ...front.columns.map((i) => difference(k, i)),
         element("td", {}, this.pickButton(k)), element("td", {}, this.compareBox(k))))));
   }
 
@@ -204,8 +207,8 @@ class Panels {
     const arrivals = front.success.every((share) => share !== null);
     const columns = [
       { name: "Policy", of: (k) => front.numbers[k], text: (k) => String(front.numbers[k]) },
-      ...front.axes.map((axis, i) => ({
-        name: titled(axis), of: (k) => front.rows[k][i], text: (k) => front.text(front.rows[k][i], i) })),
+      ...front.columns.map((i) => ({
+        name: titled(front.axes[i]), of: (k) => front.rows[k][i], text: (k) => front.text(front.rows[k][i], i) })),
       ...(arrivals ? [{ name: "arrivals", of: (k) => front.success[k], text: (k) => percent(front.success[k]) }] : []),
       { name: "decisions", of: (k) => front.lengths[k], text: (k) => front.lengths[k].toFixed(0) },
     ];

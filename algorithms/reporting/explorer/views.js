@@ -79,7 +79,7 @@ function parallelSpec(axes, width) {
       { name: "shown", source: "learnt", transform: [{ type: "filter", expr: `${role} >= 0` }] },
     ],
     scales: [
-      { name: "axis", type: "point", range: upright ? "width" : "height", domain: axes.map((_, i) => i) },
+      { name: "axis", type: "point", range: upright ? "width" : "height", domain: axes.map(({ axis }) => axis) },
       { name: "value", range: upright ? "height" : "width", domain: [0, 1], zero: false },
     ],
     marks: [

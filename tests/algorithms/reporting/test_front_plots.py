@@ -21,7 +21,7 @@ from algorithms.reporting.style import DPI
 from mo_deepdrive.evaluation.metrics import joint_objectives
 from tests.helpers.fronts import driving, front_of
 
-FIGURES = ("importance", "reduction", "parallel", "scatter", "bars")
+FIGURES = ("importance", "reduction", "parallel", "bars", "scatter")
 MINUS = "\N{MINUS SIGN}"
 
 
@@ -81,6 +81,9 @@ def test_pairs_of_many_objectives_are_not_drawn(tmp_path: Path) -> None:
     front = front_of(np.random.default_rng(0).normal(size=(3, 10)), names)
     assert [path.stem for path in draw_front(front, tmp_path)] == [name for name in FIGURES if name != "scatter"]
     assert "vehicle 1: g-force (discounted, g)" in texts(front_plots._importance(FrontView(front)))
+    many = joint_objectives(("distance", "jerk", "time"), 8)
+    front = front_of(np.random.default_rng(0).normal(size=(3, 24)), many)
+    assert [path.stem for path in draw_front(front, tmp_path)] == ["importance"]
 
 
 def test_a_reference_front_of_another_shape_is_refused(tmp_path: Path) -> None:

@@ -11,12 +11,28 @@ import pytest
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.policy_evaluation import evaluate_front_policies
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive import parallel_env
 from mo_deepdrive.evaluation.drives import READINGS, PlanDriver, PoliciesDriver, is_drivable, record_scenes
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 LEFT_TURN = "mo-deepdrive-left-turn-v0"
+
+
+class Scripted:
+    """The same actions (T, V) whatever is observed."""
+
+    def __init__(self, actions: np.ndarray):
+        self.actions = actions
+        self.decision = 0
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        self.decision += 1
+        return self.actions[self.decision - 1][None]
+
+    def observe(self, rewards: np.ndarray) -> None:
+        assert rewards.shape[:2] == (1, self.actions.shape[1])
 
 
 def telemetry(env_id: str, seed: int, plan: np.ndarray, idle: Any, **arguments: Any) -> list[dict[str, float]]:
@@ -47,10 +63,35 @@ def test_a_drive_is_what_telemetry_reports(action_type: str) -> None:
         assert not scene.lanes
         for plan, drive in zip(plans, scene.drives, strict=True):
             expected = telemetry(ONE_WAYPOINT, scene.seed, plan, idle, **arguments)
-            assert drive.readings.tolist() == [[now[name] for name in READINGS] for now in expected]
-            assert drive.cars.shape == (len(expected), 0, 2)
-            assert drive.end in ("time_limit", "arrived", "harmful_g_force", "circling", "backwards")
-    assert scenes[0].route.tolist() != scenes[1].route.tolist()
+            assert drive.readings[:, 0].tolist() == [[now[name] for name in READINGS] for now in expected]
+            assert drive.cars.shape == (len(expected), 0, 3)
+            assert drive.ends[0] in ("time_limit", "arrived", "harmful_g_force", "circling", "backwards")
+    assert scenes[0].routes[0].tolist() != scenes[1].routes[0].tolist()
+
+
+def test_a_drive_of_many_vehicles_is_what_telemetry_reports_until_each_has_ended() -> None:
+    arguments = {"vehicles": 8, "cars": 2, "time_limit": 5, "harmful_g_force": 0.4}
+    driver = Scripted(np.random.default_rng(2).integers(0, 22, (60, 8)))
+    (scene,) = record_scenes(driver, "mo-deepdrive-roundabout-v0", arguments, seeds=[3], drives=1)
+    env = parallel_env(scenario="roundabout", **arguments)
+    env.reset(seed=3)
+    expected = [env.telemetry()]
+    ends: dict[str, tuple[int, str]] = {}
+    while env.agents:
+        actions = driver.actions[len(expected) - 1]
+        infos = env.step({agent: int(actions[int(agent[8:])]) for agent in env.agents})[-1]
+        expected.append(env.telemetry())
+        ends |= {agent: (len(expected) - 1, info["end"]) for agent, info in infos.items() if info}
+    (drive,) = scene.drives
+    assert drive.ends == tuple(ends[f"vehicle_{v}"][1] for v in range(8))
+    assert len({last for last, _ in ends.values()}) > 1
+    assert (len(scene.roads), len(scene.routes), scene.roads[0].give_way.shape) == (12, 8, (2, 2))
+    for v in range(8):
+        last, _ = ends[f"vehicle_{v}"]
+        readings = [[now[v][name] for name in READINGS] for now in expected[: last + 1]]
+        assert drive.readings[: last + 1, v].tolist() == readings
+        assert np.isnan(drive.readings[last + 1 :, v]).all()
+    assert drive.cars[:, 1, 0].tolist() == [now[0]["car_2_x"] for now in expected]
 
 
 def test_a_drive_at_the_left_turn_has_the_oncoming_cars() -> None:
@@ -59,7 +100,7 @@ def test_a_drive_at_the_left_turn_has_the_oncoming_cars() -> None:
     (scene,) = record_scenes(PlanDriver([plan], np.array(0)), LEFT_TURN, arguments, seeds=[3], drives=1)
     (drive,) = scene.drives
     assert scene.lanes
-    assert len(scene.route) == 3
+    assert len(scene.routes[0]) == 3
     expected = telemetry(LEFT_TURN, 3, plan, np.array(0), **arguments)
     assert len(drive.cars) == len(expected)
     present = 0
@@ -67,7 +108,7 @@ def test_a_drive_at_the_left_turn_has_the_oncoming_cars() -> None:
         for number, position in enumerate(cars, 1):
             if now[f"car_{number}_present"]:
                 present += 1
-                assert position.tolist() == [now[f"car_{number}_x"], now[f"car_{number}_y"]]
+                assert position.tolist() == [now[f"car_{number}_x"], now[f"car_{number}_y"], np.pi]
             else:
                 assert np.isnan(position).all()
     assert present > 0
@@ -82,7 +123,7 @@ def test_bicycles_are_in_the_scene_and_in_the_box() -> None:
     (scene,) = record_scenes(driver, "mo-deepdrive-static-obstacle-v0", arguments, seeds=[2], drives=1)
     assert scene.obstacles.shape == (1, 2, 2)
     left, bottom, side = scene.box(5.0)
-    for x, y in [*scene.route, *scene.obstacles[0], *scene.drives[0].readings[:, :2]]:
+    for x, y in [*scene.routes[0], *scene.obstacles[0], *scene.drives[0].readings[:, 0, :2]]:
         assert left + 5 - 1e-9 <= x <= left + side - 5 + 1e-9
         assert bottom + 5 - 1e-9 <= y <= bottom + side - 5 + 1e-9
 
@@ -98,16 +139,16 @@ def test_the_drives_of_policies_earn_what_their_evaluation_measured() -> None:
     evaluations = evaluate_front_policies(agent, front, run.experiment, episodes=1, seed=seed)
     for drive, evaluation in zip(scene.drives, evaluations, strict=True):
         assert len(drive.readings) == evaluation.lengths[0, 0] + 1
-        assert drive.end == evaluation.ends[0, 0]
+        assert drive.ends == (evaluation.ends[0, 0],)
         for name in ("g_force", "jerk"):
-            total = -drive.readings[1:, READINGS.index(name)].sum()
+            total = -drive.readings[1:, 0, READINGS.index(name)].sum()
             assert total == pytest.approx(evaluation.returns[0, 0, front.objectives.index(name)], rel=1e-5)
 
 
-def test_only_scenarios_of_this_package_with_one_vehicle_are_drivable() -> None:
+def test_only_scenarios_of_this_package_are_drivable() -> None:
     assert is_drivable(ONE_WAYPOINT)
     assert is_drivable(f"mo_deepdrive:{LEFT_TURN}")
-    assert not is_drivable("mo-deepdrive-intersection-v0")
+    assert is_drivable("mo-deepdrive-intersection-v0")
     assert not is_drivable("deep-sea-treasure-v0")
-    with pytest.raises(ValueError, match="intersection-v0' cannot be recorded"):
-        record_scenes(PlanDriver([], np.array(0)), "mo-deepdrive-intersection-v0", {}, seeds=[0], drives=1)
+    with pytest.raises(ValueError, match="'CartPole-v1' cannot be recorded"):
+        record_scenes(PlanDriver([], np.array(0)), "CartPole-v1", {}, seeds=[0], drives=1)

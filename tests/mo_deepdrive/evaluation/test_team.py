@@ -6,17 +6,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from algorithms import A2C, MOA2C
+from algorithms.mappo import JOINT_UTILITIES
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
-from mo_deepdrive.evaluation.cross_play import SCORES, cross_play
+from mo_deepdrive.evaluation.cross_play import cross_play
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.team import Population, Team
+from mo_deepdrive.evaluation.team_utility import generalised_gini, total, worst_off
+from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, diversified, make_agent
 
 SHORT = {"time_limit": 3.0}
+ROUNDABOUT = "mo-deepdrive-roundabout-v0"
 
 
 class Constant:
@@ -103,11 +108,42 @@ def test_cross_play_is_every_pair_on_the_same_episodes(greedy: bool) -> None:
     assert len(counted) == 6
     for each in found:
         expected = evaluate(Team([agents[name] for name in each.drivers]), INTERSECTION, **options).estimates()
-        assert tuple(each.estimates) == SCORES
+        assert each.roles == ("vehicle_0", "vehicle_1")
         for name, estimate in each.estimates.items():
             assert estimate == expected[name]
 
 
-def test_cross_play_needs_drivers_of_both_vehicles() -> None:
-    with pytest.raises(ValueError, match="drivers must be those of 2 vehicles"):
+def test_among_several_vehicles_one_driver_drives_all_others_and_each_has_its_own_utility() -> None:
+    arguments: dict[str, Any] = {"vehicles": 4, **SHORT}
+    env = EnvAdapter(make_env(ROUNDABOUT, 1, arguments))
+    hurried, idle = Constant(env, 3), Constant(env, 0)
+    team = Team([hurried, idle], [0, 1, 1, 1])
+    assert team.act(env.reset(0), past(env), None).tolist() == [[3, 0, 0, 0]]
+    options: dict[str, Any] = {"episodes": 5, "env_kwargs": arguments, "greedy": True}
+    distance = make_utility("linear", env.objectives, weights={"distance": 1.0})
+    time = make_utility("linear", env.objectives, weights={"time": 1.0})
+    utilities = {"hurried": distance, "idle": time}
+    (found,) = cross_play([{"hurried": hurried}, {"idle": idle}], ROUNDABOUT, utility=utilities, **options)
+    assert found.roles == ("vehicle_0", "others")
+    returns = evaluate(team, ROUNDABOUT, **options).returns
+    for name, value in (
+        ("vehicle_0/utility_esr", returns[:, 0, 0].mean()),
+        ("vehicle_0/return/distance", returns[:, 0, 0].mean()),
+        ("others/utility_esr", returns[:, 1:, 2].mean()),
+        ("worst_off_utility_esr", returns[:, 1:, 2].min(axis=1).mean()),
+    ):
+        assert found.estimates[name].value == pytest.approx(value)
+
+
+def test_cross_play_needs_drivers_of_both_roles() -> None:
+    with pytest.raises(ValueError, match="drivers must be those of vehicle 0 and those of the others"):
         cross_play([{}, {}], INTERSECTION, utility="intersection_linear")
+
+
+def test_the_worse_off_count_for_more_in_the_gini_sum_as_in_mappos() -> None:
+    utilities = np.array([[3.0, -1.0, 5.0, 0.5], [2.0, 2.0, 2.0, 2.0]])
+    gini = generalised_gini(utilities)
+    assert gini.tolist() == pytest.approx([-0.5 + 0.125 + 0.375 + 0.3125, 1.875])
+    for ours, name in ((total, "sum"), (worst_off, "worst_off"), (generalised_gini, "gini")):
+        expected = JOINT_UTILITIES[name](torch.from_numpy(utilities))  # type: ignore[index]
+        np.testing.assert_allclose(ours(utilities), expected)

@@ -16,7 +16,7 @@ from algorithms.reporting.explorer.explorable_front import (
     rounded,
 )
 from algorithms.reporting.explorer.page import as_json
-from mo_deepdrive.evaluation.drives import READINGS, Drive, Scene
+from mo_deepdrive.evaluation.drives import POSE, READINGS, Drive, Scene
 from mo_deepdrive.utilities import COMFORT_BUDGETS
 
 NAMES = ("distance", "destination", "g_force", "jerk")
@@ -24,16 +24,16 @@ NAMES = ("distance", "destination", "g_force", "jerk")
 
 def made_up_drive(rng: np.random.Generator, decisions: int, cars: int = 0) -> Drive:
     """A drive with motion in every reading."""
-    changes = rng.normal(0, [0.5, 0.5, 0.05, 0.3, 0.05, 5.0], (decisions + 1, len(READINGS)))
-    positions = rng.uniform(0, 40, (decisions + 1, cars, 2))
-    positions[decisions // 2 :] = np.nan
-    return Drive(changes.cumsum(axis=0), positions, "arrived")
+    changes = rng.normal(0, [0.5, 0.5, 0.05, 0.3, 0.05, 5.0], (decisions + 1, 1, len(READINGS)))
+    poses = rng.uniform(0, 40, (decisions + 1, cars, 3))
+    poses[decisions // 2 :] = np.nan
+    return Drive(changes.cumsum(axis=0), poses, ("arrived",))
 
 
 def made_up_front(policies: int, decisions: int, episodes: int = 1, cars: int = 0) -> ExplorableFront:
     rng = np.random.default_rng(7)
     drives = tuple(made_up_drive(rng, decisions, cars) for _ in range(policies))
-    scene = Scene(3, rng.uniform(0, 40, (2, 2)), rng.uniform(0, 40, (1, 2, 2)), True, 10, drives)
+    scene = Scene(3, (rng.uniform(0, 40, (2, 2)),), rng.uniform(0, 40, (1, 2, 2)), True, (), 10, drives)
     return ExplorableFront(
         title="made up",
         objectives=NAMES,
@@ -92,27 +92,36 @@ def test_readings_are_rounded_once_however_long_the_drive_is() -> None:
     front = made_up_front(2, 600)
     for drive, stored in zip(front.scenes[0].drives, front.to_json()["scenes"][0]["drives"], strict=True):
         for column, name in enumerate(READINGS):
-            worst = np.abs(decoded(stored, name) - drive.readings[:, column]).max()
+            worst = np.abs(decoded(stored["vehicles"][0], name) - drive.readings[:, 0, column]).max()
             assert worst <= 0.5 * RESOLUTION[name] * (1 + 1e-6)
-        assert stored["end"] == "arrived"
-        assert "cars" not in stored
+        assert stored["vehicles"][0]["end"] == "arrived"
+        assert stored["cars"] == []
+
+
+def test_a_vehicle_is_stored_until_it_has_ended() -> None:
+    readings = np.ones((5, 2, len(READINGS)))
+    readings[3:, 1] = np.nan
+    long, short = drive_to_json(Drive(readings, np.zeros((5, 0, 3)), ("arrived", "collision")))["vehicles"]
+    assert (long["end"], short["end"]) == ("arrived", "collision")
+    assert (len(long["x"]), short["x"]) == (5, [100, 0, 0])
 
 
 def test_oncoming_cars_are_stored_where_they_are_present() -> None:
     front = made_up_front(1, 8, cars=2)
     (stored,) = front.to_json()["scenes"][0]["drives"]
-    positions = front.scenes[0].drives[0].cars
+    poses = front.scenes[0].drives[0].cars
     assert len(stored["cars"]) == 2
     for car, track in enumerate(stored["cars"]):
-        for axis, name in enumerate("xy"):
-            np.testing.assert_allclose(decoded(track, name), positions[:4, car, axis], atol=0.0051)
+        for axis, name in enumerate(POSE):
+            np.testing.assert_allclose(decoded(track, name), poses[:4, car, axis], atol=0.0051)
 
 
 def test_a_car_may_be_absent_for_a_while_or_throughout() -> None:
-    positions = np.array([[np.nan, 1.0], [2.0, 3.0], [np.nan, 3.0], [5.004, 3.0], [np.nan, 3.0]])
-    cars = np.stack([np.stack([positions[:, 0]] * 2, axis=1), np.full((5, 2), np.nan)], axis=1)
-    stored = drive_to_json(Drive(np.zeros((5, len(READINGS))), cars, "arrived"))
-    assert stored["cars"] == [{name: [None, 200, None, 300] for name in "xy"}, {"x": [], "y": []}]
+    along = np.array([np.nan, 2.0, np.nan, 5.0, np.nan])
+    cars = np.stack([np.stack([along] * 3, axis=1), np.full((5, 3), np.nan)], axis=1)
+    stored = drive_to_json(Drive(np.zeros((5, 1, len(READINGS))), cars, ("arrived",)))
+    assert stored["cars"][0] == {name: [None, 2 / step, None, 3 / step] for name, step in list(RESOLUTION.items())[:3]}
+    assert stored["cars"][1] == {name: [] for name in POSE}
 
 
 def test_two_hundred_policies_take_less_than_five_megabytes() -> None:
