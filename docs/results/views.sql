@@ -89,12 +89,20 @@ SELECT task, driver, CASE kind WHEN 'learner' THEN count(*) END AS seeds,
   decimals(-avg(right_of_way), 2) AS "right of way (m/s)"
 FROM roundabout GROUP BY task, driver ORDER BY avg(utility) DESC;
 
-CREATE VIEW roundabout_types AS -- roundabout: what a rule of a kind gets among others of a kind
-WITH cells AS (
-  SELECT vehicle_0, others, decimals("vehicle_0/utility_esr", 2) || ' in ' || decimals(-"vehicle_0/return/time", 1) || ' s' AS cell
-  FROM roundabout_types_cross_play)
-SELECT replace(vehicle_0, 'rule:', '') AS " ",
-  max(CASE others WHEN 'rule:hurried' THEN cell END) AS "among hurried",
-  max(CASE others WHEN 'rule:balanced' THEN cell END) AS "among balanced",
-  max(CASE others WHEN 'rule:careful' THEN cell END) AS "among careful"
-FROM cells GROUP BY vehicle_0 ORDER BY instr('hurried balanced careful', replace(vehicle_0, 'rule:', ''));
+CREATE VIEW roundabout_preferences AS -- roundabout: what a driver of a kind gets among seven of a kind
+WITH met AS (
+  SELECT 'rule' AS driver, replace(vehicle_0, 'rule:', '') AS one, replace(others, 'rule:', '') AS other,
+    "vehicle_0/utility_esr" AS utility, "vehicle_0/return/time" AS time, "vehicle_0/return/near_miss" AS near
+  FROM roundabout_types_cross_play
+  UNION ALL
+  SELECT 'conditioned MO-PPO', vehicle_0, others,
+    "vehicle_0/utility_esr", "vehicle_0/return/time", "vehicle_0/return/near_miss"
+  FROM roundabout_preferences_cross_play),
+cells AS (
+  SELECT driver, one, other,
+    decimals(utility, 1) || ' (' || decimals(-time, 1) || ' s, ' || decimals(-near, 2) || ')' AS cell FROM met)
+SELECT driver || ', ' || one AS driver,
+  max(CASE other WHEN 'hurried' THEN cell END) AS "among hurried",
+  max(CASE other WHEN 'balanced' THEN cell END) AS "among balanced",
+  max(CASE other WHEN 'careful' THEN cell END) AS "among careful"
+FROM cells GROUP BY cells.driver, one ORDER BY cells.driver DESC, instr('hurried balanced careful', one);
