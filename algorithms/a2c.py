@@ -32,7 +32,7 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Losses, mean, squared_error
+from algorithms.networks.losses import Losses, policy_gradient_loss
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
 from algorithms.rollouts.advantages import generalised_advantages, normalise
@@ -120,18 +120,20 @@ class A2CLearner(Learner):
         self.optimiser.step()
         return losses.parts()
 
-    @torch.no_grad()
     def samples(self, rollout: VehicleRollout) -> Samples:
-        """What is learnt from a rollout, (T N, ...): A_t, y_t of the networks as they are now."""
+        """What is learnt from a rollout, (T N, ...): A_t, y_t and v(s_t) of the networks as they are now."""
         inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
-        values = self.values(self.critic_inputs(inputs, rollout.others))
-        advantages, targets = self.advantages(rollout, values[:-1], self.next_values(rollout, values))
-        weights, states = rollout.acted.to(advantages.dtype), inputs[:-1]
-        if self.config.normalise_advantages:
-            advantages = normalise(advantages, weights)
-        critic_states = self.critic_inputs(states, rollout.others[:-1])
-        targets = targets / self.value_scales
-        return Samples(states, critic_states, rollout.actions, advantages, targets, weights).flat()
+        critic_inputs = self.critic_inputs(inputs, rollout.others)
+        outputs = self.critic(critic_inputs.flatten(0, 1))  # one pass, for the advantages and for the loss
+        with torch.no_grad():
+            values = (self.value_scales * outputs).unflatten(0, critic_inputs.shape[:2])
+            advantages, targets = self.advantages(rollout, values[:-1], self.next_values(rollout, values))
+            weights = rollout.acted.to(advantages.dtype)
+            if self.config.normalise_advantages:
+                advantages = normalise(advantages, weights)
+        states, critic_states, targets = inputs[:-1], critic_inputs[:-1], targets / self.value_scales
+        samples = Samples(states, critic_states, rollout.actions, advantages, targets, weights).flat()
+        return samples._replace(outputs=outputs[: len(samples.actions)]) if outputs.requires_grad else samples
 
     def advantages(
         self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
@@ -144,13 +146,9 @@ class A2CLearner(Learner):
 
     def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
         """L of eq. 4, a function of tensors that autograd differentiates."""
-        weights = samples.weights
         log_prob, entropies = self.actor(samples.inputs, samples.actions)
-        policy_loss = -mean(samples.advantages * log_prob, weights)
-        value_loss = squared_error(self.critic(samples.critic_inputs), samples.targets, weights)
-        entropy = mean(entropies, weights)
-        total = policy_loss + self.config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return Losses(total, policy_loss, value_loss, entropy)
+        outputs = self.critic(samples.critic_inputs) if samples.outputs is None else samples.outputs
+        return policy_gradient_loss(log_prob, entropies, outputs, samples, self.config, entropy_coefficient)
 
 
 class A2C(ActorCritic):

@@ -75,6 +75,7 @@ O. Klimov, "Proximal policy optimization algorithms", arXiv:1707.06347, 2017.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -104,8 +105,10 @@ from algorithms.networks.trained import TrainedNetworks
 from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
 from algorithms.rollouts.buffers import Samples
 from algorithms.rollouts.collector import Collector
+from algorithms.rollouts.compiled_collection import CompiledCollection
+from algorithms.rollouts.compiled_preferences import act_under_preferences, conditioned
 from algorithms.rollouts.guides import Guides
-from algorithms.rollouts.preferences import CHEBYSHEV, COMFORT_BUDGET, LINEAR, Preferences, PreferenceSettings
+from algorithms.rollouts.preferences import CHEBYSHEV, COMFORT_BUDGET, LINEAR, Drawn, Preferences, PreferenceSettings
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT
 from mo_deepdrive.evaluation.metrics import (
     ENTROPY_COEFFICIENT,
@@ -120,7 +123,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from algorithms.rollouts.buffers import VehicleRollout
+    from algorithms.rollouts.buffers import Episodes, Rollout, VehicleRollout
     from algorithms.rollouts.guides import Guide
     from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
@@ -390,6 +393,7 @@ class ConditionedMOPPO(FrontAgent):
             for v in range(self.env.vehicles)
         ]
         self.collector = Collector(self.env, self.accrued_discount, config.steps)
+        self._compiled: CompiledCollection | None = None
         m = len(self.preferences.names)
         self._current = np.zeros((self.env.num_envs, self.env.vehicles, m), dtype=np.float32)
 
@@ -407,21 +411,8 @@ class ConditionedMOPPO(FrontAgent):
     def update(self, progress: float) -> dict[str, float]:
         """Collect one rollout; each learner learns from its vehicle's part."""
         config = self.config
-        rng = np.random.default_rng([self.seed, DRAWS, self.updates])  # of preferences
-        preferences: list[NDArray[np.float32]] = []
-        cost_share = min(1.0, progress / config.cost_growth) if config.cost_growth else 1.0
-
-        def explore(observations: NDArray[np.float32], accrued_reward: AccruedReward) -> NDArray[Any]:
-            drawn = (accrued_reward.decisions == 0) | (rng.random(accrued_reward.decisions.shape) < config.switching)
-            if drawn.any():
-                self._current[drawn] = self.preferences.draw(int(drawn.sum()), rng, cost_share)
-            preferences.append(self._current.copy())
-            actions = self.choose_actions(observations, self._current, accrued_reward, self.generator)
-            return self.guides.drive(actions, observations, accrued_reward, self.generator)
-
-        self.guides.begin_rollout(progress)
-        rollout, episodes = self.collector.collect(explore)
-        self.guides.hide(rollout)
+        drawn = self._draw_preferences(progress)
+        rollout, episodes = self._collect(progress, drawn)
         self.episodes.append(episodes)
         self.step += config.steps * self.env.num_envs
         self.updates += 1
@@ -431,7 +422,7 @@ class ConditionedMOPPO(FrontAgent):
             config.entropy_start, config.entropy_end, progress / config.entropy_until
         )
         metrics = {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient}
-        followed = torch.from_numpy(np.stack(preferences)).to(self.device)
+        followed = torch.from_numpy(drawn.followed).to(self.device)
         for v, learner in enumerate(self.learners):
             own = rollout.of_vehicle(v, self.device, others=False)
             generator = self.update_generator(SHUFFLES + v)
@@ -440,6 +431,44 @@ class ConditionedMOPPO(FrontAgent):
             metrics |= {prefix + name: value for name, value in losses.items()}
         self.preferences.note_episodes(episodes.discounted)
         return metrics
+
+    def _draw_preferences(self, progress: float) -> Drawn:
+        """Preferences for every decision of a rollout; those are followed with which an episode begins, or a change."""
+        config, rng = self.config, np.random.default_rng([self.seed, DRAWS, self.updates])
+        cost_share = min(1.0, progress / config.cost_growth) if config.cost_growth else 1.0
+        changes = rng.random((config.steps, *self._current.shape[:2])) < config.switching
+        rows = self.preferences.draw(changes.size, rng, cost_share).reshape(*changes.shape, -1)
+        return Drawn(rows, changes, np.empty_like(rows))
+
+    def _collect(self, progress: float, drawn: Drawn) -> tuple[Rollout, Episodes]:
+        """A rollout; without guides and with networks of ours in one compiled call, with the same bits."""
+        if self._compiled is None and self._can_be_compiled():
+            actors = [learner.actor for learner in self.learners]
+            self._compiled = CompiledCollection(self.collector, actors, None, act_under_preferences)
+        if self._compiled is not None:
+            complete = partial(conditioned, preferences=self.preferences, current=self._current, drawn=drawn)
+            self._compiled.collect(self.generator, complete)
+            return self.collector.collected()
+        steps = zip(*drawn, strict=True)
+
+        def explore(observations: NDArray[np.float32], accrued_reward: AccruedReward) -> NDArray[Any]:
+            candidates, changes, followed = next(steps)
+            begins = (accrued_reward.decisions == 0) | changes
+            self._current[begins] = candidates[begins]
+            followed[:] = self._current
+            actions = self.choose_actions(observations, self._current, accrued_reward, self.generator)
+            return self.guides.drive(actions, observations, accrued_reward, self.generator)
+
+        self.guides.begin_rollout(progress)
+        rollout, episodes = self.collector.collect(explore)
+        self.guides.hide(rollout)
+        return rollout, episodes
+
+    def _can_be_compiled(self) -> bool:
+        """Whether the learners alone act, as this file defines it."""
+        own = type(self).choose_actions is ConditionedMOPPO.choose_actions
+        actors = [learner.actor for learner in self.learners]
+        return own and not any(self.guides) and CompiledCollection.serves(self.collector, actors)
 
     # ---------------------------------------------------------------------------------------------------------- acting
 

@@ -119,7 +119,7 @@ class _Actor(nn.Module, ABC):
         shape = x.shape[:-1]
         head = self._head(actions.detach().reshape(-1, *actions.shape[len(shape) :]).numpy())
         log_prob, entropy = pass_through(self.body, x.reshape(-1, x.shape[-1]), head)
-        return log_prob.view(shape), entropy.view(shape)
+        return (log_prob, entropy) if len(shape) == 1 else (log_prob.view(shape), entropy.view(shape))
 
     def _outputs(self, x: torch.Tensor) -> torch.Tensor:
         outputs: torch.Tensor = self.body(x)

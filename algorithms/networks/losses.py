@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import torch
 
 from algorithms.networks.compiled import serves
-from algorithms.networks.compiled.losses import ProximalLoss
+from algorithms.networks.compiled.losses import ActorCriticLoss
 from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Losses(NamedTuple):
 
     def parts(self) -> dict[str, float]:
         """The parts by the names of metrics."""
-        return means([self])
+        return {POLICY_LOSS: float(self.policy), VALUE_LOSS: float(self.value), ENTROPY: float(self.entropy)}
 
 
 def means(losses: Sequence[Losses]) -> dict[str, float]:
@@ -58,11 +58,11 @@ def squared_error(outputs: torch.Tensor, targets: torch.Tensor, weights: torch.T
 
 
 class OldSamples(Protocol):
-    """What :func:`proximal_loss` takes of :class:`algorithms.rollouts.buffers.Samples`, each (M,) or (M, K)."""
+    """What the losses take of :class:`algorithms.rollouts.buffers.Samples`, each (M,) or (M, K)."""
 
     @property
     def log_prob(self) -> torch.Tensor | None:
-        """Log pi_old."""
+        """Log pi_old, for :func:`proximal_loss`."""
 
     @property
     def advantages(self) -> torch.Tensor:
@@ -77,11 +77,50 @@ class OldSamples(Protocol):
         """1 for samples that count, else 0."""
 
 
-class ProximalSettings(Protocol):
+class LossSettings(Protocol):
+    """The hyperparameter of :func:`policy_gradient_loss`: c_v."""
+
+    value_coefficient: float
+
+
+class ProximalSettings(LossSettings, Protocol):
     """The hyperparameters of :func:`proximal_loss`: epsilon and c_v."""
 
     clip: float
-    value_coefficient: float
+
+
+def policy_gradient_loss(
+    log_prob: torch.Tensor,
+    entropies: torch.Tensor,
+    outputs: torch.Tensor,
+    samples: OldSamples,
+    config: LossSettings,
+    entropy_coefficient: float | torch.Tensor,
+) -> Losses:
+    """The loss of A2C and its relatives (Mnih et al. 2016).
+
+        L = -E[A log pi] + c_v E[|y - v|^2 / K] - c_e E[H(pi)]
+
+    Args:
+        log_prob: (M,) log pi of the actions.
+        entropies: (M,) H(pi).
+        outputs: (M, K) v.
+        samples: A, y and weights.
+        config: c_v.
+        entropy_coefficient: c_e.
+    """
+    weights = samples.weights
+    if serves(log_prob):
+        given, coefficients = (None, samples.advantages, samples.targets), (0.0, config.value_coefficient)
+        found = ActorCriticLoss.apply(  # type: ignore[no-untyped-call]
+            log_prob, entropies, outputs, given, (weights, weights), (*coefficients, float(entropy_coefficient))
+        )
+        return Losses(*found[:4])
+    policy_loss = -mean(samples.advantages * log_prob, weights)
+    value_loss = squared_error(outputs, samples.targets, weights)
+    entropy = mean(entropies, weights)
+    total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+    return Losses(total, policy_loss, value_loss, entropy)
 
 
 def proximal_loss(
@@ -114,7 +153,7 @@ def proximal_loss(
     old = samples.log_prob, samples.advantages, samples.targets
     if serves(log_prob):
         coefficients = config.clip, config.value_coefficient, float(entropy_coefficient)
-        found = ProximalLoss.apply(log_prob, entropies, outputs, old, weights, coefficients)  # type: ignore[no-untyped-call]
+        found = ActorCriticLoss.apply(log_prob, entropies, outputs, old, weights, coefficients)  # type: ignore[no-untyped-call]
         return Losses(*found)
     log_ratio = log_prob - samples.log_prob
     ratio, advantages = log_ratio.exp(), samples.advantages

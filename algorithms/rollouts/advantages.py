@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import torch
@@ -11,6 +12,7 @@ from mo_deepdrive.faults import NotFinite
 from mo_deepdrive.simulation.jit import jit
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from algorithms.rollouts.buffers import Rollout
@@ -24,17 +26,17 @@ def generalised_advantages(deltas: torch.Tensor, ended: torch.Tensor, decay: flo
 
     Args:
         deltas: (T, ...) temporal differences, without a gradient.
-        ended: (T, ...) whether the episode ends at t, by termination or truncation; broadcastable.
+        ended: (T, ...) whether the episode ends at t, by termination or truncation; the last axis may be 1.
         decay: gamma * lambda, or lambda where the differences are discounted already.
 
     Returns:
         (T, ...) advantages.
     """
-    decays = decay * (~ended).to(deltas.dtype)
     if serves(deltas):
-        found = deltas.numpy().copy()
-        _accumulate(found.reshape(len(found), -1), decays.expand_as(deltas).numpy().reshape(len(found), -1))
+        found, ends = deltas.numpy().copy(), ended.numpy().reshape(len(ended), -1)
+        _accumulate(found.reshape(*ends.shape, -1), ends, decay)
         return torch.from_numpy(found)
+    decays = decay * (~ended).to(deltas.dtype)
     advantages = [deltas[-1]]
     for t in range(len(deltas) - 2, -1, -1):
         advantages.append(deltas[t] + decays[t] * advantages[-1])
@@ -42,11 +44,13 @@ def generalised_advantages(deltas: torch.Tensor, ended: torch.Tensor, decay: flo
 
 
 @jit
-def _accumulate(advantages: NDArray[Any], decays: NDArray[Any]) -> None:
-    """Turn delta_t into A_t, both (T, K)."""
+def _accumulate(advantages: NDArray[Any], ended: NDArray[np.bool_], decay: float) -> None:
+    """Turn delta_t into A_t, (T, M, K), of M episodes that end where (T, M) says."""
     for t in range(len(advantages) - 2, -1, -1):
-        for k in range(advantages.shape[1]):
-            advantages[t, k] += decays[t, k] * advantages[t + 1, k]
+        for i in range(advantages.shape[1]):
+            if not ended[t, i]:
+                for k in range(advantages.shape[2]):
+                    advantages[t, i, k] += decay * advantages[t + 1, i, k]
 
 
 def next_values(
@@ -144,7 +148,26 @@ def check_utility_gradient(utility: Utility, expected_return: torch.Tensor) -> N
 
 def normalise(advantages: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
     """``advantages`` with mean 0 and standard deviation 1 under ``weights`` of the same shape."""
+    if serves(advantages):
+        found = advantages.numpy().copy()
+        _normalise(found.reshape(-1), weights.numpy().reshape(-1))
+        return torch.from_numpy(found)
     weights = weights / weights.sum().clamp(min=1.0)
     mean = (weights * advantages).sum()
     deviation = (weights * (advantages - mean).square()).sum().sqrt()
     return (advantages - mean) / (deviation + 1e-8)
+
+
+@jit
+def _normalise(advantages: NDArray[Any], weights: NDArray[Any]) -> None:
+    """:func:`normalise` (M,) in place."""
+    total, first, second = 0.0, 0.0, 0.0
+    for i in range(len(weights)):
+        total += weights[i]
+        first += weights[i] * advantages[i]
+    mean = first / max(total, 1.0)
+    for i in range(len(weights)):
+        second += weights[i] * (advantages[i] - mean) ** 2
+    deviation = math.sqrt(second / max(total, 1.0)) + 1e-8
+    for i in range(len(weights)):
+        advantages[i] = (advantages[i] - mean) / deviation

@@ -51,11 +51,11 @@ class Rollout:
         own = {name: tensor[:, :, v].to(device) for name, tensor in vars(self).items()}
         rest = [each for each in range(self.observations.shape[2]) if others and each != v]
         seen_by_rest = {}
-        for name, tensor in (("others", self.observations), ("final_others", self.final)):
+        for name in ("observations", "final"):
             # Not by a list of indices, which would have to be copied to the device.
-            parts = [tensor[:, :, :1, :0], *(tensor[:, :, each : each + 1] for each in rest)]
-            seen_by_rest[name] = torch.cat(parts, dim=-1).flatten(2).to(device)
-        return VehicleRollout(**own, **seen_by_rest)
+            parts = [getattr(self, name)[:, :, each].to(device) for each in rest]
+            seen_by_rest[name] = torch.cat(parts, dim=-1) if parts else own[name][..., :0]
+        return VehicleRollout(**own, others=seen_by_rest["observations"], final_others=seen_by_rest["final"])
 
 
 @dataclass
@@ -95,6 +95,7 @@ class Samples(NamedTuple):
         targets: (M, K) y_t, in the units of the critic's outputs.
         weights: (M,) 1 where the vehicle acted, 0 elsewhere; None if it acted in all.
         log_prob: (M,) log-probability of the actions under pi_old, for PPO and its relatives.
+        outputs: (M, K) of the critic, with their gradient, where a loss need not pass ``critic_inputs`` once more.
     """
 
     inputs: torch.Tensor
@@ -104,6 +105,7 @@ class Samples(NamedTuple):
     targets: torch.Tensor
     weights: torch.Tensor | None = None
     log_prob: torch.Tensor | None = None
+    outputs: torch.Tensor | None = None
 
     def flat(self) -> Samples:
         """Samples (T, N, ...) as (T N, ...)."""

@@ -7,7 +7,7 @@ that the rollout is the same, bit for bit. Several threads share the environment
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from mo_deepdrive.faults import check_vehicles
 from mo_deepdrive.rollout import WorldRollout
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -37,6 +37,7 @@ class CompiledCollection:
         collector: whose buffers are written.
         actors: of every vehicle, in order.
         accrued_scales: (d,) by which the accrued reward is divided that the actors observe; None if they do not.
+        act: the callback of the rollout.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class CompiledCollection:
         collector: Collector,
         actors: Sequence[Actor],
         accrued_scales: NDArray[np.float32] | None,
+        act: Any = act,
     ):
         self._collector = collector
         self._actors = actors
@@ -66,8 +68,12 @@ class CompiledCollection:
         )
         return collector.env.bare is not None and compiled
 
-    def collect(self, generator: torch.Generator) -> None:
-        """Fill the collector's buffers; ``generator`` draws the actions.
+    def collect(self, generator: torch.Generator, complete: Callable[[Policies], Any] = lambda each: each) -> None:
+        """Fill the collector's buffers.
+
+        Args:
+            generator: draws the actions.
+            complete: makes of the policies what ``act`` is given.
 
         Raises:
             ResetNeeded: before the first reset.
@@ -96,7 +102,7 @@ class CompiledCollection:
             for v, actor in enumerate(self._actors):
                 self._noise[t, v] = actor.noise(n, generator)
         with one_blas_thread():
-            self._rollout.run(policies, self._not_finite)
+            self._rollout.run(complete(policies), self._not_finite)
         collector.check_finite()
         for each in kept:
             check_outputs(each.outputs.T, n)

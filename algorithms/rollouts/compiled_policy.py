@@ -48,7 +48,7 @@ def _write_inputs(
     """What the actor of vehicle ``v`` sees: ``rows`` (n, inputs) from (n, V, o), (n, V, d) and (n, V).
 
     As :meth:`algorithms.actor_critic.Learner.inputs`; the accrued reward is seen if it has scales, and the discount if
-    there is room for it.
+    there is room for it alone. What is behind more room has been written already.
     """
     o, d = len(scales), len(accrued_scales)
     for i in range(len(rows)):
@@ -56,7 +56,7 @@ def _write_inputs(
             rows[i, k] = observations[i, v, k] / scales[k]
         for k in range(d):
             rows[i, o + k] = accrued[i, v, k] / accrued_scales[k]
-        if o + d < rows.shape[1]:
+        if o + d + 1 == rows.shape[1]:
             rows[i, o + d] = discounts[i, v]
 
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -58,6 +58,20 @@ class PreferenceSettings(Settings):
         return self
 
 
+class Drawn(NamedTuple):
+    """New preferences of a rollout.
+
+    Attributes:
+        candidates: (T, N, V, m) that begin where an episode does, or where they change.
+        changes: (T, N, V) whether the preference changes, also in the middle of an episode.
+        followed: (T, N, V, m) under which the vehicles act, written by the rollout.
+    """
+
+    candidates: NDArray[np.float32]
+    changes: NDArray[np.bool_]
+    followed: NDArray[np.float32]
+
+
 class Preferences:
     """The preferences that one network serves: how they are drawn, what they are worth, what it sees of them.
 
@@ -73,6 +87,8 @@ class Preferences:
         names: of the m components.
         ideal: (d,) z, from which :meth:`draw` knows the gains, and on which Chebyshev utilities depend.
         seen_any: whether an episode has ended, from which z is known.
+        weight_columns, budget_columns: of a row.
+        factors, divisors: (m,) by which networks see the components multiplied and divided.
 
     Raises:
         ValueError: if a budget or an emphasis is for an unknown objective.
@@ -99,8 +115,8 @@ class Preferences:
         self.seen_any = False
         weighted = self.used != [COMFORT_BUDGET]
         d, first = len(objectives), len(self.used) if len(self.used) > 1 else 0
-        self._weights = slice(first, first + d * weighted)
-        self._budgets = slice(self._weights.stop, self._weights.stop + len(self.budgeted))
+        self.weight_columns = slice(first, first + d * weighted)
+        self.budget_columns = slice(self.weight_columns.stop, self.weight_columns.stop + len(self.budgeted))
         self.names = (
             *((FAMILIES[family] for family in self.used) if first else ()),
             *((f"weight/{name}" for name in objectives) if weighted else ()),
@@ -108,9 +124,9 @@ class Preferences:
         )
 
         # Weights become of mean 1, whatever the number of objectives, and budgets shares of the largest.
-        self._factors, self._divisors = torch.ones(2, len(self.names))
-        self._factors[self._weights] = float(d)
-        self._divisors[self._budgets] = self.largest
+        self.factors, self.divisors = torch.ones(2, len(self.names))
+        self.factors[self.weight_columns] = float(d)
+        self.divisors[self.budget_columns] = self.largest
 
     def to(self, device: torch.device) -> None:
         """Move its tensors to a device."""
@@ -130,7 +146,7 @@ class Preferences:
         indicators = (family.unsqueeze(-1) == positions).to(weights.dtype)
         has_budgets = indicators[..., -1:] if self.used[-1] == COMFORT_BUDGET else torch.zeros_like(indicators[..., :1])
         parts = [indicators] if len(self.used) > 1 else []
-        parts += [weights * (1.0 - has_budgets)] if self._weights.stop > self._weights.start else []
+        parts += [weights * (1.0 - has_budgets)] if self.weight_columns.stop > self.weight_columns.start else []
         return torch.cat([*parts, budgets * self.largest * has_budgets], dim=-1)
 
     def note_episodes(self, discounted: NDArray[np.float64]) -> None:
@@ -165,10 +181,10 @@ class Preferences:
                 of_gains = np.where(gains, weights + TINY, 0.0)
                 of_gains /= of_gains.sum(axis=1, keepdims=True)
                 weights = (1.0 - cost_share) * of_gains + cost_share * weights
-            rows[weighted, self._weights] = weights
+            rows[weighted, self.weight_columns] = weights
         if not weighted.all():
             highest = self.largest.numpy()
-            rows[~weighted, self._budgets] = highest * rng.random((int((~weighted).sum()), len(highest)))
+            rows[~weighted, self.budget_columns] = highest * rng.random((int((~weighted).sum()), len(highest)))
         return rows
 
     def condition(
@@ -193,9 +209,9 @@ class Preferences:
         if len(self.used) > 1:
             row[self.used.index(chosen)] = 1.0
         what, given, other, allowed, part = (
-            ("budgets", budgets, weights, [self.objectives[i] for i in self.budgeted], self._budgets)
+            ("budgets", budgets, weights, [self.objectives[i] for i in self.budgeted], self.budget_columns)
             if chosen == COMFORT_BUDGET
-            else ("weights", weights, budgets, list(self.objectives), self._weights)
+            else ("weights", weights, budgets, list(self.objectives), self.weight_columns)
         )
         if given is None or other is not None:
             raise ValueError(f"family {family!r} needs {what} and nothing else")
@@ -220,7 +236,7 @@ class Preferences:
         Raises:
             ValueError: with the first of them.
         """
-        weights, budgets = rows[..., self._weights], rows[..., self._budgets]
+        weights, budgets = rows[..., self.weight_columns], rows[..., self.budget_columns]
         families = rows[..., : len(self.used)] if len(self.used) > 1 else np.ones((*rows.shape[:-1], 1))
         budgeted = (families[..., -1] == 1.0) & (self.used[-1] == COMFORT_BUDGET)
         weighing = (weights >= 0.0).all(-1) & (np.abs(weights.sum(-1) - ~budgeted) < 1e-3)
@@ -242,7 +258,7 @@ class Preferences:
 
     def weights(self, preferences: torch.Tensor) -> torch.Tensor:
         """The weights w (..., d) of preferences (..., m); 0 under budgets."""
-        return preferences[..., self._weights]
+        return preferences[..., self.weight_columns]
 
     def gaps(self, returns: torch.Tensor, preferences: torch.Tensor) -> torch.Tensor:
         """The gaps q of eq. 2 (..., d)."""
@@ -260,7 +276,7 @@ class Preferences:
             chebyshev = -(gaps.amax(-1) + self.config.rho * gaps.sum(-1))
             value = torch.where(self.is_family(preferences, CHEBYSHEV), chebyshev, value)
         if COMFORT_BUDGET in self.used:
-            excess = (-returns[..., self._with_budget] - preferences[..., self._budgets]).clamp(min=0.0)
+            excess = (-returns[..., self._with_budget] - preferences[..., self.budget_columns]).clamp(min=0.0)
             price = self.config.price / self.scales.to(returns)[self._with_budget]
             budget = scaled[..., self._free].sum(-1) - (price * excess).sum(-1)
             value = torch.where(self.is_family(preferences, COMFORT_BUDGET), budget, value)
@@ -282,13 +298,13 @@ class Preferences:
         """
         left = discounts.unsqueeze(-1).clamp(min=SMALLEST_DISCOUNT)
         largest = self.largest.to(accrued)
-        parts = [preferences * self._factors.to(preferences) / self._divisors.to(preferences)]
+        parts = [preferences * self.factors.to(preferences) / self.divisors.to(preferences)]
         if CHEBYSHEV in self.used:
             gaps = self.gaps(accrued, preferences)
             behind = ((gaps - gaps.amax(-1, keepdim=True)) / left).clamp(min=-FURTHEST)
             parts.append(behind * self.is_family(preferences, CHEBYSHEV).unsqueeze(-1))
         if COMFORT_BUDGET in self.used:
-            unspent = (accrued[..., self._with_budget] + preferences[..., self._budgets]) / left / largest
+            unspent = (accrued[..., self._with_budget] + preferences[..., self.budget_columns]) / left / largest
             is_budget = self.is_family(preferences, COMFORT_BUDGET).unsqueeze(-1)
             parts.append(unspent.clamp(-FURTHEST, FURTHEST) * is_budget)
         return torch.cat(parts, dim=-1)

@@ -10,6 +10,7 @@ import torch
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.agent import Agent
 from algorithms.rollouts.buffers import VehicleRollout
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import Utility, make_utility
@@ -47,7 +48,7 @@ def plain_utility(adapter: EnvAdapter) -> Utility:
 
 
 def make_agent(
-    cls: type[ActorCritic],
+    cls: type[Agent],
     env_id: str = ONE_WAYPOINT,
     *,
     num_envs: int = 4,
@@ -57,7 +58,8 @@ def make_agent(
     **hyperparameters: Any,
 ) -> Any:
     made = make_env(env_id, num_envs, env)
-    return cls(made, utility or plain_utility(EnvAdapter(made)), seed=seed, **hyperparameters)
+    known = [utility or plain_utility(EnvAdapter(made))] if cls.known_utility else []
+    return cls(made, *known, seed=seed, **hyperparameters)
 
 
 def state(agent: ActorCritic) -> dict[str, torch.Tensor]:

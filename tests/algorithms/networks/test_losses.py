@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+from functools import partial
 from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import pytest
 import torch
 
 from algorithms.networks.compiled import plain_torch
-from algorithms.networks.losses import Losses, mean, means, policy_change, proximal_loss, squared_error
+from algorithms.networks.losses import (
+    Losses,
+    mean,
+    means,
+    policy_change,
+    policy_gradient_loss,
+    proximal_loss,
+    squared_error,
+)
 from algorithms.rollouts.buffers import Samples
 from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 SETTINGS = SimpleNamespace(clip=0.2, value_coefficient=0.5)
 
@@ -25,10 +39,12 @@ def samples_of(count: int, weights: torch.Tensor | None = None) -> Samples:
     return Samples(nothing, nothing, nothing, advantages, randoms(count, 3, seed=2), weights, old)
 
 
-@pytest.mark.parametrize("critic_learns_from_all", [False, True])
+@pytest.mark.parametrize(
+    "loss", [proximal_loss, partial(proximal_loss, critic_learns_from_all=True), policy_gradient_loss]
+)
 @pytest.mark.parametrize("weighted", [False, True])
-def test_the_compiled_loss_and_its_gradients_are_those_of_plain_torch(
-    weighted: bool, critic_learns_from_all: bool
+def test_the_compiled_losses_and_their_gradients_are_those_of_plain_torch(
+    weighted: bool, loss: Callable[..., Losses]
 ) -> None:
     samples = samples_of(200, (randoms(200, seed=3) > 0.0).float() if weighted else None)
     found = []
@@ -36,16 +52,15 @@ def test_the_compiled_loss_and_its_gradients_are_those_of_plain_torch(
         log_prob = (samples.log_prob + 0.4 * randoms(200, seed=1)).requires_grad_()
         entropies, outputs = randoms(200, seed=4).requires_grad_(), randoms(3, 200, seed=5).t().requires_grad_()
         arguments = log_prob, entropies, outputs, samples, SETTINGS, 0.01
-        if compiled:
-            losses = proximal_loss(*arguments, critic_learns_from_all=critic_learns_from_all)
-        else:
-            with plain_torch():
-                losses = proximal_loss(*arguments, critic_learns_from_all=critic_learns_from_all)
+        with nullcontext() if compiled else plain_torch():
+            losses = loss(*arguments)
         (2.0 * losses.total).backward()
-        found.append([*losses, log_prob.grad, entropies.grad, outputs.grad])
+        found.append([each for each in (*losses, log_prob.grad, entropies.grad, outputs.grad) if each is not None])
     for mine, other in zip(*found, strict=True):
         torch.testing.assert_close(mine, other, rtol=1e-5, atol=1e-7)
-    assert 20 < int((found[0][5] == 0).sum()) < 180
+    without_gradient = int((found[0][-3] == 0).sum())  # clipped, or of weight 0
+    assert without_gradient < 180
+    assert without_gradient > 20 or loss is policy_gradient_loss
 
 
 def test_a_surrogate_that_is_not_clipped_always_has_a_gradient() -> None:

@@ -11,8 +11,9 @@ import pytest
 import torch
 from gymnasium.error import ResetNeeded
 
-from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PPO
+from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PPO, ConditionedMOPPO
 from algorithms.actor_critic import ActorCritic
+from algorithms.agent import Agent
 from algorithms.mo_a2c import MOA2CLearner
 from algorithms.networks.actors import CategoricalActor
 from algorithms.networks.compiled.perceptron import KeptPasses
@@ -32,7 +33,13 @@ from tests.helpers.agents import (
 
 SHORT = {"time_limit": 0.5}  # episodes of five decisions, so that random numbers run out again and again
 CHARGED = SHORT | {"action_delay": 2, "charge_remaining_time": True, "harmful_g_force": 0.05}
-CASES: dict[str, tuple[type[ActorCritic], str, dict[str, Any]]] = {
+FAMILIES = {
+    "families": {"linear": 0.4, "chebyshev": 0.3, "comfort_budget": 0.3},
+    "budgets": {"g_force": 8.0, "jerk": 150.0},
+    "switching": 0.2,
+    "cost_growth": 0.5,
+}
+CASES: dict[str, tuple[type[Agent], str, dict[str, Any]]] = {
     "softmax": (A2C, ONE_WAYPOINT, {"num_envs": 300, "env": SHORT, "steps": 40}),
     "Gaussian": (MOA2C, ONE_WAYPOINT, {"num_envs": 20, "env": CONTINUOUS | SHORT, "cost_growth": 0.5}),
     "Gaussian, deviations of the state": (
@@ -49,11 +56,17 @@ CASES: dict[str, tuple[type[ActorCritic], str, dict[str, Any]]] = {
     "measured objectives": (MOA2C, LEFT_TURN, {"num_envs": 12, "env": SHORT}),
     "late actions, ends that are charged": (MOA2C, LEFT_TURN, {"num_envs": 12, "env": CHARGED}),
     "late controls, ends that are charged": (MOA2C, LEFT_TURN, {"num_envs": 12, "env": CONTINUOUS | CHARGED}),
+    "preferences": (ConditionedMOPPO, ONE_WAYPOINT, {"num_envs": 20, "env": SHORT, **FAMILIES}),
+    "preferences of one family, of two vehicles": (
+        ConditionedMOPPO,
+        INTERSECTION,
+        {"num_envs": 8, "env": CONTINUOUS | SHORT, "families": {"chebyshev": 1.0}},
+    ),
     "distributions": (MOCAC, ONE_WAYPOINT, {"num_envs": 12}),
 }
 
 
-def both(cls: type[ActorCritic], env_id: str, **settings: Any) -> tuple[Any, Any]:
+def both(cls: type[Agent], env_id: str, **settings: Any) -> tuple[Any, Any]:
     """An agent, and one of the same seed that may not be compiled."""
     one, other = (make_agent(cls, env_id, seed=3, **settings) for _ in range(2))
     other._can_be_compiled = lambda: False
