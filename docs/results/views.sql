@@ -92,15 +92,16 @@ FROM roundabout GROUP BY task, driver ORDER BY avg(utility) DESC;
 CREATE VIEW roundabout_preferences AS -- roundabout: what a driver of a kind gets among seven of a kind
 WITH met AS (
   SELECT 'rule' AS driver, replace(vehicle_0, 'rule:', '') AS one, replace(others, 'rule:', '') AS other,
-    "vehicle_0/utility_esr" AS utility, "vehicle_0/return/time" AS time, "vehicle_0/return/near_miss" AS near
+    "vehicle_0/utility_esr" AS utility, "vehicle_0/success" AS arrived, "vehicle_0/return/time" AS time,
+    "vehicle_0/return/near_miss" AS near
   FROM roundabout_types_cross_play
   UNION ALL
   SELECT 'conditioned MO-PPO', vehicle_0, others,
-    "vehicle_0/utility_esr", "vehicle_0/return/time", "vehicle_0/return/near_miss"
+    "vehicle_0/utility_esr", "vehicle_0/success", "vehicle_0/return/time", "vehicle_0/return/near_miss"
   FROM roundabout_preferences_cross_play),
 cells AS (
   SELECT driver, one, other,
-    decimals(utility, 1) || ' (' || decimals(-time, 1) || ' s, ' || decimals(-near, 2) || ')' AS cell FROM met)
+    printf('%.1f (%.0f%%, %.1f s, %.2f)', utility, 100 * arrived, -time, -near) AS cell FROM met)
 SELECT driver || ', ' || one AS driver,
   max(CASE other WHEN 'hurried' THEN cell END) AS "among hurried",
   max(CASE other WHEN 'balanced' THEN cell END) AS "among balanced",
