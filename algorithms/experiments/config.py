@@ -76,6 +76,8 @@ class TrainingSettings(Settings):
     compiled: bool = True
     """Whether compiled code calculates gradients on the CPU, or PyTorch alone; the numbers are the same but for
     rounding."""
+    share_policy: bool = False
+    """One policy that drives all vehicles, and learns from what all of them do, instead of one for each."""
     partners: dict[str, list[str]] = {}
     """What drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo and scripted
     drivers, which take turns over the parallel environments."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,10 @@ from mo_deepdrive.evaluation.metrics import (
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
     LENGTH,
+    MEAN_UTILITY_ESR,
     OUR_ENDS,
+    SHARE_ARRIVED,
+    SHARE_COLLIDED,
     SUCCESS,
     TOTAL_UTILITY_ESR,
     USUAL_FAILURES,
@@ -135,13 +138,17 @@ class Evaluation:
 
     def team_samples(self) -> dict[str, NDArray[Any]]:
         """(E,) what is measured of all vehicles together, by metric; means are the metrics."""
+        collided = np.array([[end == COLLISION for end in ends] for ends in self.ends.tolist()])
         samples: dict[str, NDArray[Any]] = {
             SUCCESS: self.joint_succeeded,
-            end_by(COLLISION): np.array([COLLISION in ends for ends in self.ends.tolist()]),
+            end_by(COLLISION): collided.any(axis=1),
+            SHARE_ARRIVED: self.succeeded.mean(axis=1),
+            SHARE_COLLIDED: collided.mean(axis=1),
         }
         if self.utilities:
-            each = [self.episode_utilities(v) for v in range(self.returns.shape[1])]
-            samples[TOTAL_UTILITY_ESR] = cast("NDArray[Any]", np.sum(each, axis=0))
+            total: NDArray[Any] = np.sum([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=0)
+            samples[TOTAL_UTILITY_ESR] = total
+            samples[MEAN_UTILITY_ESR] = total / self.returns.shape[1]
             samples[WORST_OFF_UTILITY_ESR] = self.worst_off_utilities()
         return samples
 
@@ -207,7 +214,8 @@ def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
     """Every metric of an evaluation with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
 
     With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in which
-    any collided, ``total_utility_esr`` the sum of the utilities, ``worst_off_utility_esr`` the least of them.
+    any collided, ``share_arrived`` and ``share_collided`` are shares of the vehicles, ``total_utility_esr`` is the sum
+    of the utilities, ``mean_utility_esr`` their mean, ``worst_off_utility_esr`` the least of them.
 
     Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes in one
     decision have none.

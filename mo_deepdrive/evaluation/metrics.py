@@ -44,6 +44,8 @@ UTILITY_ESR, UTILITY_SER = "utility_esr", "utility_ser"
 DISCOUNTED_UTILITY_ESR, DISCOUNTED_UTILITY_SER = "discounted_utility_esr", "discounted_utility_ser"
 TOTAL_UTILITY_ESR = "total_utility_esr"  # sum over the vehicles
 WORST_OFF_UTILITY_ESR = "worst_off_utility_esr"  # mean over episodes of the least one among the vehicles
+# Means over the vehicles: of those that arrive, of those that collide, and of their utilities.
+SHARE_ARRIVED, SHARE_COLLIDED, MEAN_UTILITY_ESR = "share_arrived", "share_collided", "mean_utility_esr"
 SUCCESS, LENGTH = "success", "length"
 RETURN, DISCOUNTED_RETURN, END = "return/", "discounted_return/", "end/"
 
@@ -162,6 +164,7 @@ _LOWER_IS_BETTER = frozenset(
         IGD_PLUS,
         ADDITIVE_EPSILON,
         COMMAND_ERROR,
+        SHARE_COLLIDED,
         *(mean_of(objective) for objective in COMFORT),
         *(maximum_of(objective) for objective in COMFORT),
     )

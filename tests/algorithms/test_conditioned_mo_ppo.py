@@ -556,7 +556,7 @@ def test_several_vehicles_have_preferences_of_their_own_and_a_front_of_all_their
 
 def test_conditions_of_the_wrong_shape_or_that_are_no_preference_are_refused() -> None:
     agent = make_agent()
-    with pytest.raises(ValueError, match=re.escape("conditions of shape (1, 3) must be numbers (n, 4)")):
+    with pytest.raises(ValueError, match=re.escape("conditions of shape (1, 3) must be (n, 1, 4)")):
         agent.policy([1.0, 0.0, 0.0])
     for weights in ([1.0, np.nan, 0.0, 0.0], [-3.0, 4.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0]):
         with pytest.raises(ValueError, match="is no preference; it must have one family"):
