@@ -64,3 +64,15 @@ SELECT CASE WHEN measurement LIKE '%make_vec%'
 FROM benchmark
 WHERE measurement IN ('OneWaypoint, make_vec, N = 1024, 1 thread', 'LeftTurn, make_vec, N = 1024, 1 thread',
   'OneWaypoint, mo_gymnasium.make', 'mo_ppo training, 256 x 16, 1 thread');
+
+CREATE VIEW roundabout_scores AS -- environments/roundabout: means over seeds, and the seeds' range
+WITH found AS (
+  SELECT task, learner, policy, seed,
+    max(CASE "column" WHEN iif(task = 'solo', 'success', 'share_arrived') THEN value END) AS arrived,
+    max(CASE "column" WHEN iif(task = 'solo', 'end/collision', 'share_collided') THEN value END) AS collided,
+    max(CASE "column" WHEN iif(task = 'solo', 'utility_esr', 'mean_utility_esr') THEN value END) AS utility
+  FROM roundabout_learners WHERE state = 'finished' GROUP BY task, learner, policy, seed)
+SELECT task, learner, policy, count(*) AS seeds,
+  printf('%.1f%%', 100 * avg(arrived)) AS arrived, printf('%.1f%%', 100 * avg(collided)) AS collided,
+  printf('%.2f (%.2f to %.2f)', avg(utility), min(utility), max(utility)) AS utility
+FROM found GROUP BY task, learner, policy;
