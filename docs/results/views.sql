@@ -68,9 +68,9 @@ WHERE measurement IN ('OneWaypoint, make_vec, N = 1024, 1 thread', 'LeftTurn, ma
 CREATE VIEW roundabout_scores AS -- environments/roundabout: means over seeds, and the seeds' range
 WITH found AS (
   SELECT task, learner, policy, seed,
-    max(CASE "column" WHEN iif(task = 'solo', 'success', 'share_arrived') THEN value END) AS arrived,
-    max(CASE "column" WHEN iif(task = 'solo', 'end/collision', 'share_collided') THEN value END) AS collided,
-    max(CASE "column" WHEN iif(task = 'solo', 'utility_esr', 'mean_utility_esr') THEN value END) AS utility
+    max(CASE "column" WHEN CASE task WHEN 'solo' THEN 'success' ELSE 'share_arrived' END THEN value END) AS arrived,
+    max(CASE "column" WHEN CASE task WHEN 'solo' THEN 'end/collision' ELSE 'share_collided' END THEN value END) AS collided,
+    max(CASE "column" WHEN CASE task WHEN 'solo' THEN 'utility_esr' ELSE 'mean_utility_esr' END THEN value END) AS utility
   FROM roundabout_learners WHERE state = 'finished' GROUP BY task, learner, policy, seed)
 SELECT task, learner, policy, count(*) AS seeds,
   printf('%.1f%%', 100 * avg(arrived)) AS arrived, printf('%.1f%%', 100 * avg(collided)) AS collided,
