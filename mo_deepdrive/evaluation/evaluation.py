@@ -141,7 +141,7 @@ class Evaluation:
         collided = np.array([[end == COLLISION for end in ends] for ends in self.ends.tolist()])
         samples: dict[str, NDArray[Any]] = {
             SUCCESS: self.joint_succeeded,
-            end_by(COLLISION): collided.any(axis=1),
+            end_by(COLLISION): np.asarray(collided.any(axis=1)),
             SHARE_ARRIVED: self.succeeded.mean(axis=1),
             SHARE_COLLIDED: collided.mean(axis=1),
         }
