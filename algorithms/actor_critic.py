@@ -1,9 +1,9 @@
 """What A2C, MO-A2C, PPO, MO-PPO, MOCAC and MAPPO share apart from the algorithm: collecting, acting, checkpoints.
 
-An :class:`ActorCritic` has one :class:`Learner` per vehicle. All learners act on one rollout, and each then learns from
-its own vehicle's part of it. Vehicles that do not learn are driven by partners, and guides may begin the episodes of
-those that do; the weights of both are no part of the agent. The file of an algorithm defines its Learner, from the
-networks to the update.
+An :class:`ActorCritic` has one :class:`Learner` per vehicle, or one for all of them. All learners act on one rollout,
+and each then learns from its own vehicles' part of it. Vehicles that do not learn are driven by partners, and guides
+may begin the episodes of those that do; the weights of both are no part of the agent. The file of an algorithm defines
+its Learner, from the networks to the update.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from algorithms.files.checkpoints import (
 from algorithms.hyperparameters import schedules
 from algorithms.networks.modules import centralised_inputs
 from algorithms.networks.optimiser import geometric_schedule, linear_schedule
-from algorithms.networks.trained import TrainedNetworks
+from algorithms.networks.trained import TrainedNetworks, learners_identity
 from algorithms.rollouts.advantages import next_values
 from algorithms.rollouts.collector import Collector
 from algorithms.rollouts.compiled_collection import CompiledCollection
 from algorithms.rollouts.guides import Guides
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
-from mo_deepdrive.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
+from mo_deepdrive.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name
 from mo_deepdrive.evaluation.policy import check_same_task
 
 if TYPE_CHECKING:
@@ -49,12 +49,12 @@ if TYPE_CHECKING:
 
 
 class Learner(TrainedNetworks, ABC):
-    """One vehicle's networks and how they learn; subclasses build the networks and define their inputs.
+    """One policy's networks and how they learn; subclasses build the networks and define their inputs.
 
     Args:
-        env: where the vehicle drives.
-        vehicle: its index.
-        utility: what it maximises.
+        env: where the vehicles drive.
+        vehicles: the indices of those with this policy, each of which is to a learner as if in an environment alone.
+        utility: what they maximise.
         config: hyperparameters.
         generator: draws the initial weights.
         device: of the networks.
@@ -81,14 +81,14 @@ class Learner(TrainedNetworks, ABC):
     def __init__(
         self,
         env: EnvAdapter,
-        vehicle: int,
+        vehicles: tuple[int, ...],
         utility: Utility,
         config: Any,
         generator: torch.Generator,
         device: torch.device,
     ):
         del generator  # for the networks of the subclass
-        self.vehicle = vehicle
+        self.vehicles = vehicles
         self.utility = utility
         self.config = config
         self.device = device
@@ -127,7 +127,7 @@ class Learner(TrainedNetworks, ABC):
         """v(S_{t+1}) (T, N, K): 0 after termination, the value of the true final state after truncation.
 
         Args:
-            rollout: T steps of this vehicle.
+            rollout: T steps of its vehicles.
             values: (T + 1, N, K) v of S_0 to S_T.
         """
         return next_values(values[1:], self.final_values(rollout), rollout.terminated, rollout.truncated)
@@ -150,10 +150,10 @@ class Learner(TrainedNetworks, ABC):
     def update(
         self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
     ) -> dict[str, float]:
-        """Learn from a rollout of this vehicle; the losses by name.
+        """Learn from a rollout of its vehicles; the losses by name.
 
         Args:
-            rollout: T steps of N environments.
+            rollout: T steps of N environments, or of N k with k vehicles.
             learning_rate: of the gradient steps.
             entropy_coefficient: c_e.
             generator: of this update.
@@ -165,26 +165,28 @@ class Learner(TrainedNetworks, ABC):
 
 
 class ActorCritic(Agent):
-    """Base of the actor-critic agents: one independent learner per vehicle.
+    """Base of the actor-critic agents: one independent learner per vehicle, or a policy that vehicles share.
 
     Args:
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
         utility: the known utility, its name or a function of returns (..., d), or a list with one per vehicle.
         partners: what drives the vehicles that do not learn, by their indices.
         guides: what begins episodes of vehicles that learn.
+        share_policy: one policy, learnt from what all vehicles do, instead of one for each that learns.
         **options: ``seed``, ``device`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
 
     Attributes:
-        learners: one per vehicle that learns, in the order of the vehicles.
+        learners: one per vehicle that learns, in the order of the vehicles; or a single one.
 
     Raises:
-        ValueError: for unknown or invalid hyperparameters, spaces or utilities, or partners and guides that cannot
-            drive here.
+        ValueError: for unknown or invalid hyperparameters, spaces or utilities, partners and guides that cannot drive
+            here, or a policy that cannot be shared.
     """
 
     learner: ClassVar[type[Learner]]
     trains_with_partners = True
     trains_with_guides = True
+    shares_policies = True
 
     def __init__(
         self,
@@ -193,6 +195,7 @@ class ActorCritic(Agent):
         *,
         partners: Mapping[int, Population] | None = None,
         guides: Sequence[Guide] = (),
+        share_policy: bool = False,
         **options: Any,
     ):
         super().__init__(env, utility, **options)
@@ -207,9 +210,8 @@ class ActorCritic(Agent):
                 vehicle = vehicle_name(guide.vehicle)
                 raise ValueError(f"{vehicle} has a guide, but does not learn: partners drive it")
         self.learners = [
-            self.learner(self.env, v, each, self.config, self.initial, self.device)
-            for v, each in enumerate(self.utilities)
-            if v not in self.partners
+            self.learner(self.env, vehicles, self.utilities[vehicles[0]], self.config, self.initial, self.device)
+            for vehicles in self.vehicle_groups(share_policy, self.partners)
         ]
         self.collector = Collector(self.env, self.gamma, self.config.steps)
         self._compiled: CompiledCollection | None = None
@@ -253,14 +255,9 @@ class ActorCritic(Agent):
         """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
         chosen = {v: each.act(observations, accrued_reward, generator) for v, each in self.partners.items()}
         for learner in self.learners:
-            v = learner.vehicle
-            x = learner.inputs(
-                torch.from_numpy(observations[:, v]).to(self.device),
-                torch.from_numpy(accrued_reward.value[:, v]).to(self.device),
-                torch.from_numpy(accrued_reward.discounts[:, v]).to(self.device),
-            )
-            action = learner.actor.greedy(x) if generator is None else learner.actor.sample(x, generator)
-            chosen[v] = action.cpu().numpy()
+            arrays = (observations, accrued_reward.value, accrued_reward.discounts)
+            x = learner.inputs(*(learner.rows(array).to(self.device) for array in arrays))
+            chosen |= learner.choose(x, generator)
         return chosen[0][:, None] if len(chosen) == 1 else np.stack([chosen[v] for v in sorted(chosen)], axis=1)
 
     def eval(self, obs: NDArray[Any], accrued_reward: NDArray[Any] | None = None, discount: float = 1.0) -> Any:
@@ -290,7 +287,7 @@ class ActorCritic(Agent):
         self.collector.reset(self.env_seed)
 
     def update(self, progress: float) -> dict[str, float]:
-        """Collect one rollout; each learner learns from its vehicle's part."""
+        """Collect one rollout; each learner learns from its vehicles' part."""
         config = self.config
         self.collector.buffers.shares[:] = self.reward_shares(progress)
         rollout, episodes = self._collect(progress)
@@ -303,7 +300,7 @@ class ActorCritic(Agent):
             config.entropy_start, config.entropy_end, progress / config.entropy_until
         )
         for learner in self.learners:
-            learner.on_episodes_end(episodes.discounted[episodes.vehicles == learner.vehicle])
+            learner.on_episodes_end(episodes.discounted[np.isin(episodes.vehicles, learner.vehicles)])
         losses = self.learn(rollout, learning_rate, entropy_coefficient)
         return {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient, **losses}
 
@@ -312,7 +309,7 @@ class ActorCritic(Agent):
         if self._compiled is None and self._can_be_compiled():
             self._compiled = CompiledCollection(
                 self.collector,
-                [learner.actor for learner in self.learners],
+                {learner.vehicles: learner.actor for learner in self.learners},
                 self.learners[0].objective_scales.numpy() if self.learners[0].observes_accrued else None,
             )
         if self._compiled is not None:
@@ -342,17 +339,18 @@ class ActorCritic(Agent):
         shares = np.ones((self.env.vehicles, len(self.env.objectives)), dtype=np.float32)
         if progress < self.config.cost_growth:
             for learner in self.learners:
-                shares[learner.vehicle, self.env.costs] = progress / self.config.cost_growth
+                for v in learner.vehicles:
+                    shares[v, self.env.costs] = progress / self.config.cost_growth
         return shares
 
     def learn(self, rollout: Rollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
-        """Each learner learns from its vehicle's part of a rollout; the losses by name."""
+        """Each learner learns from its vehicles' part of a rollout; the losses by name."""
         metrics: dict[str, float] = {}
         for learner in self.learners:
-            own = rollout.of_vehicle(learner.vehicle, self.device, others=learner.others_size > 0)
+            own = rollout.of_vehicles(learner.vehicles, self.device, others=learner.others_size > 0)
             generator = self.update_generator(SHUFFLES + learner.vehicle)
             losses = learner.update(own, learning_rate, entropy_coefficient, generator)
-            prefix = vehicle_prefix(learner.vehicle, self.env.vehicles)
+            prefix = learner.metric_prefix(self.env.vehicles)
             metrics |= {prefix + name: value for name, value in losses.items()}
         return metrics
 
@@ -367,6 +365,7 @@ class ActorCritic(Agent):
             "centralised_critic": self.config.centralised_critic,
             "inputs": self.learners[0].input_size,
             **self._units(),
+            **learners_identity(self.learners),
             PARTNERS: drivers,
             GUIDES: self.guides.identity(),
         }
@@ -385,7 +384,7 @@ class ActorCritic(Agent):
         """Learners, guides, environments and running episodes."""
         state: dict[str, torch.Tensor] = {}
         for learner in self.learners:
-            state |= {f"vehicle_{learner.vehicle}.{name}": tensor for name, tensor in learner.get_state().items()}
+            state |= {f"{learner.name}.{name}": tensor for name, tensor in learner.get_state().items()}
         state |= self.guides.get_state()
         state |= {f"collector.{name}": tensor for name, tensor in self.collector.tensors().items()}
         return state
@@ -397,14 +396,14 @@ class ActorCritic(Agent):
             ValueError: for values from which training cannot continue.
         """
         for learner in self.learners:
-            learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
+            learner.set_state(strip_prefix(state, f"{learner.name}."))
         self.guides.set_state(state)
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The actors' weights."""
         return {
-            f"vehicle_{learner.vehicle}.{name}": tensor
+            f"{learner.name}.{name}": tensor
             for learner in self.learners
             for name, tensor in learner.get_policy().items()
         }
@@ -412,4 +411,4 @@ class ActorCritic(Agent):
     def set_policy(self, state: dict[str, torch.Tensor]) -> None:
         """Take the actors' weights."""
         for learner in self.learners:
-            learner.set_policy(strip_prefix(state, f"vehicle_{learner.vehicle}."))
+            learner.set_policy(strip_prefix(state, f"{learner.name}."))

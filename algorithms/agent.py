@@ -7,7 +7,7 @@ it defines. A YAML file names it by its path, ``algorithm.name: package.module:C
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
@@ -131,6 +131,7 @@ class Agent(ABC):
         known_utility: whether the agent learns for a known utility, or a front for every utility.
         trains_with_partners: whether its constructor takes ``partners``, which drive vehicles that do not learn.
         trains_with_guides: whether it takes ``guides``, which begin episodes of vehicles that learn.
+        shares_policies: whether it takes ``share_policy``, with which one policy drives all vehicles.
         trains_on_devices: whether :mod:`algorithms.device` can train it, with several seeds side by side.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
             ``set_state`` and ``set_policy`` check them.
@@ -154,6 +155,7 @@ class Agent(ABC):
     known_utility: ClassVar[bool] = True
     trains_with_partners: ClassVar[bool] = False
     trains_with_guides: ClassVar[bool] = False
+    shares_policies: ClassVar[bool] = False
     trains_on_devices: ClassVar[bool] = False
     varying_shapes: ClassVar[tuple[str, ...]] = ()
     config: Any
@@ -211,6 +213,23 @@ class Agent(ABC):
         if hyperparameters:
             raise ValueError(f"{', '.join(hyperparameters)}: give either config or single hyperparameters")
         return config
+
+    def vehicle_groups(self, share_policy: bool, partners: Container[int] = ()) -> list[tuple[int, ...]]:
+        """The vehicles of each policy that learns: one each, or all that no partner drives.
+
+        Raises:
+            ValueError: if a policy cannot be shared.
+        """
+        learning = [v for v in range(self.env.vehicles) if v not in partners]
+        if not share_policy:
+            return [(v,) for v in learning]
+        if len(learning) == 1:
+            raise ValueError(f"share_policy = True needs several vehicles that learn; {self.env.name} has one")
+        utilities = [self.utilities[v] for v in learning] if self.utilities else []
+        if any((each.name, each.arguments) != (utilities[0].name, utilities[0].arguments) for each in utilities):
+            names = ", ".join(repr(each.name) for each in utilities)
+            raise ValueError(f"share_policy = True needs one utility for all vehicles, not {names}")
+        return [tuple(learning)]
 
     @property
     def observes_accrued_reward(self) -> bool:

@@ -101,7 +101,7 @@ from algorithms.networks.actors import make_actor
 from algorithms.networks.losses import Losses, means, policy_change, proximal_loss
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam, geometric_schedule, linear_schedule
-from algorithms.networks.trained import TrainedNetworks
+from algorithms.networks.trained import TrainedNetworks, learners_identity
 from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
 from algorithms.rollouts.buffers import Samples
 from algorithms.rollouts.collector import Collector
@@ -179,11 +179,11 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
 
 
 class ConditionedLearner(TrainedNetworks):
-    """The networks of one vehicle, and how they learn.
+    """The networks of one policy, and how they learn.
 
     Args:
-        env: where the vehicle drives.
-        vehicle: its index.
+        env: where the vehicles drive.
+        vehicles: the indices of those with this policy.
         preferences: of the agent.
         config: hyperparameters.
         generator: draws the initial weights.
@@ -198,13 +198,13 @@ class ConditionedLearner(TrainedNetworks):
     def __init__(
         self,
         env: EnvAdapter,
-        vehicle: int,
+        vehicles: tuple[int, ...],
         preferences: Preferences,
         config: ConditionedMOPPOConfig,
         generator: torch.Generator,
         device: torch.device,
     ):
-        self.vehicle = vehicle
+        self.vehicles = vehicles
         self.config = config
         self.preferences = preferences
         self.observation_scales = torch.tensor(env.observation_scales, device=device)
@@ -357,16 +357,17 @@ class ConditionedLearner(TrainedNetworks):
 
 
 class ConditionedMOPPO(FrontAgent):
-    """MO-PPO conditioned on preferences, one independent learner per vehicle, each with a preference of its own.
+    """MO-PPO conditioned on preferences: every vehicle has one of its own, and a learner, or all share one.
 
     Args:
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
         guides: what begins episodes.
+        share_policy: one policy, learnt from what all vehicles do, instead of one for each.
         **options: ``seed``, ``device`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
 
     Attributes:
         preferences: what a condition means; ``agent.policy(agent.preferences.condition("linear", {"distance": 1}))``
-            drives one vehicle under weights.
+            drives one vehicle under weights, and ``agent.policy(rows)`` each of V under its row of ``rows`` (V, m).
 
     Raises:
         ValueError: for unknown or invalid hyperparameters or spaces, an environment that emits magnitudes, or guides
@@ -377,8 +378,9 @@ class ConditionedMOPPO(FrontAgent):
     Config = ConditionedMOPPOConfig
     trains_on_devices = True
     trains_with_guides = True
+    shares_policies = True
 
-    def __init__(self, env: VectorEnv, *, guides: Sequence[Guide] = (), **options: Any):
+    def __init__(self, env: VectorEnv, *, guides: Sequence[Guide] = (), share_policy: bool = False, **options: Any):
         super().__init__(env, **options)
         if self.env.cost_sign != "maximise":
             raise ValueError(f"cost_sign = {self.env.cost_sign!r}: algorithm {self.name!r} needs 'maximise'")
@@ -389,8 +391,8 @@ class ConditionedMOPPO(FrontAgent):
         self.scales = self.env.chosen_objective_scales(config.objective_scales)
         self.preferences = Preferences(config, self.env.objectives, self.scales)
         self.learners = [
-            ConditionedLearner(self.env, v, self.preferences, config, self.initial, self.device)
-            for v in range(self.env.vehicles)
+            ConditionedLearner(self.env, vehicles, self.preferences, config, self.initial, self.device)
+            for vehicles in self.vehicle_groups(share_policy)
         ]
         self.collector = Collector(self.env, self.accrued_discount, config.steps)
         self._compiled: CompiledCollection | None = None
@@ -409,7 +411,7 @@ class ConditionedMOPPO(FrontAgent):
         self.collector.reset(self.env_seed)
 
     def update(self, progress: float) -> dict[str, float]:
-        """Collect one rollout; each learner learns from its vehicle's part."""
+        """Collect one rollout; each learner learns from its vehicles' part."""
         config = self.config
         drawn = self._draw_preferences(progress)
         rollout, episodes = self._collect(progress, drawn)
@@ -423,11 +425,12 @@ class ConditionedMOPPO(FrontAgent):
         )
         metrics = {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient}
         followed = torch.from_numpy(drawn.followed).to(self.device)
-        for v, learner in enumerate(self.learners):
-            own = rollout.of_vehicle(v, self.device, others=False)
-            generator = self.update_generator(SHUFFLES + v)
-            losses = learner.update(own, followed[:, :, v], learning_rate, entropy_coefficient, generator)
-            prefix = vehicle_prefix(v, len(self.learners))
+        for learner in self.learners:
+            own = rollout.of_vehicles(learner.vehicles, self.device, others=False)
+            generator = self.update_generator(SHUFFLES + learner.vehicle)
+            under = followed[:, :, list(learner.vehicles)].flatten(1, 2)
+            losses = learner.update(own, under, learning_rate, entropy_coefficient, generator)
+            prefix = learner.metric_prefix(self.env.vehicles)
             metrics |= {prefix + name: value for name, value in losses.items()}
         self.preferences.note_episodes(episodes.discounted)
         return metrics
@@ -443,7 +446,7 @@ class ConditionedMOPPO(FrontAgent):
     def _collect(self, progress: float, drawn: Drawn) -> tuple[Rollout, Episodes]:
         """A rollout; without guides and with networks of ours in one compiled call, with the same bits."""
         if self._compiled is None and self._can_be_compiled():
-            actors = [learner.actor for learner in self.learners]
+            actors = {learner.vehicles: learner.actor for learner in self.learners}
             self._compiled = CompiledCollection(self.collector, actors, None, act_under_preferences)
         if self._compiled is not None:
             complete = partial(conditioned, preferences=self.preferences, current=self._current, drawn=drawn)
@@ -489,12 +492,11 @@ class ConditionedMOPPO(FrontAgent):
             generator: samples actions; None acts greedily.
         """
         arrays = (observations, preferences, accrued_reward.value, accrued_reward.discounts)
-        chosen = []
-        for v, learner in enumerate(self.learners):
-            x = learner.inputs(*(torch.from_numpy(array[:, v]).to(self.device) for array in arrays))
-            action = learner.actor.greedy(x) if generator is None else learner.actor.sample(x, generator)
-            chosen.append(action.cpu().numpy())
-        return np.stack(chosen, axis=1)
+        chosen: dict[int, NDArray[Any]] = {}
+        for learner in self.learners:
+            x = learner.inputs(*(learner.rows(array).to(self.device) for array in arrays))
+            chosen |= learner.choose(x, generator)
+        return np.stack([chosen[v] for v in sorted(chosen)], axis=1)
 
     # ------------------------------------------------------------------------------------------------------- the front
 
@@ -511,18 +513,19 @@ class ConditionedMOPPO(FrontAgent):
         return rows.reshape(count, -1)
 
     def policies(self, conditions: NDArray[np.float32]) -> PreferencePolicy:
-        """What acts under preferences (N, V m), one per environment, or under one (1, V m) in all.
+        """What acts under preferences of every vehicle, (N, V m) or (N, V, m), or under the same (1, ...) everywhere.
 
         Raises:
-            ValueError: for another width, or numbers that are no preference.
+            ValueError: for another shape, or numbers that are no preference.
         """
         rows = np.atleast_2d(np.asarray(conditions, dtype=np.float32))
-        if rows.shape[1:] != (len(self.condition_names),):
+        vehicles, names = self.env.vehicles, self.preferences.names
+        if rows.shape[1:] not in ((vehicles * len(names),), (vehicles, len(names))):
             raise ValueError(
-                f"conditions of shape {rows.shape} must be numbers (n, {len(self.condition_names)}): "
-                f"{', '.join(self.condition_names)}"
+                f"conditions of shape {rows.shape} must be (n, {vehicles}, {len(names)}): of every vehicle the "
+                f"numbers {', '.join(names)}"
             )
-        preferences = rows.reshape(len(rows), self.env.vehicles, -1)
+        preferences = rows.reshape(len(rows), vehicles, -1)
         self.preferences.check(preferences)
         return PreferencePolicy(self, preferences)
 
@@ -541,6 +544,7 @@ class ConditionedMOPPO(FrontAgent):
             **({RHO: config.rho} if CHEBYSHEV in self.preferences.used else {}),
             **({PRICE: config.price} if COMFORT_BUDGET in self.preferences.used else {}),
             "gamma": self.accrued_discount,
+            **learners_identity(self.learners),
         }
 
     def get_state(self) -> dict[str, torch.Tensor]:
@@ -551,8 +555,8 @@ class ConditionedMOPPO(FrontAgent):
             **self._ideal_tensor(),
             **self.guides.get_state(),
         }
-        for v, learner in enumerate(self.learners):
-            state |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_state().items()}
+        for learner in self.learners:
+            state |= {f"{learner.name}.{name}": tensor for name, tensor in learner.get_state().items()}
         state |= {f"collector.{name}": tensor for name, tensor in self.collector.tensors().items()}
         return state
 
@@ -562,8 +566,8 @@ class ConditionedMOPPO(FrontAgent):
         Raises:
             ValueError: for values from which training cannot continue.
         """
-        for v, learner in enumerate(self.learners):
-            learner.set_state(strip_prefix(state, f"vehicle_{v}."))
+        for learner in self.learners:
+            learner.set_state(strip_prefix(state, f"{learner.name}."))
         self.preferences.ideal = state["ideal"].clone()
         if self.step:
             self.preferences.check(state["preferences"].numpy())
@@ -578,14 +582,14 @@ class ConditionedMOPPO(FrontAgent):
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The actors' weights and the ideal point, on which they depend."""
         policy = self._ideal_tensor()
-        for v, learner in enumerate(self.learners):
-            policy |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_policy().items()}
+        for learner in self.learners:
+            policy |= {f"{learner.name}.{name}": tensor for name, tensor in learner.get_policy().items()}
         return policy
 
     def set_policy(self, state: dict[str, torch.Tensor]) -> None:
         """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
-        for v, learner in enumerate(self.learners):
-            learner.set_policy(strip_prefix(state, f"vehicle_{v}."))
+        for learner in self.learners:
+            learner.set_policy(strip_prefix(state, f"{learner.name}."))
         self.preferences.ideal = state["ideal"].clone()
 
 

@@ -163,6 +163,10 @@ class TeamRollout(NamedTuple):
     terminated: torch.Tensor
     truncated: torch.Tensor
 
+    def of_each(self, vehicles: int) -> TeamRollout:
+        """The same for each of some vehicles that share a policy, (..., N vehicles, ...)."""
+        return TeamRollout(*(each.repeat_interleave(vehicles, dim=1) for each in self))
+
 
 class TeamEpisodes:
     """Follows the episodes of N teams from rollout to rollout.
@@ -224,20 +228,20 @@ class TeamEpisodes:
 
 
 class MAPPOLearner(Learner):
-    """MAPPO for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
+    """MAPPO for one policy; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: MAPPOConfig
 
     def __init__(
         self,
         env: EnvAdapter,
-        vehicle: int,
+        vehicles: tuple[int, ...],
         utility: Utility,
         config: MAPPOConfig,
         generator: torch.Generator,
         device: torch.device,
     ):
-        super().__init__(env, vehicle, utility, config, generator, device)
+        super().__init__(env, vehicles, utility, config, generator, device)
         self.input_size = env.observation_size
         state_size = env.vehicles * (env.observation_size + len(env.objectives) + 1)
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
@@ -332,7 +336,7 @@ class MAPPO(ActorCritic):
         """Each learner learns from its vehicle's part of the rollout and from the team's."""
         team = self.team.follow(rollout)
         for learner in self.learners:
-            cast("MAPPOLearner", learner).team = team
+            cast("MAPPOLearner", learner).team = team.of_each(len(learner.vehicles))
         return super().learn(rollout, learning_rate, entropy_coefficient)
 
     def get_state(self) -> dict[str, torch.Tensor]:

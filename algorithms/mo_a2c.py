@@ -137,20 +137,20 @@ class MOA2CConfig(ActorCriticSettings):
 
 
 class MOA2CLearner(Learner):
-    """MO-A2C for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
+    """MO-A2C for one policy; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: MOA2CConfig
 
     def __init__(
         self,
         env: EnvAdapter,
-        vehicle: int,
+        vehicles: tuple[int, ...],
         utility: Utility,
         config: MOA2CConfig,
         generator: torch.Generator,
         device: torch.device,
     ):
-        super().__init__(env, vehicle, utility, config, generator, device)
+        super().__init__(env, vehicles, utility, config, generator, device)
         d = len(env.objectives)
         # S_t of eq. 1: what the actor and the critic see.
         self.observes_accrued, self.observes_discount = config.observe_accrued, config.observe_discount

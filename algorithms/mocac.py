@@ -140,20 +140,20 @@ class MOCACConfig(ActorCriticSettings):
 
 
 class MOCACLearner(Learner):
-    """MOCAC for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
+    """MOCAC for one policy; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: MOCACConfig
 
     def __init__(
         self,
         env: EnvAdapter,
-        vehicle: int,
+        vehicles: tuple[int, ...],
         utility: Utility,
         config: MOCACConfig,
         generator: torch.Generator,
         device: torch.device,
     ):
-        super().__init__(env, vehicle, utility, config, generator, device)
+        super().__init__(env, vehicles, utility, config, generator, device)
         # S_t of eq. 1: what the actor and the critic see.
         self.observes_accrued, self.observes_discount = True, config.observe_discount
         self.input_size = env.observation_size + len(env.objectives) + config.observe_discount

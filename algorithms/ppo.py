@@ -95,20 +95,20 @@ class PPOConfig(ActorCriticSettings):
 
 
 class PPOLearner(Learner):
-    """PPO for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
+    """PPO for one policy; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: PPOConfig
 
     def __init__(
         self,
         env: EnvAdapter,
-        vehicle: int,
+        vehicles: tuple[int, ...],
         utility: Utility,
         config: PPOConfig,
         generator: torch.Generator,
         device: torch.device,
     ):
-        super().__init__(env, vehicle, utility, config, generator, device)
+        super().__init__(env, vehicles, utility, config, generator, device)
         self.input_size = env.observation_size
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
         self.critic = make_network(config, self.input_size + self.others_size, 1, generator).to(device)

@@ -87,6 +87,10 @@ def build(
             raise ValueError(f"training.num_envs = {given} is less than the {most} drivers in training.partners")
     if experiment.training.guides and guides:
         options["guides"] = _make_guides(experiment, algorithm, adapter)
+    if experiment.training.share_policy:
+        if not algorithm.shares_policies:
+            raise ValueError(f"training.share_policy: algorithm {experiment.algorithm.name!r} cannot share a policy")
+        options["share_policy"] = True
     set_threads(experiment.training.threads)  # after the drivers', which are built like this
     set_compiled(experiment.training.compiled is not False)
     return algorithm(

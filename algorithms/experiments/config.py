@@ -77,6 +77,8 @@ class TrainingSettings(Settings):
     """Whether updates are compiled, or call PyTorch's operations; the numbers are the same but for rounding. Numba
     compiles those of one seed on the CPU, ``torch.compile`` those on a GPU and those of several ``seeds``, for about a
     minute when training begins. None for Numba alone."""
+    share_policy: bool = False
+    """One policy that drives all vehicles, and learns from what all of them do, instead of one for each."""
     partners: dict[str, list[str]] = {}
     """What drives the vehicles that do not learn, by names such as "vehicle_1": runs, policies of the zoo and scripted
     drivers, which take turns over the parallel environments."""

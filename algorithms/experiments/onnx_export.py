@@ -242,9 +242,9 @@ class _ActorCriticGraph(_Graph):
         observes_accrued = any(learner.observes_accrued for learner in agent.learners)
         observes_discount = any(learner.observes_discount for learner in agent.learners)
         super().__init__(agent, [ACCRUED] * observes_accrued + [DISCOUNT] * observes_discount)
-        self.learners = {learner.vehicle: learner for learner in agent.learners}
+        self.learners = {v: learner for learner in agent.learners for v in learner.vehicles}
         self.networks = nn.ModuleList(learner.actor for learner in agent.learners)
-        self.driven = list(self.learners)
+        self.driven = sorted(self.learners)
 
     def distribution(
         self, vehicle: int, observations: torch.Tensor, given: dict[str, torch.Tensor]
@@ -265,7 +265,7 @@ class _PreferenceGraph(_Graph):
         # Linear preferences do not depend on the past.
         depends = agent.preferences.width > len(agent.preferences.names)
         super().__init__(agent, [ACCRUED, DISCOUNT] if depends else [], condition)
-        self.learners = agent.learners
+        self.learners = {v: learner for learner in agent.learners for v in learner.vehicles}
         self.networks = nn.ModuleList(learner.actor for learner in agent.learners)
 
     def distribution(

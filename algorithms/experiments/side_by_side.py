@@ -76,6 +76,8 @@ def check_resident(experiment: Experiment) -> None:
         raise ValueError(f"{here}: algorithm {name!r} trains on the CPU, one seed at a time; {able} can")
     if not is_ours(find_environment(experiment.environment.id)):
         raise ValueError(f"{here}: environment {experiment.environment.id!r} is another library's, on the CPU alone")
+    if training.share_policy:
+        raise ValueError(f"{here}: training.share_policy = True is for the CPU, one seed at a time; leave one out")
     for key in ("partners", "guides"):
         if drivers := getattr(training, key):
             raise ValueError(f"{here}: training.{key} = {list(drivers)} drive on the CPU alone; leave them out")

@@ -23,6 +23,7 @@ GUIDES = "guides"  # entry of the identity: what identifies the guides of vehicl
 # Entries of the identity: environment steps taken, updates, and the seed of the run.
 STEP, UPDATES, SEED = "step", "updates", "seed"
 OBJECTIVE_SCALES, ACCRUED_GAMMA = "objective_scales", "accrued_gamma"  # entries: what observed returns are in units of
+SHARED = "share_policy"  # entry: whether one policy drives all vehicles
 RHO, PRICE = "rho", "price"  # entries: of Chebyshev and budgeted utilities
 MOST_STEPS = 2**63 - 1
 

@@ -37,21 +37,22 @@ if TYPE_CHECKING:
     from algorithms.networks.compiled.perceptron import Head
 
 
-def check_outputs(outputs: NDArray[np.float32], num_envs: int | None = None) -> None:
+def check_outputs(outputs: NDArray[np.float32], num_envs: int | None = None, vehicles: int = 1) -> None:
     """Refuse outputs of a policy's network from which no action can be chosen.
 
     Args:
         outputs: (M, ...).
         num_envs: N, where the rows are those of several steps of N environments; M if None.
+        vehicles: how many rows an environment has in a step.
 
     Raises:
         NotFinite: naming the environment.
     """
     wrong = ~np.isfinite(outputs)
     if wrong.any():
-        row = int(np.argwhere(wrong)[0][0]) % (num_envs or len(outputs))
+        environment = int(np.argwhere(wrong)[0][0]) // vehicles % (num_envs or len(outputs))
         raise NotFinite(
-            f"environment {row}: an output of the policy's network = {outputs[wrong][0]}; it must be finite"
+            f"environment {environment}: an output of the policy's network = {outputs[wrong][0]}; it must be finite"
         )
 
 

@@ -57,6 +57,15 @@ class Rollout:
             seen_by_rest[name] = torch.cat(parts, dim=-1) if parts else own[name][..., :0]
         return VehicleRollout(**own, others=seen_by_rest["observations"], final_others=seen_by_rest["final"])
 
+    def of_vehicles(self, vehicles: Sequence[int], device: torch.device, *, others: bool = True) -> VehicleRollout:
+        """The parts of k vehicles, as if each were in an environment apart: (T, N k, ...), as :meth:`of_vehicle`."""
+        if len(vehicles) == 1:
+            return self.of_vehicle(vehicles[0], device, others=others)
+        parts = [vars(self.of_vehicle(v, device, others=others)) for v in vehicles]
+        return VehicleRollout(
+            **{name: torch.stack([part[name] for part in parts], 2).flatten(1, 2) for name in parts[0]}
+        )
+
 
 @dataclass
 class VehicleRollout(Rollout):

@@ -20,7 +20,7 @@ from mo_deepdrive.faults import check_vehicles
 from mo_deepdrive.rollout import WorldRollout
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -35,7 +35,7 @@ class CompiledCollection:
 
     Args:
         collector: whose buffers are written.
-        actors: of every vehicle, in order.
+        actors: by the vehicles that each drives, all equally many.
         accrued_scales: (d,) by which the accrued reward is divided that the actors observe; None if they do not.
         act: the callback of the rollout.
     """
@@ -43,19 +43,21 @@ class CompiledCollection:
     def __init__(
         self,
         collector: Collector,
-        actors: Sequence[Actor],
+        actors: Mapping[tuple[int, ...], Actor],
         accrued_scales: NDArray[np.float32] | None,
         act: Any = act,
     ):
         self._collector = collector
-        self._actors = actors
+        self._actors = [*actors.values()]
+        self._vehicles = np.array([*actors])
         assert collector.env.bare is not None  # see serves()
         self._env = collector.env.bare
         none = np.zeros(0, dtype=np.float32)
         self._scales = collector.env.observation_scales, none if accrued_scales is None else accrued_scales
         steps, n = collector.actions.shape[:2]
         k = collector.env.actions if collector.env.continuous else 1
-        self._noise = np.zeros((steps, len(actors), n, k), dtype=np.float32)
+        self._rows = n * self._vehicles.shape[1]  # of an actor in a decision
+        self._noise = np.zeros((steps, len(actors), self._rows, k), dtype=np.float32)
         # As many parts as threads were asked for, so that the results do not depend on the machine's cores.
         env, parts = self._env, wanted_threads()
         self._rollout = WorldRollout(env.batch, env.streams, collector.actions, collector.buffers, act, parts)
@@ -82,7 +84,7 @@ class CompiledCollection:
         """
         collector, env = self._collector, self._env
         env.check_ready()
-        steps, n = collector.actions.shape[:2]
+        steps, n = len(collector.actions), self._rows
         networks = [cast("Perceptron", actor.body) for actor in self._actors]
         kept = [network.keep_passes(steps * n) for network in networks]
         arrays = [network.parameter_arrays() for network in networks]
@@ -97,15 +99,16 @@ class CompiledCollection:
             observation_scales=self._scales[0],
             accrued_scales=self._scales[1],
             noise=self._noise,
+            vehicles=self._vehicles,
         )
         for t in range(steps):
-            for v, actor in enumerate(self._actors):
-                self._noise[t, v] = actor.noise(n, generator)
+            for g, actor in enumerate(self._actors):
+                self._noise[t, g] = actor.noise(n, generator)
         with one_blas_thread():
             self._rollout.run(complete(policies), self._not_finite)
         collector.check_finite()
         for each in kept:
-            check_outputs(each.outputs.T, n)
+            check_outputs(each.outputs.T, collector.env.num_envs, self._vehicles.shape[1])
             each.done = steps * n
         collector.observations = env.batch.observations.copy()
 

@@ -17,17 +17,20 @@ if TYPE_CHECKING:
 
 
 class Policies(NamedTuple):
-    """What acts; one entry per vehicle where there is a tuple, with memory that learning uses again.
+    """What acts: G networks of k vehicles each; one entry per network where there is a tuple.
+
+    Learning uses the memory again.
 
     Attributes:
-        rows: (T * N, inputs) what the networks see, written.
+        rows: (T * N * k, inputs) what the networks see, written.
         weights, biases: of the layers.
-        hidden: (T * N, width) per hidden layer, written.
-        outputs: (outputs, T * N) written.
-        deviations: (V, k) standard deviations of continuous actions, (V, 0) if they depend on the state.
+        hidden: (T * N * k, width) per hidden layer, written.
+        outputs: (outputs, T * N * k) written.
+        deviations: (G, a) standard deviations of continuous actions, (G, 0) if they depend on the state.
         observation_scales: (o,).
         accrued_scales: (d,) of the accrued reward, or none if it is not observed.
-        noise: (T, V, N, k) random numbers for the actions.
+        noise: (T, G, N * k, a) random numbers for the actions.
+        vehicles: (G, k) that the networks drive.
     """
 
     rows: tuple[Array, ...]
@@ -39,25 +42,33 @@ class Policies(NamedTuple):
     observation_scales: Array
     accrued_scales: Array
     noise: Array
+    vehicles: NDArray[np.int64]
 
 
 @separate_jit
 def _write_inputs(
-    v: int, observations: Array, accrued: Array, discounts: Array, scales: Array, accrued_scales: Array, rows: Array
+    vehicles: NDArray[np.int64],
+    observations: Array,
+    accrued: Array,
+    discounts: Array,
+    scales: Array,
+    accrued_scales: Array,
+    rows: Array,
 ) -> None:
-    """What the actor of vehicle ``v`` sees: ``rows`` (n, inputs) from (n, V, o), (n, V, d) and (n, V).
+    """What the actor of k vehicles sees: ``rows`` (n * k, inputs) from (n, V, o), (n, V, d) and (n, V).
 
     As :meth:`algorithms.actor_critic.Learner.inputs`; the accrued reward is seen if it has scales, and the discount if
     there is room for it alone. What is behind more room has been written already.
     """
     o, d = len(scales), len(accrued_scales)
-    for i in range(len(rows)):
+    for row in range(len(rows)):
+        i, v = row // len(vehicles), vehicles[row % len(vehicles)]
         for k in range(o):
-            rows[i, k] = observations[i, v, k] / scales[k]
+            rows[row, k] = observations[i, v, k] / scales[k]
         for k in range(d):
-            rows[i, o + k] = accrued[i, v, k] / accrued_scales[k]
+            rows[row, o + k] = accrued[i, v, k] / accrued_scales[k]
         if o + d + 1 == rows.shape[1]:
-            rows[i, o + d] = discounts[i, v]
+            rows[row, o + d] = discounts[i, v]
 
 
 @separate_jit
@@ -68,34 +79,37 @@ def _run_network(first: int, last: int, rows: Array, weights: Any, biases: Any, 
 
 
 @separate_jit
-def _choose(outputs: Array, at: int, noise: Array, deviations: Array, v: int, actions: Any) -> None:
-    """Write the actions of vehicle ``v`` from the columns ``at`` on of its network's outputs.
+def _choose(
+    outputs: Array, at: int, noise: Array, deviations: Array, vehicles: NDArray[np.int64], actions: Any
+) -> None:
+    """Write the actions of k vehicles from the columns ``at`` on of their network's outputs.
 
     Args:
         outputs: (k, rows) logits, or means, with what standard deviations are made of if these depend on the state.
         at: the first column.
-        noise: (n, k) random numbers.
-        deviations: (V, k) of Gaussian policies, (V, 0) if they depend on the state.
-        v: the vehicle.
-        actions: (n, V) of softmax policies, (n, V, k) of Gaussian ones, written.
+        noise: (n * k, a) random numbers.
+        deviations: (a,) of a Gaussian policy, (0,) if they depend on the state.
+        vehicles: (k,).
+        actions: (n, V) of softmax policies, (n, V, a) of Gaussian ones, written.
     """
     if actions.ndim == 2:
-        uniform, chosen = np.empty(len(actions), np.float32), np.empty(len(actions), np.int64)
-        for i in range(len(actions)):
-            uniform[i] = noise[i, 0]
+        uniform, chosen = np.empty(len(noise), np.float32), np.empty(len(noise), np.int64)
+        for row in range(len(noise)):
+            uniform[row] = noise[row, 0]
         categorical_sample(outputs, at, uniform, chosen)
-        for i in range(len(actions)):
-            actions[i, v] = chosen[i]
-    elif deviations.shape[1] == 0:
-        drawn = np.empty(noise.shape, np.float32)
+        for row in range(len(noise)):
+            actions[row // len(vehicles), vehicles[row % len(vehicles)]] = chosen[row]
+        return
+    drawn = np.empty(noise.shape, np.float32)
+    if len(deviations) == 0:
         state_gaussian_sample(outputs, at, noise, drawn)
-        for i in range(len(actions)):
-            for k in range(noise.shape[1]):
-                actions[i, v, k] = drawn[i, k]
     else:
-        for i in range(len(actions)):
+        for row in range(len(noise)):
             for k in range(len(outputs)):
-                actions[i, v, k] = outputs[k, at + i] + deviations[v, k] * noise[i, k]
+                drawn[row, k] = outputs[k, at + row] + deviations[k] * noise[row, k]
+    for row in range(len(noise)):
+        for k in range(noise.shape[1]):
+            actions[row // len(vehicles), vehicles[row % len(vehicles)], k] = drawn[row, k]
 
 
 @separate_jit
@@ -111,11 +125,12 @@ def act(
     actions: Any,
 ) -> None:
     """Choose the actions of decision ``t`` in the worlds ``first`` to ``last`` - 1."""
-    rows, weights, biases, hidden, outputs, deviations, scales, accrued_scales, noise = policies
-    at, end = t * actions.shape[1] + first, t * actions.shape[1] + last
-    part = slice(first, last)
-    for v in range(actions.shape[2]):
-        seen = rows[v][at:end]
-        _write_inputs(v, observations[t, part], accrued[t, part], discounts[t, part], scales, accrued_scales, seen)
-        _run_network(at, end, rows[v], weights[v], biases[v], hidden[v], outputs[v])
-        _choose(outputs[v], at, noise[t, v, part], deviations, v, actions[t, part])
+    rows, weights, biases, hidden, outputs, deviations, scales, accrued_scales, noise, vehicles = policies
+    k = vehicles.shape[1]
+    begin, part = t * actions.shape[1] * k, slice(first, last)
+    at, end = begin + first * k, begin + last * k
+    for g in range(len(rows)):
+        mine, seen = vehicles[g], rows[g][at:end]
+        _write_inputs(mine, observations[t, part], accrued[t, part], discounts[t, part], scales, accrued_scales, seen)
+        _run_network(at, end, rows[g], weights[g], biases[g], hidden[g], outputs[g])
+        _choose(outputs[g], at, noise[t, g, first * k : last * k], deviations[g], mine, actions[t, part])

@@ -118,14 +118,16 @@ def act_under_preferences(
 ) -> None:
     """As :func:`algorithms.rollouts.compiled_policy.act`, with preferences among what the networks see."""
     policies, candidates, changes, followed, current = conditioned[:5]
-    worlds, o = actions.shape[1], len(policies.observation_scales)
-    for v in range(actions.shape[2]):
-        for i in range(first, last):
-            begins = decisions[i, v] == 0 or changes[t, i, v]
-            for k in range(current.shape[2]):
-                if begins:
-                    current[i, v, k] = candidates[t, i, v, k]
-                followed[t, i, v, k] = current[i, v, k]
-            features = policies.rows[v][t * worlds + i, o:]
-            _write_features(current[i, v], accrued[t, i, v], discounts[t, i, v], conditioned[5:], features)
+    worlds, o, vehicles = actions.shape[1], len(policies.observation_scales), policies.vehicles
+    for g in range(len(policies.rows)):
+        for j in range(vehicles.shape[1]):
+            v = vehicles[g, j]
+            for i in range(first, last):
+                begins = decisions[i, v] == 0 or changes[t, i, v]
+                for k in range(current.shape[2]):
+                    if begins:
+                        current[i, v, k] = candidates[t, i, v, k]
+                    followed[t, i, v, k] = current[i, v, k]
+                features = policies.rows[g][(t * worlds + i) * vehicles.shape[1] + j, o:]
+                _write_features(current[i, v], accrued[t, i, v], discounts[t, i, v], conditioned[5:], features)
     act(t, first, last, policies, observations, accrued, discounts, decisions, actions)

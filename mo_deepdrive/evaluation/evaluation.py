@@ -16,7 +16,10 @@ from mo_deepdrive.evaluation.metrics import (
     DISCOUNTED_UTILITY_SER,
     GINI_UTILITY_ESR,
     LENGTH,
+    MEAN_UTILITY_ESR,
     OUR_ENDS,
+    SHARE_ARRIVED,
+    SHARE_COLLIDED,
     SUCCESS,
     TOTAL_UTILITY_ESR,
     USUAL_FAILURES,
@@ -133,13 +136,17 @@ class Evaluation:
 
     def team_samples(self) -> dict[str, NDArray[Any]]:
         """(E,) what is measured of all vehicles together, by metric; means are the metrics."""
+        collided = np.array([[end == COLLISION for end in ends] for ends in self.ends.tolist()])
         samples: dict[str, NDArray[Any]] = {
             SUCCESS: self.joint_succeeded,
-            end_by(COLLISION): np.array([COLLISION in ends for ends in self.ends.tolist()]),
+            end_by(COLLISION): np.asarray(collided.any(axis=1)),
+            SHARE_ARRIVED: self.succeeded.mean(axis=1),
+            SHARE_COLLIDED: collided.mean(axis=1),
         }
         if self.utilities:
             each = np.stack([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=1)
             samples[TOTAL_UTILITY_ESR] = total(each)
+            samples[MEAN_UTILITY_ESR] = total(each) / self.returns.shape[1]
             samples[WORST_OFF_UTILITY_ESR] = worst_off(each)
             samples[GINI_UTILITY_ESR] = generalised_gini(each)
         return samples
@@ -206,7 +213,8 @@ def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
     """Every metric of an evaluation with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
 
     With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in which
-    any collided, ``total_utility_esr`` the sum of the utilities, ``worst_off_utility_esr`` the least of them,
+    any collided, ``share_arrived`` and ``share_collided`` are shares of the vehicles, ``total_utility_esr`` is the sum
+    of the utilities, ``mean_utility_esr`` their mean, ``worst_off_utility_esr`` the least of them,
     ``gini_utility_esr`` the sum that counts the worse-off for more.
 
     Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes in one

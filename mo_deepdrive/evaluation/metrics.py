@@ -45,6 +45,8 @@ DISCOUNTED_UTILITY_ESR, DISCOUNTED_UTILITY_SER = "discounted_utility_esr", "disc
 TOTAL_UTILITY_ESR = "total_utility_esr"  # sum over the vehicles
 WORST_OFF_UTILITY_ESR = "worst_off_utility_esr"  # mean over episodes of the least one among the vehicles
 GINI_UTILITY_ESR = "gini_utility_esr"  # mean over episodes of the sum that counts the worse-off for more
+# Means over the vehicles: of those that arrive, of those that collide, and of their utilities.
+SHARE_ARRIVED, SHARE_COLLIDED, MEAN_UTILITY_ESR = "share_arrived", "share_collided", "mean_utility_esr"
 SUCCESS, LENGTH = "success", "length"
 RETURN, DISCOUNTED_RETURN, END = "return/", "discounted_return/", "end/"
 
@@ -163,6 +165,7 @@ _LOWER_IS_BETTER = frozenset(
         IGD_PLUS,
         ADDITIVE_EPSILON,
         COMMAND_ERROR,
+        SHARE_COLLIDED,
         *(mean_of(objective) for objective in COMFORT),
         *(maximum_of(objective) for objective in COMFORT),
     )

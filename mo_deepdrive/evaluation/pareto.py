@@ -131,6 +131,8 @@ def evenly_spaced_weights(d: int, n: int = WEIGHTS) -> NDArray[np.float64]:
         raise ValueError(f"n = {n} weights for d = {d} objectives: n must be at least d, and d at least 1")
     if d == 1:
         return np.ones((n, 1))
+    if n == d:  # the corners; a lattice of many objectives would not fit into memory
+        return np.eye(d)
     if d == 2:
         first = np.linspace(1.0, 0.0, n)
         return np.stack([first, 1.0 - first], axis=1)

@@ -16,13 +16,14 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
-from algorithms.rollouts.buffers import Rollout
+from algorithms.rollouts.buffers import Rollout, VehicleRollout
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (
     CLASSES,
     INTERSECTION,
+    ROUNDABOUT,
     exaggerate,
     make_agent,
     plain_utility,
@@ -148,6 +149,40 @@ def test_the_learners_of_two_vehicles_do_not_share_anything(cls: type[ActorCriti
     # A vector critic does not know the utility, a scalar one predicts it.
     assert torch.equal(first["1.critic.0.weight"], second["1.critic.0.weight"]) is (cls not in (A2C, PPO))
     assert not torch.equal(first["0.critic.0.weight"], first["1.critic.0.weight"])
+
+
+@CLASSES
+def test_vehicles_that_share_a_policy_are_rows_of_one_batch(
+    cls: type[ActorCritic], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    agent = make_agent(cls, ROUNDABOUT, share_policy=True, steps=8)
+    (learner,) = agent.learners
+    assert learner.vehicles == (0, 1, 2, 3)
+    seen: list[VehicleRollout] = []
+    learn = learner.update
+    monkeypatch.setattr(learner, "update", lambda rollout, *rest: seen.append(rollout) or learn(rollout, *rest))
+    agent.train(8 * 4)
+    rollout, _ = agent.collector.collected()
+    for name, rows in vars(seen[0]).items():
+        if name in vars(rollout):
+            np.testing.assert_array_equal(rows, getattr(rollout, name).flatten(1, 2))
+
+    exaggerate(agent)
+    observations = agent.collector.observations
+    past = AccruedReward.begin(4, 4, len(agent.env.objectives))
+    order = [2, 0, 3, 1]
+    np.testing.assert_array_equal(
+        agent.act(observations[:, order], past, None), agent.act(observations, past, None)[:, order]
+    )
+
+    agent.save(tmp_path / "checkpoint.safetensors")
+    resumed = make_agent(cls, ROUNDABOUT, share_policy=True, steps=8)
+    resumed.load(tmp_path / "checkpoint.safetensors")
+    for each in (agent, resumed):
+        each.train(16 * 4)
+    assert same(agent.get_state(), resumed.get_state())
+    with pytest.raises(ValueError, match="has 'vehicle_0"):
+        make_agent(cls, ROUNDABOUT, steps=8).load(tmp_path / "checkpoint.safetensors")
 
 
 @CLASSES

@@ -22,7 +22,7 @@ from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.pareto import non_dominated
 from mo_deepdrive.utilities import make_utility
-from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, same
+from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, ROUNDABOUT, same
 
 SMALL: dict[str, Any] = {"hidden": [16], "steps": 8, "minibatches": 2, "epochs": 2, "max_policies": 6}
 MIXTURE: dict[str, Any] = {
@@ -554,9 +554,28 @@ def test_several_vehicles_have_preferences_of_their_own_and_a_front_of_all_their
     np.testing.assert_array_equal(agent.front_scales.reshape(2, 6), [agent.scales] * 2)
 
 
+def test_vehicles_that_share_a_policy_have_preferences_of_their_own() -> None:
+    agent = make_agent(ROUNDABOUT, env={}, share_policy=True)
+    assert [learner.vehicles for learner in agent.learners] == [(0, 1, 2, 3)]
+    agent.train(agent.config.steps * 4)
+    assert len(np.unique(agent._current.reshape(16, -1), axis=0)) == 16
+    rows = np.stack([agent.preferences.condition("linear", {name: 1.0}) for name in agent.env.objectives[:4]])
+    observations = np.repeat(agent.collector.observations[:, :1], 4, axis=1)
+    past = AccruedReward.begin(4, 4, len(agent.env.objectives))
+    with torch.no_grad():
+        agent.learners[0].actor.body[-1].weight.mul_(300.0)
+    actions = agent.policy(rows).act(observations, past, None)
+    for v, row in enumerate(rows):
+        alike = agent.policy(np.tile(row, (4, 1))).act(observations, past, None)
+        np.testing.assert_array_equal(actions[:, v], alike[:, v])
+        assert (alike == alike[:, :1]).all()
+    with pytest.raises(ValueError, match=re.escape("conditions of shape (1, 3, 10) must be (n, 4, 10)")):
+        agent.policy(rows[:3])
+
+
 def test_conditions_of_the_wrong_shape_or_that_are_no_preference_are_refused() -> None:
     agent = make_agent()
-    with pytest.raises(ValueError, match=re.escape("conditions of shape (1, 3) must be numbers (n, 4)")):
+    with pytest.raises(ValueError, match=re.escape("conditions of shape (1, 3) must be (n, 1, 4)")):
         agent.policy([1.0, 0.0, 0.0])
     for weights in ([1.0, np.nan, 0.0, 0.0], [-3.0, 4.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0]):
         with pytest.raises(ValueError, match="is no preference; it must have one family"):

@@ -19,6 +19,7 @@ ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"
 INTERSECTION = "mo-deepdrive-intersection-v0"
 LEFT_TURN = "mo-deepdrive-left-turn-v0"
+ROUNDABOUT = "mo-deepdrive-roundabout-v0"
 SEA = "deep-sea-treasure-v0"
 MINECART = "minecart-v0"
 CONTINUOUS = {"action_type": "continuous"}

@@ -165,6 +165,10 @@ CASES: dict[str, tuple[dict[str, Any], str]] = {
         {"training": {"guides": {"vehicle_0": {"driver": "rule:wait"}}}},
         "training.seeds = [0]: training.guides = ['vehicle_0'] drive on the CPU alone; leave them out",
     ),
+    "a shared policy": (
+        {"training": {"seeds": [0], "share_policy": True}},
+        "training.seeds = [0]: training.share_policy = True is for the CPU, one seed at a time; leave one out",
+    ),
     "the same seed twice": ({"training": {"seeds": [1, 1]}}, "training.seeds = [1, 1] must differ from one another"),
     "another seed": (
         {"training": {"seed": 3, "seeds": [1, 2]}},

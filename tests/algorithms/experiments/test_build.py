@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,32 @@ def test_vehicles_have_their_own_utilities() -> None:
     utility["vehicles"] = {"vehicle_2": {"name": "linear"}}
     with pytest.raises(ValueError, match=r"utility\.vehicles has 'vehicle_2'; did you mean 'vehicle_1'"):
         build(experiment_with(environment=environment, utility=utility))
+
+
+UTILITIES = {
+    "name": "intersection_linear",
+    "vehicles": {"vehicle_1": {"name": "linear", "arguments": {"weights": [1, 0, 0, 0, 0, 0]}}},
+}
+
+
+@pytest.mark.parametrize(
+    ("sections", "message"),
+    [
+        ({}, "share_policy = True needs several vehicles that learn; mo-deepdrive-one-waypoint-v0 has one"),
+        (
+            {"environment": {"id": "mo-deepdrive-intersection-v0"}, "utility": UTILITIES},
+            "share_policy = True needs one utility for all vehicles, not 'intersection_linear', 'linear'",
+        ),
+        (
+            {"algorithm": {"name": "pcn"}, "utility": None},
+            "training.share_policy: algorithm 'pcn' cannot share a policy",
+        ),
+    ],
+)
+def test_a_policy_that_cannot_be_shared_is_refused(sections: dict[str, Any], message: str) -> None:
+    training = {"total_timesteps": 96, "num_envs": 3, "share_policy": True}
+    with pytest.raises(ValueError, match=re.escape(message)):
+        build(experiment_with(training=training, **sections))
 
 
 @pytest.mark.parametrize(

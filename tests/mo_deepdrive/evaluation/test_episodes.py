@@ -312,7 +312,9 @@ def test_every_vehicle_has_its_own_metrics_and_utility() -> None:
     found = evaluate(A2C(env, utilities), make_env(INTERSECTION, 4, SHORT), episodes=4, greedy=False)
     metrics = found.metrics()
     of_both = {name for name in metrics if not name.startswith(("vehicle_0/", "vehicle_1/"))}
-    assert of_both == {"success", "end/collision", "total_utility_esr", "worst_off_utility_esr", "gini_utility_esr"}
+    utilities_of_both = {"total_utility_esr", "mean_utility_esr", "worst_off_utility_esr", "gini_utility_esr"}
+    assert of_both == {"success", "end/collision", "share_arrived", "share_collided"} | utilities_of_both
+    assert metrics["share_arrived"] == np.mean([metrics[f"vehicle_{v}/success"] for v in (0, 1)])
     assert {name: metrics[name] for name in of_both} == pytest.approx(
         {name: each.value for name, each in found.estimates().items() if name in of_both}
     )

@@ -252,8 +252,7 @@ def test_invalid_arguments_are_refused_by_name(call: Callable[[], Any], message:
 # Weights.
 
 
-@pytest.mark.parametrize("d", [1, 2, 3, 6])
-@pytest.mark.parametrize("n", [6, 7, 50])
+@pytest.mark.parametrize(("d", "n"), [*product([1, 2, 3, 6], [6, 7, 50]), (160, 160)])
 def test_weights_sum_to_one_and_include_the_corners(d: int, n: int) -> None:
     weights = evenly_spaced_weights(d, n)
     assert weights.shape == (n, d)
