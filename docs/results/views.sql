@@ -107,3 +107,17 @@ SELECT driver || ', ' || one AS driver,
   max(CASE other WHEN 'balanced' THEN cell END) AS "among balanced",
   max(CASE other WHEN 'careful' THEN cell END) AS "among careful"
 FROM cells GROUP BY cells.driver, one ORDER BY cells.driver DESC, instr('hurried balanced careful', one);
+
+CREATE VIEW roundabout_strangers AS -- roundabout: arrivals and utility of a driver among seven that it has and has not met
+WITH met AS (
+  SELECT CASE WHEN vehicle_0 LIKE 'rule:%' THEN replace(vehicle_0, 'rule:', 'rule, ')
+      ELSE 'MO-PPO, seed ' || substr(vehicle_0, instr(vehicle_0, 'seed') + 4, 1) END AS driver,
+    CASE WHEN vehicle_0 = others THEN 'own' WHEN others LIKE 'rule:%' THEN 'rules' ELSE 'runs' END AS who,
+    "vehicle_0/success" AS arrived, "vehicle_0/utility_esr" AS utility
+  FROM roundabout_strangers_cross_play),
+cells AS (
+  SELECT driver, who, printf('%.0f%% (%.1f)', 100 * avg(arrived), avg(utility)) AS cell FROM met GROUP BY driver, who)
+SELECT driver, max(CASE who WHEN 'own' THEN cell END) AS "own partners",
+  max(CASE who WHEN 'runs' THEN cell END) AS "runs of other seeds",
+  max(CASE who WHEN 'rules' THEN cell END) AS "20 scripted strangers"
+FROM cells GROUP BY driver ORDER BY driver;
