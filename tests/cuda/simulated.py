@@ -49,6 +49,9 @@ def simulated(form: Any, buffers: Buffers, mode: int, _: Any) -> Any:
 def main() -> None:
     kernelapi.FakeCUDALocal.array = local_array
     torch.cuda.current_stream = lambda _: SimpleNamespace(cuda_stream=0)  # type: ignore[assignment]
+    torch.cuda.is_current_stream_capturing = lambda: True  # so that a step is launched as it is
+    jit = device.cuda.jit
+    device.cuda.jit = lambda **_: jit()  # the simulator knows no registers
     host_launcher = worlds.host_launcher
     for scenario in SCENARIOS:
         for action_type in ("discrete", "continuous"):
