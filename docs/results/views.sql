@@ -34,7 +34,7 @@ FROM suite_list AS list JOIN suite_bounds USING (task) WHERE " " = 'core';
 
 CREATE VIEW suite_scores AS -- scoreboard: learners by tasks
 WITH cells AS (
-  SELECT learner, task, printf('%.2f', interquartile_mean(score)) AS cell FROM suite_normalised GROUP BY learner, task)
+  SELECT learner, task, printf('%.2f', round(interquartile_mean(score), 2) + 0.0) AS cell FROM suite_normalised GROUP BY learner, task)
 SELECT label AS learner, max(CASE task WHEN 'K1' THEN cell END) AS K1, max(CASE task WHEN 'K2' THEN cell END) AS K2,
   max(CASE task WHEN 'K3' THEN cell END) AS K3, max(CASE task WHEN 'K4' THEN cell END) AS K4,
   max(CASE task WHEN 'K5' THEN cell END) AS K5, max(CASE task WHEN 'K6-ESR' THEN cell END) AS "K6-ESR",

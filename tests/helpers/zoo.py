@@ -66,7 +66,10 @@ CONDITIONED = "conditioned_mo_ppo"
 FRONTS: dict[str, Callable[[], Experiment]] = {
     "pcn": lambda: FRONT({"time_limit": 3, "fixed_destination": True}),
     "pcn, continuous": lambda: FRONT({"time_limit": 3, "fixed_destination": True, "action_type": "continuous"}),
-    CONDITIONED: lambda: ONE(CONDITIONED, arguments={"time_limit": 3}, learning_rate=2e-2, max_policies=20),
+    # Costs grow in, or it would learn to stand still under every preference.
+    CONDITIONED: lambda: ONE(
+        CONDITIONED, arguments={"time_limit": 3}, learning_rate=2e-2, cost_growth=1.0, max_policies=20
+    ),
 }
 EVERY_ACTOR_CRITIC = pytest.mark.parametrize("kind", ACTOR_CRITICS)
 EVERY_FRONT = pytest.mark.parametrize("kind", FRONTS)

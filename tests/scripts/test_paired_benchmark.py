@@ -120,6 +120,7 @@ def test_names_are_selected_by_patterns(paired: ModuleType) -> None:
         "make_vec-static-obstacle",
         "make_vec-intersection",
         "make_vec-left-turn",
+        "make_vec-roundabout-8",
         "import",
     ]
     with pytest.raises(ValueError, match="'imports' matches no measurement"):
