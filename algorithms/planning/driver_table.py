@@ -11,9 +11,14 @@ from algorithms.experiments.build import load_policy
 from algorithms.planning.suite_bounds import TRIED_IN_ROUNDABOUTS, roundabout_rules
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.episodes import evaluate
-from mo_deepdrive.evaluation.metrics import COLLISION
+from mo_deepdrive.evaluation.metrics import (
+    GINI_UTILITY_ESR,
+    MEAN_UTILITY_ESR,
+    SHARE_ARRIVED,
+    SHARE_COLLIDED,
+    WORST_OFF_UTILITY_ESR,
+)
 from mo_deepdrive.evaluation.statistics import mean
-from mo_deepdrive.evaluation.team_utility import generalised_gini, worst_off
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -86,13 +91,13 @@ def measures(found: Evaluation) -> dict[str, float | None]:
     "arrived" and "collided" are shares of the vehicles, "utility" is that of a vehicle, "worst_off" the least of them
     and "gini" the sum that counts the worse-off for more; then come the returns of the objectives.
     """
-    utilities = np.stack([found.episode_utilities(v) for v in range(found.returns.shape[1])], axis=1)
+    team = found.team_samples()
     samples: Mapping[str, Any] = {
-        "arrived": found.succeeded.mean(axis=1),
-        "collided": (found.ends == COLLISION).mean(axis=1),
-        "utility": utilities.mean(axis=1),
-        "worst_off": worst_off(utilities),
-        "gini": generalised_gini(utilities),
+        "arrived": team[SHARE_ARRIVED],
+        "collided": team[SHARE_COLLIDED],
+        "utility": team[MEAN_UTILITY_ESR],
+        "worst_off": team[WORST_OFF_UTILITY_ESR],
+        "gini": team[GINI_UTILITY_ESR],
         **{name: found.returns[:, :, i].mean(axis=1) for i, name in enumerate(found.objectives)},
     }
     values: dict[str, float | None] = {}

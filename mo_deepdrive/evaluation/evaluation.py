@@ -146,7 +146,7 @@ class Evaluation:
         if self.utilities:
             each = np.stack([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=1)
             samples[TOTAL_UTILITY_ESR] = total(each)
-            samples[MEAN_UTILITY_ESR] = total(each) / self.returns.shape[1]
+            samples[MEAN_UTILITY_ESR] = samples[TOTAL_UTILITY_ESR] / each.shape[1]
             samples[WORST_OFF_UTILITY_ESR] = worst_off(each)
             samples[GINI_UTILITY_ESR] = generalised_gini(each)
         return samples
