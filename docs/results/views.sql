@@ -44,16 +44,17 @@ SELECT label AS learner, max(CASE task WHEN 'K1' THEN cell END) AS K1, max(CASE 
 FROM cells JOIN suite_learners USING (learner) GROUP BY learner
 ORDER BY (SELECT interquartile_mean(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
 
-CREATE VIEW suite_generalisation AS -- scoreboard: scores where no learner has trained
+CREATE VIEW suite_generalisation AS -- scoreboard: scores of the best learners where nobody has trained
 WITH scored AS (
   SELECT task, learner, suite."column" AS setting, max(-1.0, (value - floor) / (ceiling - floor)) AS score
   FROM suite JOIN suite_tasks USING (task, policy) WHERE value <> '' AND counted)
-SELECT '`' || task || '`' AS task, label AS learner,
+SELECT '`' || scored.task || '`' AS task, label AS learner,
   decimals(interquartile_mean(CASE setting WHEN 'score' THEN score END), 2) AS "as trained",
   decimals(interquartile_mean(CASE setting WHEN 'yaw_friction' THEN score END), 2) AS "less grip",
   decimals(interquartile_mean(CASE setting WHEN 'action_delay' THEN score END), 2) AS "delayed actions",
   decimals(interquartile_mean(CASE setting WHEN 'hidden_car' THEN score END), 2) AS "a hidden car"
-FROM scored JOIN suite_learners USING (learner) GROUP BY task, learner;
+FROM scored JOIN suite_learners USING (learner)
+JOIN suite_bounds AS bounds ON bounds.task = '`' || scored.task || '`' AND bounds."best learner" = label GROUP BY scored.task;
 
 CREATE VIEW speed AS -- README
 SELECT CASE WHEN measurement LIKE '%make_vec%'
