@@ -13,6 +13,7 @@ from algorithms.experiments.suite_entries import agrees, check_experiment, fresh
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
 from mo_deepdrive.suite import Row
+from tests.helpers.paths import REPOSITORY
 
 STILL = "import numpy as np\ndef policy(observations, *_):\n    return np.zeros(len(observations), dtype=np.int64)\n"
 
@@ -107,3 +108,14 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
     (tmp_path / "scores.csv").write_text(table.replace("score,0.0,0.0,0.0", "score,0.5,0.4,0.6"))
     assert run("suite", ["verify", "scores.csv"], "mo-deepdrive {}") == 1
     assert "differs" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_reference_entries_are_reproduced_by_the_policies_of_the_zoo(capsys: pytest.CaptureFixture[str]) -> None:
+    entries = REPOSITORY / "docs" / "results" / "suite_entries.csv"
+    tasks = ("K1", "K3", "V1")
+    assert run("suite", ["verify", str(entries), "--tasks", *tasks], "mo-deepdrive {}") == 0
+    rows = [row for row in suite.read_rows(entries) if row.task in tasks]
+    assert {row.task for row in rows} == {*tasks}
+    printed = capsys.readouterr().out  # on another kind of processor the last bits, and with them episodes, may differ
+    assert printed.count("reproduced") + printed.count("within the interval") == len(rows)
