@@ -19,6 +19,7 @@ from algorithms.actor_critic import ActorCritic
 from algorithms.rollouts.buffers import Rollout, VehicleRollout
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.faults import NotFinite
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (
     CLASSES,
@@ -174,6 +175,10 @@ def test_vehicles_that_share_a_policy_are_rows_of_one_batch(
     np.testing.assert_array_equal(
         agent.act(observations[:, order], past, None), agent.act(observations, past, None)[:, order]
     )
+    observations = observations.copy()
+    observations[2, 1] = np.nan
+    with pytest.raises(NotFinite, match="environment 2: an output of the policy's network = nan"):
+        agent.act(observations, past, None)
 
     agent.save(tmp_path / "checkpoint.safetensors")
     resumed = make_agent(cls, ROUNDABOUT, share_policy=True, steps=8)
