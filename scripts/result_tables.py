@@ -102,9 +102,7 @@ def fill_suite(database: sqlite3.Connection, results: list[suite.Row]) -> None:
     bounds = ["floor", "floor_by", "ceiling", "ceiling_by", "kind", "minutes"]
     fill(database, "suite_tasks", ["task", *fields, *bounds], tasks)
     fill(database, "suite_normalised", ["learner", "task", "track", "score"], scores)
-    study = load_study(REFERENCE)
-    learners = [study.learners, *(task.learners for task in study.tasks.values())]
-    labels = {name: learner.label for each in learners for name, learner in each.items() if learner.label}
+    labels = load_study(REFERENCE).labels
     fill(database, "suite_learners", ["learner", "label"], [[name, labels.get(name, name)] for name in board.learners])
     header, *rows = board.task_table()
     fill(database, "suite_board", header, rows)

@@ -108,6 +108,7 @@ def suite_table(options: Namespace) -> int:
     from algorithms.experiments.console import make_console, print_line
     from algorithms.reporting.table_files import markdown
     from algorithms.reporting.wide_tables import print_rows
+    from algorithms.studies.settings import load_study
     from algorithms.studies.suite_tables import NOTE, Scoreboard
     from mo_deepdrive import suite
     from mo_deepdrive.atomic_io import atomic_write
@@ -128,7 +129,7 @@ def suite_table(options: Namespace) -> int:
         print_rows(console, rows, title, 1)
     console.print(NOTE, highlight=False)
     if options.figure is not None:
-        board.draw_profiles(options.figure)
+        board.draw_profiles(options.figure, load_study(REFERENCE).labels)
         print_line(console, f"written: {options.figure}")
     if options.output is not None:
         text = "\n".join(f"## {title}\n\n{markdown(rows, 1, NOTE)}" for title, rows in tables)

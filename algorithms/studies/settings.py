@@ -110,6 +110,12 @@ class Study(BackendSettings):
         """As of the base class."""
         return self.tuning is not None
 
+    @property
+    def labels(self) -> dict[str, str]:
+        """The names of learners in tables and figures, of those that have one."""
+        learners = [self.learners, *(task.learners for task in self.tasks.values())]
+        return {name: learner.label for each in learners for name, learner in each.items() if learner.label}
+
     def learners_of(self, task: str) -> dict[str, Learner]:
         """The learners of a task, by name."""
         own = self.tasks[task].learners

@@ -15,7 +15,7 @@ from mo_deepdrive.suite.scorers import SCORE
 from mo_deepdrive.suite.tasks import LOWEST
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -173,8 +173,12 @@ class Scoreboard:
                     found.setdefault(learner, {})[name] = scores
         return found
 
-    def draw_profiles(self, path: Path) -> None:
+    def draw_profiles(self, path: Path, labels: Mapping[str, str]) -> None:
         """Draw the performance profiles: the share of runs that score at least so much, the mean over tasks.
+
+        Args:
+            path: of the picture.
+            labels: what learners are called there, by their names; others by their names.
 
         Raises:
             ValueError: if no run has ended, or the ending of the path is not an image format.
@@ -199,7 +203,9 @@ class Scoreboard:
             ):
                 for learner, scores in by_learner.items():
                     shares = [(each.values[:, None] >= PROFILE).mean(axis=0) for each in scores.values()]
-                    axes.plot(PROFILE, np.mean(shares, axis=0), color=colours[learner], label=learner)
+                    axes.plot(
+                        PROFILE, np.mean(shares, axis=0), color=colours[learner], label=labels.get(learner, learner)
+                    )
                 axes.set(title=track, xlabel="score (floor 0, ceiling 1)", ylim=(-0.02, 1.02))
                 axes.legend(frameon=False, fontsize=8)
             figure.axes[0].set_ylabel("share of runs that score at least this")
