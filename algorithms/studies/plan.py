@@ -35,6 +35,7 @@ class Arm:
         metric: of the final evaluation, by which settings are chosen and learners are compared.
         values: the sections of the experiment.
         points: the settings that are tried, values by key; none if the study does not tune.
+        tuning_share: of a run's steps, in which they are tried.
         seeds: that count.
     """
 
@@ -44,6 +45,7 @@ class Arm:
     metric: str
     values: dict[str, Any]
     points: tuple[dict[str, Any], ...]
+    tuning_share: float
     seeds: tuple[int, ...]
 
     @property
@@ -160,7 +162,7 @@ class StudyPlan:
                 assert self.study.tuning is not None
                 seeds = tuple(self.study.tuning.seeds)
                 if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
-                    values["training"]["total_timesteps"] = max(1, round(self.study.tuning.share * steps))
+                    values["training"]["total_timesteps"] = max(1, round(arm.tuning_share * steps))
             build_once = arm.key in self.selected  # others may need what is not installed here
             self._rows[key] = tuple(cell_rows(cell, values, seeds, trial, build_once=build_once))
         return self._rows[key]
@@ -195,7 +197,8 @@ def _arms(study: Study) -> tuple[tuple[Arm, ...], list[str]]:
             for changes in (study.overrides, task.overrides, help_, learner.overrides):
                 values = overridden(values, changes, {TASK: name, LEARNER: key})
             points, seeds = tuple(study.points(learner)), tuple(task.seeds or study.seeds)
-            arms.append(Arm(name, key, learner.label or key, _metric(study, name), values, points, seeds))
+            share = learner.tuning_share or (study.tuning.share if study.tuning else 1.0)
+            arms.append(Arm(name, key, learner.label or key, _metric(study, name), values, points, share, seeds))
     if not arms:
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
     learners = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}

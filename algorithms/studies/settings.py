@@ -38,6 +38,8 @@ class Learner(Settings):
     """Values of experiment keys."""
     tuning: Values | None = None
     """Values of experiment keys that are tried, instead of those of the study; every combination is tried."""
+    tuning_share: float | None = Field(default=None, gt=0.0, le=1.0)
+    """Share of a run's environment steps that a run of its tuning takes, instead of the study's."""
 
     def with_changes(self, other: Learner) -> Learner:
         """The learner with what ``other`` sets: its overrides are added, anything else is replaced."""

@@ -161,6 +161,9 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
     assert row.config["evaluation"]["task"] == "K1"
     assert row.config["utility"]["name"] == "linear"
     assert row.config["training"]["total_timesteps"] == 1_500_000
+    learners = {"mo": {"config": "base.yaml", "tuning_share": 1.0, "tuning": {RATE: [0.1]}}}
+    (row,) = StudyPlan(load_study(write_study(tmp_path, tasks=["K1"], metric=None, learners=learners))).rows({})
+    assert row.config["training"]["total_timesteps"] == 3_000_000
 
 
 @pytest.mark.parametrize(
