@@ -59,9 +59,9 @@ class TrainedNetworks:
 
     def choose(self, inputs: torch.Tensor, generator: torch.Generator | None) -> dict[int, NDArray[Any]]:
         """The actions (N,) or (N, k) of each vehicle for inputs of :meth:`rows`; greedy where ``generator`` is None."""
-        of_environments = inputs.unflatten(0, (-1, len(self.vehicles)))  # so that an error names the environment
-        sample, greedy = self.actor.sample, self.actor.greedy
-        actions = (greedy(of_environments) if generator is None else sample(of_environments, generator)).cpu().numpy()
+        inputs = inputs.unflatten(0, (-1, len(self.vehicles)))  # so that an error names the environment
+        chosen = self.actor.greedy(inputs) if generator is None else self.actor.sample(inputs, generator)
+        actions = chosen.cpu().numpy()
         return {v: actions[:, j] for j, v in enumerate(self.vehicles)}
 
     def get_state(self) -> dict[str, torch.Tensor]:

@@ -48,15 +48,16 @@ def test_the_pages_have_the_observation_of_an_environment(name: str) -> None:
         for index, entry in zip(row["index"].split(", "), row["name"].split(", "), strict=True)
     ]
     known = [(i, each.name, each.unit, each.scale) for i, each in enumerate(layout(SCENARIOS[name]))]
-    repeated = known[len(found) :]
     assert found == known[: len(found)]
-    for row in (row for row in own if " to " in row["index"]):  # others of what the rows before it describe
-        assert row["index"] == f"{repeated[0][0]} to {repeated[-1][0]}"
-        assert row["name"] == f"{repeated[0][1]} to {repeated[-1][1]}"
-        period = len([entry for _, entry, _, _ in known if entry.startswith("near_1_")])
-        assert [each[2:] for each in repeated] == [each[2:] for each in known[-len(repeated) - period : -period]]
-        repeated = []
-    assert not repeated
+    repeated = known[len(found) :]
+    ranges = [(row["index"], row["name"]) for row in own if " to " in row["index"]]
+    if not ranges:
+        assert not repeated
+        return
+    (first, first_name, *_), (last, last_name, *_) = repeated[0], repeated[-1]
+    assert ranges == [(f"{first} to {last}", f"{first_name} to {last_name}")]
+    period = sum(entry.startswith("near_1_") for _, entry, _, _ in known)  # the rows before say what is repeated
+    assert [each[2:] for each in repeated] == [each[2:] for each in known[len(found) - period : -period]]
 
 
 def test_the_overview_has_the_objectives() -> None:
