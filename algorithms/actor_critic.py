@@ -1,171 +1,150 @@
-"""What A2C, MO-A2C, PPO, MO-PPO, MOCAC and MAPPO share apart from the algorithm: collecting, acting, checkpoints.
+"""The update of A2C, MO-A2C, PPO, MO-PPO, MOCAC, MAPPO and conditioned MO-PPO, but for their equations.
 
-An :class:`ActorCritic` has one :class:`Learner` per vehicle, or one for all of them. All learners act on one rollout,
-and each then learns from its own vehicles' part of it. Vehicles that do not learn are driven by partners, and guides
-may begin the episodes of those that do; the weights of both are no part of the agent. The file of an algorithm defines
-its Learner, from the networks to the update.
+An :class:`ActorCritic` has one policy per vehicle, or one for all of them, and an update is the same for all algorithms:
+
+    collect     T steps of N environments, in which all policies act;
+    values      v(S_t) and v(S_{t+1}) of the critic as it is;
+    advantages  A_t and the critic's targets y_t, by the equations in the algorithm's file;
+    minibatches of all samples, in a new order every epoch;
+    loss        L, by the equations in the algorithm's file;
+    step        of Adam, down the gradient of L.
+
+The file of an algorithm defines ``Config``, :meth:`ActorCritic.advantages` and :meth:`ActorCritic.loss`. Both are pure
+functions of tensors, so that the same lines run for one seed and for several side by side (``torch.func.vmap``), as they
+stand and through ``torch.compile``, on a CPU and, as one CUDA graph an update, on a GPU.
+
+Vehicles that do not learn are driven by partners, and guides may begin the episodes of those that do; the weights of
+both are no part of the agent.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from dataclasses import fields
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
 
-from algorithms.agent import SHUFFLES, Agent
-from algorithms.files.checkpoints import (
-    ACCRUED_GAMMA,
-    GUIDES,
-    OBJECTIVE_SCALES,
-    PARTNERS,
-    strip_prefix,
-)
+from algorithms.agent import LEARNING, Agent
+from algorithms.files.checkpoints import ACCRUED_GAMMA, GUIDES, OBJECTIVE_SCALES, PARTNERS, SHARED, strip_prefix
 from algorithms.hyperparameters import schedules
-from algorithms.networks.modules import centralised_inputs
-from algorithms.networks.optimiser import geometric_schedule, linear_schedule
-from algorithms.networks.trained import TrainedNetworks, learners_identity
-from algorithms.rollouts.advantages import next_values
-from algorithms.rollouts.collector import Collector
-from algorithms.rollouts.compiled_collection import CompiledCollection
-from algorithms.rollouts.guides import Guides
+from algorithms.learning.actors import make_actor
+from algorithms.learning.advantages import bootstrapped, normalise
+from algorithms.learning.collector import Collector
+from algorithms.learning.guides import Guides
+from algorithms.learning.learner import NORM, Learner, Networks
+from algorithms.learning.networks import make_network
+from algorithms.learning.optimiser import geometric_schedule, linear_schedule
+from algorithms.learning.storage import Rollout, Samples
+from algorithms.learning.worlds import DeviceWorlds, EnvWorlds
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
-from mo_deepdrive.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name
+from mo_deepdrive.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
 from mo_deepdrive.evaluation.policy import check_same_task
+from mo_deepdrive.faults import NotFinite
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from algorithms.rollouts.buffers import Episodes, Rollout, VehicleRollout
-    from algorithms.rollouts.guides import Guide
-    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+    from algorithms.learning.actors import Actor
+    from algorithms.learning.collector import Running
+    from algorithms.learning.guides import Guide
+    from algorithms.learning.losses import Loss
+    from algorithms.learning.preferences import TrainingPreferences
+    from algorithms.learning.storage import RolloutStorage
     from mo_deepdrive.evaluation.episodes import UtilityLike
     from mo_deepdrive.evaluation.team import Population
     from mo_deepdrive.utilities import Utility
 
+MEMORY = 0.99  # decay per episode of the running mean of returns
+WARM_UP = 2  # updates before one is captured: what is compiled or allocated once must not be part of it
 
-class Learner(TrainedNetworks, ABC):
-    """One policy's networks and how they learn; subclasses build the networks and define their inputs.
+
+class PolicyLearner(Learner):
+    """The learner of one policy, for S seeds.
 
     Args:
-        env: where the vehicles drive.
-        vehicles: the indices of those with this policy, each of which is to a learner as if in an environment alone.
-        utility: what they maximise.
-        config: hyperparameters.
-        generator: draws the initial weights.
-        device: of the networks.
+        networks: an actor and a critic per seed.
+        max_grad_norm: see Learner.
+        vehicles: the indices of those with this policy, each of which is to it as if in an environment alone.
+        utility: what they maximise, without checks; None where none is known.
+        objectives: d.
 
     Attributes:
-        static_shapes: whether tensors have the same shape in every update, as on a device; else only what is needed is
-            calculated.
-        input_size: width of what the actor sees.
-        others_size: width of what a centralised critic sees of the other vehicles; 0 without one.
-        observes_accrued, observes_discount: whether the actor sees R_t and g^t.
-        observation_scales, objective_scales: (o,) and (d,) nominal magnitudes.
-        value_scales: (K,) by which the critic's outputs are multiplied.
-
-    Raises:
-        ValueError: for hyperparameters that do not fit the environment.
+        noise: (S, T, N, k, n) random numbers of the actions of a rollout.
+        keys: (S, epochs, T N k) random numbers by whose order the samples of an epoch are shuffled.
+        prepare: makes samples of a rollout.
+        expected_return: (S, d) E[R], running mean of the accrued rewards of episodes.
+        episodes: (S,) their number.
     """
 
-    static_shapes = False
-    input_size: int
-    value_scales: torch.Tensor
-    observes_accrued = False
-    observes_discount = False
+    noise: torch.Tensor
+    keys: torch.Tensor
+    prepare: Callable[..., dict[str, torch.Tensor]]
 
     def __init__(
         self,
-        env: EnvAdapter,
+        networks: Sequence[Networks],
+        max_grad_norm: float,
         vehicles: tuple[int, ...],
-        utility: Utility,
-        config: Any,
-        generator: torch.Generator,
-        device: torch.device,
+        utility: Utility | None,
+        objectives: int,
     ):
-        del generator  # for the networks of the subclass
-        self.vehicles = vehicles
-        self.utility = utility
-        self.config = config
-        self.device = device
-        self.observation_scales = torch.tensor(env.observation_scales, device=device)
-        self.objective_scales = torch.tensor(env.chosen_objective_scales(config.objective_scales), device=device)
-        if config.centralised_critic and env.vehicles == 1:
-            raise ValueError("centralised_critic = True needs an environment with more than one vehicle")
-        self.accrued_discount = float(getattr(config, "accrued_discount", config.gamma))
-        self.others_size = (env.vehicles - 1) * env.observation_size if config.centralised_critic else 0
+        # ``vehicle_0``, or ``vehicles`` of several that share it.
+        super().__init__(networks, max_grad_norm, vehicle_name(vehicles[0]) if len(vehicles) == 1 else "vehicles")
+        self.vehicles, self.utility = vehicles, utility
+        self.expected_return = self.vector.new_zeros(self.seeds, objectives)
+        self.episodes = torch.zeros(self.seeds, dtype=torch.int64, device=self.vector.device)
 
-    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
-        """What the actor sees, scaled, (..., input_size): s_t, and R_t and g^t where the learner observes them.
+    @property
+    def actor(self) -> Actor:
+        """The policy of the first seed."""
+        actor: Actor = self.networks.actor
+        return actor
 
-        Args:
-            observations: (..., o) s_t.
-            accrued: (..., d) accrued reward R_t.
-            discounts: (...) discount g^t that belongs to it.
+    @property
+    def critic(self) -> torch.nn.Module:
+        """The critic of the first seed."""
+        critic: torch.nn.Module = self.networks.critic
+        return critic
+
+    def note_episodes(self, values: torch.Tensor, ended: torch.Tensor) -> None:
+        """Update E[R] with the accrued rewards (S, T, N k, d) of the episodes that ended, where a mask says."""
+        number = ended.sum((1, 2))
+        mean = values.masked_fill(~ended.unsqueeze(-1), 0.0).sum((1, 2)) / number.clamp(min=1).unsqueeze(-1)
+        keep = torch.where(self.episodes > 0, MEMORY**number, (number == 0).float()).unsqueeze(-1)
+        self.expected_return.copy_(keep * self.expected_return + (1.0 - keep) * mean)
+        self.episodes.add_(number)
+
+    def get_state(self, seed: int = 0) -> dict[str, torch.Tensor]:
+        """Networks, optimiser and E[R]."""
+        return {
+            **super().get_state(seed),
+            "expected_return": self.expected_return[seed],
+            "episodes": self.episodes[seed],
+        }
+
+    def set_state(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
+        """Resume from :meth:`get_state`.
+
+        Raises:
+            ValueError: for values from which training cannot continue.
         """
-        parts = [observations / self.observation_scales]
-        if self.observes_accrued:
-            parts.append(accrued / self.objective_scales)
-        if self.observes_discount:
-            parts.append(discounts.unsqueeze(-1))
-        return torch.cat(parts, dim=-1)
-
-    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
-        """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
-        return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
-
-    def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
-        """v(S) (..., K) in the units of what the critic predicts."""
-        outputs: torch.Tensor = self.critic(critic_inputs)
-        return self.value_scales * outputs
-
-    def next_values(self, rollout: VehicleRollout, values: torch.Tensor) -> torch.Tensor:
-        """v(S_{t+1}) (T, N, K): 0 after termination, the value of the true final state after truncation.
-
-        Args:
-            rollout: T steps of its vehicles.
-            values: (T + 1, N, K) v of S_0 to S_T.
-        """
-        return next_values(values[1:], self.final_values(rollout), rollout.terminated, rollout.truncated)
-
-    def final_values(self, rollout: VehicleRollout) -> torch.Tensor:
-        """V (T, N, K) of the true states after steps that truncated an episode; anything after other steps."""
-
-        def values(where: torch.Tensor | slice) -> torch.Tensor:
-            final = self.inputs(*rollout.final_states(where, self.accrued_discount))
-            return self.values(self.critic_inputs(final, rollout.final_others[where]))
-
-        if self.static_shapes:
-            return values(slice(None))
-        found = torch.zeros((*rollout.truncated.shape, len(self.value_scales)), device=self.device)
-        if rollout.truncated.any():
-            found[rollout.truncated] = values(rollout.truncated)
-        return found
-
-    @abstractmethod
-    def update(
-        self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
-    ) -> dict[str, float]:
-        """Learn from a rollout of its vehicles; the losses by name.
-
-        Args:
-            rollout: T steps of N environments, or of N k with k vehicles.
-            learning_rate: of the gradient steps.
-            entropy_coefficient: c_e.
-            generator: of this update.
-        """
-
-    def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
-        """Called before an update with the discounted returns (E, d) of the episodes that ended; ignored by default."""
-        del discounted_returns
+        if int(state["episodes"]) < 0:
+            raise ValueError(f"'episodes' = {int(state['episodes'])} of a running mean must not be negative")
+        super().set_state(state, seed)
+        self.expected_return[seed], self.episodes[seed] = state["expected_return"], state["episodes"]
 
 
 class ActorCritic(Agent):
-    """Base of the actor-critic agents: one independent learner per vehicle, or a policy that vehicles share.
+    """Base of the actor-critic agents: one policy per vehicle that learns, or one that vehicles share.
+
+    A subclass defines ``Config``, :meth:`advantages` and :meth:`loss`, and may define what the networks see:
+    :attr:`input_size` and :meth:`inputs`, :attr:`state_size` and :meth:`states`, :attr:`value_scales`.
 
     Args:
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
@@ -173,25 +152,33 @@ class ActorCritic(Agent):
         partners: what drives the vehicles that do not learn, by their indices.
         guides: what begins episodes of vehicles that learn.
         share_policy: one policy, learnt from what all vehicles do, instead of one for each that learns.
-        **options: ``seed``, ``device`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
+        **options: ``seed``, ``device``, ``compiled`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
 
     Attributes:
+        Samples: what :meth:`samples` gives and :meth:`loss` takes.
+        compares_policies: whether the loss needs the log-probability under the policy that collected the rollout.
+        observes_accrued, observes_discount: whether actors see R_t and g^t.
         learners: one per vehicle that learns, in the order of the vehicles; or a single one.
+        collector: of the rollouts.
 
     Raises:
         ValueError: for unknown or invalid hyperparameters, spaces or utilities, partners and guides that cannot drive
             here, or a policy that cannot be shared.
     """
 
-    learner: ClassVar[type[Learner]]
+    Samples: ClassVar[type[Any]] = Samples
     trains_with_partners = True
     trains_with_guides = True
     shares_policies = True
+    trains_on_devices = True
+    compares_policies: ClassVar[bool] = True
+    observes_accrued: ClassVar[bool] | bool = False
+    observes_discount: ClassVar[bool] | bool = False
 
     def __init__(
         self,
         env: VectorEnv,
-        utility: UtilityLike | Sequence[UtilityLike],
+        utility: UtilityLike | Sequence[UtilityLike] | None = None,
         *,
         partners: Mapping[int, Population] | None = None,
         guides: Sequence[Guide] = (),
@@ -199,32 +186,149 @@ class ActorCritic(Agent):
         **options: Any,
     ):
         super().__init__(env, utility, **options)
+        config = self.config
         self.partners = dict(partners or {})
         if guides and not self.trains_with_guides:
             raise ValueError(f"algorithm {self.name!r} cannot train with guides")
-        self.guides = Guides(guides, self.accrued_discount)
-        for driver in (*self.partners.values(), *(guide.driver for guide in self.guides)):
+        self.guides = [Guides(guides, self.accrued_discount)]
+        self.guides += [self.guides[0].copy() for _ in self.seeds[1:]]
+        self._check_drivers()
+        if config.centralised_critic and self.env.vehicles == 1:
+            raise ValueError("centralised_critic = True needs an environment with more than one vehicle")
+        if config.cost_growth and self.known_utility and not self.env.costs.any():
+            raise ValueError(
+                f"cost_growth = {config.cost_growth} must be 0 in {self.env.name}: none of its objectives "
+                f"{self.env.objectives} is known to be a cost"
+            )
+        self.share_policy = share_policy
+        self.scales = self.env.chosen_objective_scales(config.objective_scales)
+        self.observation_scales = torch.tensor(self.env.observation_scales, device=self.device)
+        self.objective_scales = torch.tensor(self.scales, device=self.device)
+        self.prepare()
+        generators = [self.initial_generator(index) for index in range(len(self.seeds))]
+        self.learners = [
+            PolicyLearner(
+                [self.make_networks(generator).to(self.device) for generator in generators],
+                config.max_grad_norm,
+                vehicles,
+                self.utilities[vehicles[0]].unchecked() if self.utilities else None,
+                len(self.env.objectives),
+            )
+            for vehicles in self.vehicle_groups(share_policy, self.partners)
+        ]
+        self.preferences_now: TrainingPreferences | None = None
+        self._collector: Collector | None = None
+        self._learning_rate, self._entropy_coefficient = torch.zeros(2, device=self.device)
+        self._graph: Any = None
+        self._warmed_up = 0  # updates in this process
+        self._losses: dict[str, torch.Tensor] = {}
+        self._problems: dict[int, str] = {}  # of the worlds, by the index of the seed
+
+    def prepare(self) -> None:
+        """Called before networks are made; a subclass may prepare here what they depend on."""
+
+    def _check_drivers(self) -> None:
+        for driver in (*self.partners.values(), *(guide.driver for guide in self.guides[0])):
             check_same_task(driver.members[0].env, self.env)
-        for guide in self.guides:
+        for guide in self.guides[0]:
             if guide.vehicle in self.partners:
                 vehicle = vehicle_name(guide.vehicle)
                 raise ValueError(f"{vehicle} has a guide, but does not learn: partners drive it")
-        self.learners = [
-            self.learner(self.env, vehicles, self.utilities[vehicles[0]], self.config, self.initial, self.device)
-            for vehicles in self.vehicle_groups(share_policy, self.partners)
-        ]
-        self.collector = Collector(self.env, self.gamma, self.config.steps)
-        self._compiled: CompiledCollection | None = None
-        if self.config.cost_growth and any(guide.driver.observes_accrued_reward for guide in self.guides):
+        growth = self.config.cost_growth
+        if growth and self.known_utility and any(guide.driver.observes_accrued_reward for guide in self.guides[0]):
             raise ValueError(
-                f"cost_growth = {self.config.cost_growth} must be 0 with a guide that observes the accrued reward, in "
+                f"cost_growth = {growth} must be 0 with a guide that observes the accrued reward, in "
                 "which costs would be missing; take a guide that does not observe it, such as a rule"
             )
-        if self.config.cost_growth and not self.env.costs.any():
-            raise ValueError(
-                f"cost_growth = {self.config.cost_growth} must be 0 in {self.env.name}: none of its objectives "
-                f"{self.env.objectives} is known to be a cost"
-            )
+
+    # -------------------------------------------------------------------------------------------- what an algorithm is
+
+    @abstractmethod
+    def advantages(
+        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """A_t (T, N) and the critic's targets y_t (T, N, K), a pure function of tensors, for one seed.
+
+        Args:
+            rollout: T steps of N environments.
+            values: (T, N, K) v(S_t).
+            next_values: (T, N, K) v(S_{t+1}): 0 after termination, that of the true final state after truncation.
+        """
+
+    @abstractmethod
+    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+        """The loss of one seed's samples, a pure function of tensors; ``networks`` has an actor and a critic."""
+
+    @property
+    def input_size(self) -> int:
+        """Width of what an actor sees."""
+        return self.env.observation_size + len(self.env.objectives) * self.observes_accrued + self.observes_discount
+
+    def inputs(
+        self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, preference: Any = None
+    ) -> torch.Tensor:
+        """What an actor sees, scaled, (..., input_size): s_t, and R_t and g^t where it observes them.
+
+        Args:
+            observations: (..., o) s_t.
+            accrued: (..., d) accrued reward R_t.
+            discounts: (...) discount g^t that belongs to it.
+            preference: under which it acts, where there are any.
+        """
+        del preference
+        parts = [observations / self.observation_scales]
+        if self.observes_accrued:
+            parts.append(accrued / self.objective_scales)
+        if self.observes_discount:
+            parts.append(discounts.unsqueeze(-1))
+        return torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]
+
+    @property
+    def state_size(self) -> int:
+        """Width of what a critic sees."""
+        others = (self.env.vehicles - 1) * self.env.observation_size if self.config.centralised_critic else 0
+        return self.input_size + others
+
+    def states(self, storage: RolloutStorage, vehicles: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+        """What the critic of some vehicles sees before each step, and after it: (S, T + 1, N k, c), (S, T, N k, c).
+
+        That is what the actor sees, and with a centralised critic what the other vehicles observe.
+        """
+
+        def seen(inputs: torch.Tensor) -> torch.Tensor:
+            own = storage.of_vehicles(inputs, vehicles)
+            if not self.config.centralised_critic:
+                return own
+            observed = inputs[..., : self.env.observation_size]
+            others = [
+                torch.cat([observed[:, :, :, v] for v in range(self.env.vehicles) if v != vehicle], dim=-1)
+                for vehicle in vehicles
+            ]
+            return torch.cat([own, torch.stack(others, dim=3).flatten(2, 3)], dim=-1)
+
+        return seen(storage.inputs), seen(storage.final_inputs)
+
+    @property
+    def value_scales(self) -> torch.Tensor:
+        """(K,) by which the critic's outputs are multiplied."""
+        return torch.full((1,), self.config.value_scale, device=self.device)
+
+    def make_networks(self, generator: torch.Generator) -> Networks:
+        """An actor and a critic."""
+        config, env = self.config, self.env
+        return Networks(
+            actor=make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous),
+            critic=make_network(config, self.state_size, len(self.value_scales), generator),
+        )
+
+    def diagnose(self, learner: PolicyLearner, seed: int) -> None:
+        """Find out why a loss of the seed with this index is not finite, by calling with checks what may be the cause.
+
+        Raises:
+            NotFinite: with the cause, if it is found.
+        """
+
+    # ---------------------------------------------------------------------------------------------------------- acting
 
     @property
     def gamma(self) -> float | NDArray[np.float32]:
@@ -239,25 +343,33 @@ class ActorCritic(Agent):
     @property
     def schedules(self) -> list[str]:
         """Those of learning rate, entropy and costs, and guides, which withdraw."""
-        return [*schedules(self.config), *self.guides.schedules]
+        return [*schedules(self.config), *self.guides[0].schedules]
 
     @property
     def observes_accrued_reward(self) -> bool:
         """Whether an actor sees R_t or g^t."""
-        return any(learner.observes_accrued or learner.observes_discount for learner in self.learners)
-
-    # --------------------------------------------------------------------------------------------- acting and learning
+        return bool(self.observes_accrued or self.observes_discount)
 
     @torch.inference_mode()
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
+        return self._act(observations, accrued_reward, None, generator)
+
+    def _act(
+        self,
+        observations: NDArray[np.float32],
+        accrued_reward: AccruedReward,
+        preference: Any,
+        generator: torch.Generator | None,
+    ) -> NDArray[Any]:
         chosen = {v: each.act(observations, accrued_reward, generator) for v, each in self.partners.items()}
+        arrays = (observations, accrued_reward.value, accrued_reward.discounts)
+        inputs = self.inputs(*(torch.from_numpy(each).to(self.device) for each in arrays), preference)
         for learner in self.learners:
-            arrays = (observations, accrued_reward.value, accrued_reward.discounts)
-            x = learner.inputs(*(learner.rows(array).to(self.device) for array in arrays))
-            chosen |= learner.choose(x, generator)
+            actions = learner.actor.act(inputs[:, learner.vehicles], generator).cpu().numpy()
+            chosen |= {v: actions[:, j] for j, v in enumerate(learner.vehicles)}
         return chosen[0][:, None] if len(chosen) == 1 else np.stack([chosen[v] for v in sorted(chosen)], axis=1)
 
     def eval(self, obs: NDArray[Any], accrued_reward: NDArray[Any] | None = None, discount: float = 1.0) -> Any:
@@ -278,116 +390,294 @@ class ActorCritic(Agent):
         observations = self.env.policy_observations(np.asarray(obs)[None]).astype(np.float32)
         return self.env.environment_actions(self.act(observations, so_far, None))[0]
 
-    def _explore(self, observations: NDArray[np.float32], accrued_reward: AccruedReward) -> NDArray[Any]:
-        actions = self.act(observations, accrued_reward, self.generator)
-        return self.guides.drive(actions, observations, accrued_reward, self.generator)
+    # ------------------------------------------------------------------------------------------------------ the update
 
     def begin(self) -> None:
         """Reset the environments."""
-        self.collector.reset(self.env_seed)
+        self.collector.reset()
 
-    def update(self, progress: float) -> dict[str, float]:
-        """Collect one rollout; each learner learns from its vehicles' part."""
+    def update(self, progress: float) -> dict[str, Any]:
+        """Collect one rollout; each policy learns from its vehicles' part."""
         config = self.config
-        self.collector.buffers.shares[:] = self.reward_shares(progress)
-        rollout, episodes = self._collect(progress)
-        self.episodes.append(episodes)
+        learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
+        entropy = geometric_schedule(config.entropy_start, config.entropy_end, progress / config.entropy_until)
+        self._learning_rate.fill_(learning_rate)
+        self._entropy_coefficient.fill_(entropy)
+        self.grow_costs(progress / config.cost_growth if progress < config.cost_growth else 1.0)
+        for guides in self.guides:
+            guides.begin_rollout(progress)
+        for seed in range(len(self.seeds)):
+            self._draw(seed)
+        self._run()
         self.step += config.steps * self.env.num_envs
         self.updates += 1
+        return {
+            LEARNING_RATE: learning_rate,
+            ENTROPY_COEFFICIENT: entropy,
+            **{name: loss for name, loss in self._losses.items() if not name.endswith(NORM)},
+        }
 
-        learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
-        entropy_coefficient = geometric_schedule(
-            config.entropy_start, config.entropy_end, progress / config.entropy_until
+    def grow_costs(self, share: float) -> None:
+        """Multiply the costs among the rewards that are learnt from by a share."""
+        costs = torch.from_numpy(self.env.costs).to(self.device)
+        for learner in self.learners:
+            for v in learner.vehicles:
+                self.collector.shares[v] = torch.where(costs, share, 1.0)
+
+    def _draw(self, seed: int) -> None:
+        """Draw the random numbers of an update of the seed with this index."""
+        generator = torch.Generator(self.device)
+        for learner in self.learners:
+            generator.manual_seed(self.seed_of(LEARNING + learner.vehicles[0], seed))
+            learner.actor.draw(learner.noise[seed], generator)
+            learner.keys[seed].uniform_(generator=generator)
+
+    def _run(self) -> None:
+        """The part of an update that is the same every time; on a GPU one CUDA graph where only learners drive."""
+        self._warmed_up += 1
+        if self.device.type == "cpu" or self._warmed_up <= WARM_UP or self.partners or any(self.guides[0]):
+            self._collect_and_learn()
+            return
+        if self._graph is None:
+            self._graph = torch.cuda.CUDAGraph()
+            torch.cuda.synchronize(self.device)
+            with torch.cuda.device(self.device), torch.cuda.graph(self._graph):
+                self._collect_and_learn()
+        self._graph.replay()
+
+    @torch.no_grad()
+    def _collect_and_learn(self) -> None:
+        storage = self.collector.storage
+        self.collector.collect()
+        self.before_learning(storage)
+        for learner in self.learners:
+            values = storage.of_vehicles(storage.ended_values, learner.vehicles)
+            learner.note_episodes(values, storage.of_vehicles(storage.ended, learner.vehicles))
+            prefix = vehicle_prefix(learner.vehicles[0], self.env.vehicles) if len(learner.vehicles) == 1 else ""
+            self._losses |= {prefix + name: loss for name, loss in self.learn_once(learner, storage).items()}
+        if self.preferences_now is not None:
+            self.preferences_now.note_episodes(storage.ended_values, storage.ended)
+
+    def before_learning(self, storage: RolloutStorage) -> None:
+        """Called between collecting a rollout and learning from it."""
+
+    def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+        """Epochs of minibatch steps on a rollout; the means over them of the parts of the loss, (S,)."""
+        rollout = self.rollout_of(learner, storage)
+        samples = learner.compute(learner.prepare, rollout)
+        steps = [
+            learner.minimise(self._loss, samples, rows, self._learning_rate, self._entropy_coefficient)
+            for rows in self._minibatches(samples, learner.keys)
+        ]
+        return {name: torch.stack([step[name] for step in steps]).mean(0) for name in steps[0]}
+
+    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+        """The fields of :class:`Rollout` of a policy, with the axis of seeds."""
+        states, final_states = self.states(storage, learner.vehicles)
+        own = {each.name for each in fields(storage)} & {each.name for each in fields(Rollout)}
+        ideal = learner.expected_return if self.preferences_now is None else self.preferences_now.ideal
+        return {
+            **{name: storage.of_vehicles(getattr(storage, name), learner.vehicles) for name in own},
+            "states": states,
+            "final_states": final_states,
+            "expected_return": learner.expected_return,
+            "ideal": ideal,
+        }
+
+    def _samples(
+        self, utility: Utility | None, always: bool, networks: Networks, tensors: dict[str, torch.Tensor]
+    ) -> dict[str, torch.Tensor]:
+        """What one seed learns from its rollout, (T N, ...), by the fields of Samples."""
+        samples = self.samples(networks, Rollout(**tensors, utility=utility))
+        if always:
+            samples = samples._replace(weights=None)
+        return {name: each.flatten(0, 1) for name, each in samples._asdict().items() if each is not None}
+
+    def samples(self, networks: Networks, rollout: Rollout) -> Samples:
+        """What one seed learns from its rollout, (T, N, ...): A_t, y_t and log pi_old of the networks as they are."""
+        scales = self.value_scales
+        values = scales * networks.critic(rollout.states)
+        next_values = self.next_values(networks, rollout, values)
+        advantages, targets = self.advantages(rollout, values[:-1], next_values)
+        weights = rollout.acted.to(advantages.dtype)
+        if self.config.normalise_advantages:
+            advantages = normalise(advantages, weights)
+        log_prob = networks.actor(rollout.inputs[:-1], rollout.actions)[0] if self.compares_policies else None
+        targets = targets / scales
+        return Samples(
+            rollout.inputs[:-1], rollout.states[:-1], rollout.actions, advantages, targets, log_prob, weights
         )
-        for learner in self.learners:
-            learner.on_episodes_end(episodes.discounted[np.isin(episodes.vehicles, learner.vehicles)])
-        losses = self.learn(rollout, learning_rate, entropy_coefficient)
-        return {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient, **losses}
 
-    def _collect(self, progress: float) -> tuple[Rollout, Episodes]:
-        """A rollout; if nothing but our compiled code acts, in one compiled call, with the same bits."""
-        if self._compiled is None and self._can_be_compiled():
-            self._compiled = CompiledCollection(
-                self.collector,
-                {learner.vehicles: learner.actor for learner in self.learners},
-                self.learners[0].objective_scales.numpy() if self.learners[0].observes_accrued else None,
+    def next_values(self, networks: Networks, rollout: Rollout, values: torch.Tensor) -> torch.Tensor:
+        """v(S_{t+1}) (T, N, K) from v (T + 1, N, K) of S_0 to S_T and of the true final states."""
+        final = values[1:]
+        if self.collector.static or rollout.truncated.any():
+            final = self.value_scales * networks.critic(rollout.final_states)
+        return bootstrapped(values[1:], final, rollout.terminated, rollout.truncated)
+
+    def _loss(self, networks: Networks, tensors: dict[str, torch.Tensor], entropy_coefficient: torch.Tensor) -> Loss:
+        return self.loss(networks, self.Samples(**tensors), entropy_coefficient)
+
+    def _minibatches(self, samples: Mapping[str, torch.Tensor], keys: torch.Tensor) -> Iterator[list[torch.Tensor]]:
+        """The samples of every gradient step: [(S, m)] indices, or [] for all.
+
+        In the order of random keys, in parts that have, but for one, as many of weight 1.
+        """
+        parts = min(getattr(self.config, "minibatches", 1), keys.shape[2])
+        for epoch in range(keys.shape[1]):
+            if parts == 1:
+                yield []
+                continue
+            order = keys[:, epoch]
+            if "weights" in samples:
+                order = order + (samples["weights"] == 0.0)
+            order = order.argsort(dim=-1)
+            for part in range(parts):
+                yield [order[:, part::parts].contiguous()]
+
+    # ------------------------------------------------------------------------------------------------------ collecting
+
+    @property
+    def collector(self) -> Collector:
+        """What collects, made when it is first needed: an agent that only acts needs none."""
+        if self._collector is None:
+            config, env, seeds = self.config, self.env, len(self.seeds)
+            shape = seeds, config.steps, env.num_envs
+            if self.resident:
+                inner: Any = env.vector_env.unwrapped
+                worlds: Any = DeviceWorlds(inner.config, self.env_seeds, env.num_envs, self.device)
+            else:
+                worlds = EnvWorlds(env, self.env_seed)
+            self.preferences_now = self.training_preferences(shape)
+            self._collector = Collector(
+                self, env, worlds, shape, self.episodes, self.preferences_now, static=self.resident
             )
-        if self._compiled is not None:
-            self._compiled.collect(self.generator)
-            return self.collector.collected()
-        self.guides.begin_rollout(progress)
-        rollout, episodes = self.collector.collect(self._explore)
-        self.guides.hide(rollout)
-        return rollout, episodes
-
-    def _can_be_compiled(self) -> bool:
-        """Whether the learners alone act, as this class and Learner define it."""
-        own = type(self).act is ActorCritic.act and type(self)._explore is ActorCritic._explore
-        alone = not self.partners and not any(self.guides)
-        usual = all(map(self._sees_what_is_usual, self.learners))
-        actors = [learner.actor for learner in self.learners]
-        return own and alone and usual and CompiledCollection.serves(self.collector, actors)
-
-    def _sees_what_is_usual(self, learner: Learner) -> bool:
-        """Whether a learner's actor sees what Learner defines, in the scales that all learners share."""
-        scales = np.array_equal(learner.observation_scales.cpu().numpy(), self.env.observation_scales)
-        units = torch.equal(learner.objective_scales, self.learners[0].objective_scales)
-        return type(learner).inputs is Learner.inputs and scales and units
-
-    def reward_shares(self, progress: float) -> NDArray[np.float32]:
-        """By what rewards are multiplied, (V, d): 1, and less for costs while these grow."""
-        shares = np.ones((self.env.vehicles, len(self.env.objectives)), dtype=np.float32)
-        if progress < self.config.cost_growth:
+            self._collector.accrued_discounts[:] = torch.from_numpy(
+                np.broadcast_to(np.float32(self.gamma), env.vehicles).copy()
+            )
+            # Whether all samples count: no vehicle waits for another's end, and no guide drives.
+            always = env.native and env.vehicles == 1 and not any(self.guides[0])
             for learner in self.learners:
-                for v in learner.vehicles:
-                    shares[v, self.env.costs] = progress / self.config.cost_growth
-        return shares
+                learner.prepare = partial(self._samples, learner.utility, always)
+                rows = env.num_envs * len(learner.vehicles)
+                noise = (seeds, config.steps, env.num_envs, len(learner.vehicles), learner.actor.noise)
+                learner.noise = torch.zeros(noise, device=self.device)
+                learner.keys = torch.zeros(seeds, getattr(config, "epochs", 1), config.steps * rows, device=self.device)
+        return self._collector
 
-    def learn(self, rollout: Rollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
-        """Each learner learns from its vehicles' part of a rollout; the losses by name."""
-        metrics: dict[str, float] = {}
+    def training_preferences(self, shape: tuple[int, int, int]) -> TrainingPreferences | None:
+        """Those under which S seeds act in T steps of N environments; None for no preferences."""
+        del shape
+        return None
+
+    def decide(self, t: int, at: RolloutStorage, now: Running) -> None:
+        """Write the actions of step t: those of all policies, then those of partners and guides."""
         for learner in self.learners:
-            own = rollout.of_vehicles(learner.vehicles, self.device, others=learner.others_size > 0)
-            generator = self.update_generator(SHUFFLES + learner.vehicle)
-            losses = learner.update(own, learning_rate, entropy_coefficient, generator)
-            prefix = learner.metric_prefix(self.env.vehicles)
-            metrics |= {prefix + name: value for name, value in losses.items()}
-        return metrics
+            if self.env.vehicles == 1:
+                chosen, at.outputs[:] = learner.compute(_choose, (at.inputs, learner.noise[:, t]))
+                at.actions.copy_(chosen)
+                continue
+            vehicles = list(learner.vehicles)
+            seen = torch.stack([at.inputs[:, :, v] for v in vehicles], dim=2)
+            chosen, outputs = learner.compute(_choose, (seen, learner.noise[:, t]))
+            for j, v in enumerate(vehicles):
+                at.actions[:, :, v], at.outputs[:, :, v] = chosen[:, :, j], outputs[:, :, j]
+        if self.partners or any(self.guides[0]):
+            self._drive(at, now)
+
+    def _drive(self, at: RolloutStorage, now: Running) -> None:
+        """Let partners and guides drive, for whom observations and actions are arrays."""
+        for seed, guides in enumerate(self.guides):
+            observations, past = now.arrays(seed)
+            taken = at.actions[seed].cpu().numpy()
+            for v, partner in self.partners.items():
+                taken[:, v] = partner.act(observations, past, self.generator)
+            for guide in guides:
+                led = guide.drive(taken, observations, past, self.generator)
+                at.led[seed, :, guide.vehicle] = torch.from_numpy(led).to(self.device)
+            at.actions[seed] = torch.from_numpy(taken).to(self.device)
+
+    def check(self, seed: int) -> None:
+        """Refuse what the seed with this index has computed, if it is not finite.
+
+        Raises:
+            NotFinite: with its origin.
+        """
+        storage = self.collector.storage
+        self.collector.check(seed)
+        finite = storage.outputs[seed].isfinite()
+        if not finite.all():
+            environment = int((~finite).nonzero()[0, 1])
+            raise NotFinite(f"environment {environment}: an output of the policy's network is not finite")
+        self._problems |= self.collector.worlds.check()
+        if seed in self._problems:
+            raise NotFinite(self._problems[seed])
+        for name, loss in self._losses.items():
+            if name.endswith(NORM) and not loss[seed].isfinite():
+                for learner in self.learners:
+                    self.diagnose(learner, seed)
+                prefix = name.removesuffix(NORM)
+                parts = {part: float(each[seed]) for part, each in self._losses.items() if part.startswith(prefix)}
+                named = ", ".join(f"{part} = {value:g}" for part, value in parts.items() if not part.endswith(NORM))
+                raise NotFinite(f"{name} = {float(loss[seed])} in single precision ({named})")
+
+    # ----------------------------------------------------------------------------------------------------------- seeds
+
+    def gradient_steps(self, total_timesteps: int) -> int:
+        """How many there are in a training."""
+        config = self.config
+        updates = total_timesteps // (config.steps * self.env.num_envs)
+        return int(updates * getattr(config, "epochs", 1) * getattr(config, "minibatches", 1))
+
+    def of_seed(self, index: int) -> Any:
+        """The agent of the seed with this index, on the CPU, with what it has learnt; itself if there is no other."""
+        if not self.resident:
+            return self
+        utility = (self.utilities,) if self.known_utility else ()
+        agent = type(self)(
+            self.env.vector_env, *utility, seed=self.seeds[index], config=self.config, **self._driving_options()
+        )
+        agent.step, agent.updates = self.step, self.updates
+        agent.set_policy({name: each.cpu() for name, each in self.get_policy(index).items()})
+        return agent
+
+    def _driving_options(self) -> dict[str, Any]:
+        return {"partners": self.partners, "guides": [*self.guides[0]], "share_policy": self.share_policy}
+
+    def _fail(self, seed: int, error: Any, when: str) -> None:
+        super()._fail(seed, error, when)
+        for learner in self.learners:
+            learner.park(seed)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
         drivers = {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()}
+        shared = {SHARED: True} if any(len(learner.vehicles) > 1 for learner in self.learners) else {}
         return {
             **super().identity(),
             **self.config.identity(continuous=self.env.continuous),
             "centralised_critic": self.config.centralised_critic,
-            "inputs": self.learners[0].input_size,
+            "inputs": self.input_size,
             **self._units(),
-            **learners_identity(self.learners),
+            **shared,
             PARTNERS: drivers,
-            GUIDES: self.guides.identity(),
+            GUIDES: self.guides[0].identity(),
         }
 
     def _units(self) -> dict[str, Any]:
-        """What the learners observe the accrued reward in units of."""
-        learner = self.learners[0]
+        """What the policies observe the accrued reward in units of."""
         units: dict[str, Any] = {}
-        if learner.observes_accrued:
-            units[OBJECTIVE_SCALES] = learner.objective_scales.tolist()
-        if learner.observes_accrued or learner.observes_discount:
+        if self.observes_accrued:
+            units[OBJECTIVE_SCALES] = self.scales.tolist()
+        if self.observes_accrued_reward:
             units[ACCRUED_GAMMA] = self.accrued_discount
         return units
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Learners, guides, environments and running episodes."""
-        state: dict[str, torch.Tensor] = {}
-        for learner in self.learners:
-            state |= {f"{learner.name}.{name}": tensor for name, tensor in learner.get_state().items()}
-        state |= self.guides.get_state()
-        state |= {f"collector.{name}": tensor for name, tensor in self.collector.tensors().items()}
-        return state
+        """Learners, guides, worlds and running episodes of the first seed."""
+        return self.get_seed_state(0)
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
         """Resume from :meth:`get_state`.
@@ -395,20 +685,51 @@ class ActorCritic(Agent):
         Raises:
             ValueError: for values from which training cannot continue.
         """
-        for learner in self.learners:
-            learner.set_state(strip_prefix(state, f"{learner.name}."))
-        self.guides.set_state(state)
-        self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
+        self.set_seed_states([state])
 
-    def get_policy(self) -> dict[str, torch.Tensor]:
+    def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
+        """:meth:`get_state` of the seed with this index."""
+        state = {
+            f"{learner.name}.{name}": each
+            for learner in self.learners
+            for name, each in learner.get_state(seed).items()
+        }
+        state |= self.guides[seed].get_state()
+        return state | {f"collector.{name}": each for name, each in self.collector.get_state(seed).items()}
+
+    def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
+        """Resume from :meth:`get_seed_state` of all seeds.
+
+        Raises:
+            ValueError: for values from which training cannot continue.
+        """
+        for seed, state in enumerate(states):
+            for learner in self.learners:
+                learner.set_state(strip_prefix(state, f"{learner.name}."), seed)
+            self.guides[seed].set_state(state)
+        self.collector.set_state([strip_prefix(state, "collector.") for state in states], self.step)
+        rollouts, rest = divmod(self.step, per_update := self.config.steps * self.env.num_envs)
+        if rest or rollouts != self.updates:
+            raise ValueError(f"step = {self.step} must be the {per_update} steps of each of {self.updates} updates")
+
+    def get_policy(self, seed: int = 0) -> dict[str, torch.Tensor]:
         """The actors' weights."""
         return {
-            f"{learner.name}.{name}": tensor
+            f"{learner.name}.{name}": each
             for learner in self.learners
-            for name, tensor in learner.get_policy().items()
+            for name, each in learner.get_weights("actor", seed).items()
         }
 
     def set_policy(self, state: dict[str, torch.Tensor]) -> None:
         """Take the actors' weights."""
         for learner in self.learners:
-            learner.set_policy(strip_prefix(state, f"{learner.name}."))
+            learner.set_weights(strip_prefix(state, f"{learner.name}."))
+
+
+def _choose(networks: Networks, seen: tuple[torch.Tensor, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Actions (N, V) or (N, V, k) for inputs (N, V, i) and random numbers, and the sums (N, V) of the outputs."""
+    actor: Actor = networks.actor
+    outputs = actor.body(seen[0])
+    chosen = actor.choose(outputs, seen[1])
+    # Worlds take no numbers that are not finite; the sums tell of them.
+    return chosen.nan_to_num(0.0) if chosen.is_floating_point() else chosen, outputs.sum(-1)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Container, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -20,17 +20,18 @@ from algorithms.files.checkpoints import (
     GUIDES,
     PARTNERS,
     POLICY_ONLY,
+    RESIDENT,
     SEED,
     STEP,
     UPDATES,
     check_tensors,
     read_checkpoint,
-    strip_prefix,
     write_checkpoint,
 )
 from algorithms.hyperparameters import a_twentieth
-from algorithms.networks.threads import limited_threads
-from algorithms.rollouts.buffers import Episodes
+from algorithms.learning.compiling import WORTHWHILE, has_compiler
+from algorithms.learning.storage import EpisodeSums
+from algorithms.learning.threads import limited_threads
 from mo_deepdrive.config import Settings, parse
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import evaluate, evaluate_each, vehicle_utilities
@@ -44,27 +45,27 @@ from mo_deepdrive.evaluation.metrics import (
     evaluation_prefix,
     joint_objectives,
     return_of,
-    summarise,
     vehicle_prefix,
 )
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
 from mo_deepdrive.faults import Fault, check_numbers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from gymnasium.vector import VectorEnv
     from numpy.typing import ArrayLike, NDArray
 
+    from algorithms.learning.learner import Learner
     from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.episodes import UtilityLike
     from mo_deepdrive.evaluation.evaluation import Evaluation
     from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.utilities import Utility
 
-ACTIONS, DRAWS, SHUFFLES = 0, 1, 2  # streams of random numbers; of the vehicle v, SHUFFLES + v
-EPISODES = "unlogged."  # prefix of the tensors of episodes that have not been logged yet
+ACTIONS, DRAWS, LEARNING = 0, 1, 2  # streams of random numbers; of the vehicle v, LEARNING + v
+EPISODES = "episodes"  # the tensor of sums over the episodes that have not been logged yet
 
 Log = Callable[[int, dict[str, float]], None]
 LogFront = Callable[[int, Front], None]
@@ -105,14 +106,14 @@ class Agent(ABC):
     - :meth:`get_state` and :meth:`set_state`: what determines the rest of the run, as named tensors. The names of an
       optimiser's contain "optimiser.". ``step``, ``updates`` and ``episodes`` are saved here.
 
+    Of several seeds that train side by side, :meth:`of_seed` is the agent of one.
+
     It may define ``name``, :meth:`begin`, :meth:`get_policy` and :meth:`set_policy`, :meth:`identity` and
     :attr:`varying_shapes`. It may use the attributes below and
 
-    - :class:`algorithms.rollouts.collector.Collector`: T steps of all environments as one rollout, and the episodes
-      that ended; its state is part of the agent's unless every update resets it.
     - :class:`mo_deepdrive.evaluation.env_adapter.EnvAdapter`, which is ``env``: reset and step in shapes (N, V, ...).
-    - :mod:`algorithms.networks.modules`, with :class:`algorithms.hyperparameters.NetworkSettings` for a Config.
-    - :mod:`algorithms.rollouts.advantages` and :mod:`algorithms.networks.optimiser`.
+    - :class:`algorithms.learning.learner.Learner`: networks, and steps of Adam down the gradient of a loss.
+    - :mod:`algorithms.learning.networks`, with :class:`algorithms.hyperparameters.NetworkSettings` for a Config.
 
     Everything random is drawn from ``initial``, ``generator`` or what :meth:`update_generator` makes, so that a run can
     be repeated and resumed bit for bit.
@@ -121,8 +122,10 @@ class Agent(ABC):
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
         utility: the known utility, its name or a function of returns (..., d), or a list with one per vehicle; None for
             agents that learn a front.
-        seed: determines the run, bit for bit on one machine.
-        device: of the networks.
+        seed: determines the run, bit for bit on one machine; several seeds train side by side.
+        device: of what learns; "cuda" moves the environments there, too.
+        compiled: whether gradient steps go through ``torch.compile``; "auto" where that saves more time than it takes
+            and a compiler is there. The numbers are the same but for rounding.
         config: the hyperparameters, an instance of the class's Config.
         **hyperparameters: fields of the Config, in place of ``config``.
 
@@ -132,16 +135,20 @@ class Agent(ABC):
         trains_with_partners: whether its constructor takes ``partners``, which drive vehicles that do not learn.
         trains_with_guides: whether it takes ``guides``, which begin episodes of vehicles that learn.
         shares_policies: whether it takes ``share_policy``, with which one policy drives all vehicles.
-        trains_on_devices: whether :mod:`algorithms.device` can train it, with several seeds side by side.
+        trains_on_devices: whether it can train on a GPU, and several seeds side by side.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
             ``set_state`` and ``set_policy`` check them.
         config: the hyperparameters.
         env: the training environment in the trainers' shapes.
+        learners: what learns by gradient steps.
+        scales: (d,) nominal size of each objective's return.
         utilities: one per vehicle; empty where none is known.
         device: of the networks.
-        step: environment steps taken, over all parallel environments.
+        seed, seeds: the only seed or the first one, and all S of them.
+        failed: why seeds ended before the others, by their indices.
+        step: environment steps that each seed has taken, over all its parallel environments.
         updates: rollouts, or rounds of episodes, that have been collected.
-        episodes: those that ended since training metrics were last logged.
+        episodes: sums over those that ended since training metrics were last logged.
         initial: generator of the initial weights.
         generator: generator of the exploring actions, seeded anew before every update of :meth:`train`.
         env_seed: of the first reset of the training environment.
@@ -170,8 +177,9 @@ class Agent(ABC):
         env: VectorEnv,
         utility: UtilityLike | Sequence[UtilityLike] | None = None,
         *,
-        seed: int = 0,
+        seed: int | Sequence[int] = 0,
         device: str = "cpu",
+        compiled: bool | Literal["auto"] = "auto",
         config: Settings | None = None,
         **hyperparameters: Any,
     ):
@@ -179,30 +187,71 @@ class Agent(ABC):
         if self.known_utility and utility is None:
             raise ValueError(f"utility is missing: algorithm {self.name!r} learns for a known utility")
         self.env = EnvAdapter(env)
-        self.seed = seed
-        self.device = torch.device(device)
+        self.scales = self.env.objective_scales
+        self.seeds = (seed,) if isinstance(seed, int) else tuple(seed)
+        self.device, self.compiled = torch.device(device), compiled
+        self.learners: Sequence[Learner] = ()
+        on_gpu = self.device.type != "cpu"
+        if not self.seeds or ((len(self.seeds) > 1 or on_gpu) and not (self.trains_on_devices and self.env.native)):
+            raise ValueError(
+                f"seed = {seed!r}, device = {device!r}: algorithm {self.name!r} in {self.env.name} trains one seed, on "
+                "the CPU"
+            )
         self.utilities: list[Utility] = list(vehicle_utilities(utility, self.env))
-        weights_seed, env_seed = np.random.SeedSequence(seed).generate_state(2)
-        self.initial = torch.Generator().manual_seed(int(weights_seed))
+        self.initial = self.initial_generator(0)
         self.generator = torch.Generator(self.device)
-        self.env_seed = FIRST_TRAINING_SEED + int(env_seed)
         self.step = 0
         self.updates = 0
-        self.episodes: list[Episodes] = []
+        self.failed: dict[int, str] = {}
+        unchecked = [each.unchecked() for each in self.utilities]
+        self.episodes = EpisodeSums(
+            len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device
+        )
         self._seed_actions()
+
+    @property
+    def seed(self) -> int:
+        """The only seed, or the first one."""
+        return self.seeds[0]
+
+    def initial_generator(self, index: int) -> torch.Generator:
+        """The generator of the initial weights of the seed with this index."""
+        return torch.Generator().manual_seed(int(np.random.SeedSequence(self.seeds[index]).generate_state(2)[0]))
+
+    @property
+    def env_seeds(self) -> list[int]:
+        """Of the first reset of every seed's training environment."""
+        return [FIRST_TRAINING_SEED + int(np.random.SeedSequence(each).generate_state(2)[1]) for each in self.seeds]
+
+    @property
+    def env_seed(self) -> int:
+        """That of the only seed."""
+        return self.env_seeds[0]
+
+    def of_seed(self, index: int) -> Any:
+        """The agent of the seed with this index, on the CPU, with what it has learnt; itself if there is no other."""
+        assert index == 0
+        return self
 
     def update_generator(self, stream: int) -> torch.Generator:
         """The random numbers of an update: a function of the run's seed, a stream and the number of updates so far.
 
         Nothing of them has to be saved. Stream 0 has the exploring actions.
         """
-        return torch.Generator().manual_seed(self._seed_of(stream))
+        return torch.Generator().manual_seed(self.seed_of(stream))
 
-    def _seed_of(self, stream: int) -> int:
-        return int(np.random.SeedSequence([self.seed, stream, self.updates]).generate_state(1, np.uint64)[0]) >> 1
+    def seed_of(self, stream: int, index: int = 0) -> int:
+        """What :meth:`update_generator` is seeded with, of the seed with this index."""
+        entropy = [self.seeds[index], stream, self.updates]
+        return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0]) >> 1
 
     def _seed_actions(self) -> None:
-        self.generator.manual_seed(self._seed_of(ACTIONS))
+        self.generator.manual_seed(self.seed_of(ACTIONS))
+
+    @property
+    def resident(self) -> bool:
+        """Whether the worlds are on the device, as those of several seeds are."""
+        return len(self.seeds) > 1 or self.device.type != "cpu"
 
     @classmethod
     def _config_of(cls, config: Settings | None, hyperparameters: dict[str, Any]) -> Settings:
@@ -274,8 +323,8 @@ class Agent(ABC):
         return
 
     @abstractmethod
-    def update(self, progress: float) -> dict[str, float]:
-        """Act and learn once, and return the losses by name, which must be finite.
+    def update(self, progress: float) -> dict[str, Any]:
+        """Act and learn once, and return the losses by name: numbers, or tensors (S,) with one for each seed.
 
         Adds the environment steps that it took to ``step``, 1 to ``updates``, and to ``episodes`` those that ended.
 
@@ -318,7 +367,9 @@ class Agent(ABC):
 
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
+        resident = {RESIDENT: True} if self.resident else {}
         return {
+            **resident,
             "algorithm": self.name,
             "environment": self.env.name,
             "observation_size": self.env.observation_size,
@@ -342,8 +393,8 @@ class Agent(ABC):
         eval_gamma: float = 0.99,
         reference_point: Sequence[float] | None = None,
         reference_front: NDArray[np.float64] | None = None,
-        log: Log | None = None,
-        log_front: LogFront | None = None,
+        log: Log | Sequence[Log] | None = None,
+        log_front: LogFront | Sequence[LogFront] | None = None,
         log_interval: int = 10,
         after_update: Callable[[Any], bool] | None = None,
     ) -> None:
@@ -360,14 +411,14 @@ class Agent(ABC):
             eval_gamma: discount of the reported returns.
             reference_point: (d,) of the hypervolume of a front; None for no hypervolume.
             reference_front: (k, d) best-known front; None where there is none.
-            log: called as ``log(step, metrics)``.
-            log_front: called as ``log_front(step, front)`` by agents that learn a front.
+            log: called as ``log(step, metrics)``; with several seeds one function for each.
+            log_front: called as ``log_front(step, front)`` by agents that learn a front; one for each seed.
             log_interval: updates between two rows of training metrics.
             after_update: called as ``after_update(agent)``; True stops training.
 
         Raises:
             ValueError: for negative steps, or intervals below 1.
-            NotFinite: in the update or evaluation in which something is not finite, with where it comes from.
+            NotFinite: if something is not finite, with where it comes from; of several seeds when all have failed.
             EndlessEpisode: as :func:`mo_deepdrive.evaluation.evaluate`.
             RuntimeError: if an update takes no steps.
         """
@@ -382,44 +433,109 @@ class Agent(ABC):
         plan = None
         if eval_env is not None:
             plan = EvaluationPlan(eval_env, eval_episodes, eval_seed, eval_gamma, reference_point, reference_front)
+        self._choose_compiled(total_timesteps)
+        logs = [log] if callable(log) else list(log or ())
+        log_fronts = [log_front] if callable(log_front) else list(log_front or ())
         if self.step == 0:
             with self._located("before the first update"):
                 self.begin()
-            self._log_evaluation(plan, log, log_front)
+            self._log_evaluations(plan, logs, log_fronts)
         begun = self.step
         started, first = perf_counter(), begun
         while self.step < total_timesteps:
             before = self.step
             with self._located(f"in the update after step {before:,}"):
                 self._seed_actions()
-                metrics = self.update(before / total_timesteps)
-                check_numbers(metrics)
+                losses = self.update(before / total_timesteps)
             if self.step <= before:
                 raise RuntimeError(f"{type(self).__name__}.update must add the environment steps that it takes to step")
             last = self.step >= total_timesteps
-            if log is None:
-                self.episodes.clear()
-            elif self.updates % log_interval == 0 or last:
-                rate = (self.step - first) / (perf_counter() - started)
-                log(self.step, {**self._training_metrics(), **metrics, STEPS_PER_SECOND: rate})
+            due = self.updates % log_interval == 0 or last
+            if due or self.device.type == "cpu":  # on a GPU a check has to wait for it
+                self._check(losses, f"in the update after step {before:,}")
+            if due:
+                rows, now = self._training_metrics(losses), perf_counter()
+                for seed, log_row in enumerate(logs):
+                    if seed not in self.failed:
+                        log_row(self.step, {**rows[seed], STEPS_PER_SECOND: (self.step - first) / (now - started)})
             if self.step // interval > before // interval or last:
                 paused = perf_counter()
-                self._log_evaluation(plan, log, log_front)
+                self._log_evaluations(plan, logs, log_fronts)
                 started += perf_counter() - paused
             if before == begun:  # code may have been compiled, which says nothing of the speed
                 started, first = perf_counter(), self.step
             if after_update is not None and after_update(self):
                 return
 
-    def _log_evaluation(self, plan: EvaluationPlan | None, log: Log | None, log_front: LogFront | None) -> None:
-        if plan is None or (log is None and log_front is None):
+    def gradient_steps(self, total_timesteps: int) -> int:
+        """How many of :attr:`learners` there are in a training; 0 where that is not known."""
+        del total_timesteps
+        return 0
+
+    def _choose_compiled(self, total_timesteps: int) -> None:
+        """Decide whether gradient steps are compiled.
+
+        Raises:
+            ValueError: if they are to be, and there is no compiler.
+        """
+        device, compiled = self.device.type, self.compiled
+        if compiled == "auto":
+            compiled = self.gradient_steps(total_timesteps) >= WORTHWHILE[device] and has_compiler(device)
+        elif compiled and not has_compiler(device):
+            needed = "a C++ compiler such as g++" if device == "cpu" else "Triton"
+            raise ValueError(f"training.compiled = True needs {needed}, which is not installed; take auto or false")
+        for learner in self.learners:
+            learner.compiled = compiled
+            learner.computes_compiled = compiled and device != "cpu"  # there it pays for gradient steps alone
+
+    def _log_evaluations(
+        self, plan: EvaluationPlan | None, logs: Sequence[Log], log_fronts: Sequence[LogFront]
+    ) -> None:
+        if plan is None or not (logs or log_fronts):
             return
-        with self._located(f"in the evaluation at step {self.step:,}"):
-            metrics, front = self.evaluate(plan)
-        if log is not None:
-            log(self.step, metrics)
-        if log_front is not None and front is not None:
-            log_front(self.step, front)
+        for seed in range(len(self.seeds)):
+            if seed in self.failed:
+                continue
+            when = f"in the evaluation at step {self.step:,}"
+            try:
+                metrics, front = self.of_seed(seed).evaluate(plan)
+            except Fault as error:
+                self._fail(seed, error, when)
+                continue
+            if logs:
+                logs[seed](self.step, metrics)
+            if log_fronts and front is not None:
+                log_fronts[seed](self.step, front)
+
+    def _check(self, losses: Mapping[str, Any], when: str) -> None:
+        """Find the seeds of which a loss is not finite, or whose worlds or networks have failed."""
+        for seed in range(len(self.seeds)):
+            if seed not in self.failed:
+                try:
+                    self.check(seed)
+                    check_numbers(_of_seed(losses, seed))
+                except Fault as error:
+                    self._fail(seed, error, when)
+
+    def check(self, seed: int) -> None:
+        """Refuse what the seed with this index has computed since the last call, if it is not finite.
+
+        Raises:
+            NotFinite: with its origin.
+        """
+        del seed
+
+    def _fail(self, seed: int, error: Fault, when: str) -> None:
+        """End a seed; the others go on.
+
+        Raises:
+            Fault: if there is no other.
+        """
+        name = f"seed {self.seeds[seed]}, " if len(self.seeds) > 1 else ""
+        fault = type(error)(f"{name}{when}: {error}")
+        self.failed[seed] = str(fault)
+        if len(self.failed) == len(self.seeds):
+            raise fault from error
 
     @contextmanager
     def _located(self, when: str) -> Iterator[None]:
@@ -429,35 +545,29 @@ class Agent(ABC):
         except Fault as error:
             raise type(error)(f"{when}: {error}") from error
 
-    def _training_metrics(self) -> dict[str, float]:
-        """Means over the episodes that ended since the last call, which are then forgotten."""
-        episodes, self.episodes = Episodes.join(self.episodes, len(self.env.objectives)), []
-        metrics: dict[str, float] = {}
-        for v in range(self.env.vehicles):
-            mine = episodes.vehicles == v
-            if mine.any():
-                summary = summarise(
-                    self.env.objectives,
-                    episodes.returns[mine],
-                    episodes.lengths[mine],
-                    episodes.succeeded[mine],
-                    utility=self.utilities[v] if self.utilities else None,
-                )
+    def _training_metrics(self, losses: Mapping[str, Any]) -> list[dict[str, float]]:
+        """Of every seed: means over the episodes that ended since the last call, and the losses."""
+        rows = []
+        for seed, vehicles in enumerate(self.episodes.take()):
+            row = {}
+            for v, means in enumerate(vehicles):
                 prefix = TRAIN + vehicle_prefix(v, self.env.vehicles)
-                metrics |= {prefix + name: value for name, value in summary.items()}
-        return metrics
+                row |= {prefix + name: value for name, value in means.items()}
+            if seed not in self.failed:
+                check_numbers(row)
+            rows.append({**row, **_of_seed(losses, seed)})
+        return rows
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
-    def save(self, path: str | Path) -> None:
-        """Write the complete training state to one safetensors file, atomically.
+    def save(self, path: str | Path, seed: int = 0) -> None:
+        """Write the complete training state of the seed with this index to one safetensors file, atomically.
 
         Raises:
             NotFinite: if a number is not finite; a file of before is left as it was.
         """
-        episodes = Episodes.join(self.episodes, len(self.env.objectives))
-        unlogged = {f"{EPISODES}{name}": torch.from_numpy(array) for name, array in vars(episodes).items()}
-        write_checkpoint(path, {**self.get_state(), **unlogged}, {**self.identity(), **self._counts()})
+        state = {**self.get_seed_state(seed), EPISODES: self.episodes.totals[seed]}
+        write_checkpoint(path, state, {**self.identity(), **self._counts(seed)})
 
     def save_policy(self, path: str | Path) -> None:
         """Write only what acting needs to one safetensors file, atomically; ``load(..., policy_only=True)`` reads it.
@@ -468,38 +578,67 @@ class Agent(ABC):
         """
         write_checkpoint(path, self.get_policy(), {**self.identity(), **self._counts(), POLICY_ONLY: True})
 
-    def _counts(self) -> dict[str, int]:
-        return {STEP: self.step, UPDATES: self.updates, SEED: self.seed}
+    def _counts(self, seed: int = 0) -> dict[str, int]:
+        return {STEP: self.step, UPDATES: self.updates, SEED: self.seeds[seed]}
 
-    def load(self, path: str | Path, *, policy_only: bool = False) -> None:
-        """Resume from :meth:`save`; no code is run from the file.
+    def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
+        """:meth:`get_state` of the seed with this index."""
+        del seed  # the only one
+        return self.get_state()
+
+    def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
+        """Resume from :meth:`get_seed_state` of all seeds."""
+        self.set_state(states[0])
+
+    def load(self, *paths: str | Path, policy_only: bool = False) -> None:
+        """Resume from :meth:`save`; no code is run from the files.
 
         Args:
-            path: the checkpoint.
+            *paths: the checkpoint of every seed.
             policy_only: load the policy alone, to act in any number of environments; :meth:`save_policy` is enough.
 
         Raises:
-            ValueError: if the file is missing or broken, belongs to another algorithm, environment or network, has
-                values from which training cannot continue, or holds the policy alone where more is needed.
+            ValueError: if a file is missing or broken, belongs to another algorithm, environment or network, has
+                values from which training cannot continue, or holds the policy alone where more is needed; or the
+                files are of different steps.
         """
-        may_differ = ("num_envs", PARTNERS, GUIDES) if policy_only else ()
-        tensors, found = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
-        expected = self.get_policy() if policy_only else self.get_state()
-        tensors = check_tensors(path, tensors, expected, (EPISODES, *self.varying_shapes), whole=not policy_only)
-        counts = self.step, self.updates, self.seed
-        before = {name: each.clone() for name, each in {**self.get_state(), **expected}.items()}
+        may_differ = ("num_envs", RESIDENT, PARTNERS, GUIDES) if policy_only else ()
+        expected = self.get_policy() if policy_only else {**self.get_seed_state(0), EPISODES: self.episodes.totals[0]}
+        found, states = [], []
+        for path in paths:
+            tensors, about = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
+            states.append(check_tensors(path, tensors, expected, self.varying_shapes, whole=not policy_only))
+            found.append(about)
+        steps = sorted({about[STEP] for about in found})
+        if len(steps) > 1:
+            named = ", ".join(f"{step:,}" for step in steps)
+            raise ValueError(f"the checkpoints are of the steps {named}; resume those of the same step together")
+        before = self.step, self.updates, self.seeds
+        kept = [
+            {name: each.clone() for name, each in {**self.get_seed_state(seed), **self.get_policy()}.items()}
+            for seed in range(len(self.seeds))
+        ]
         try:
             if policy_only:
-                self.set_policy(tensors)
+                self.set_policy(states[0])
                 return
-            self.step, self.updates, self.seed = found[STEP], found[UPDATES], found[SEED]
-            self.set_state(tensors)
-            unlogged = {name: tensor.numpy() for name, tensor in strip_prefix(tensors, EPISODES).items()}
-            self.episodes = [Episodes.of_arrays(unlogged, len(self.env.objectives))] if unlogged else []
+            self.step, self.updates = found[0][STEP], found[0][UPDATES]
+            self.seeds = tuple(about[SEED] for about in found)
+            self.set_seed_states(states)
+            for seed, state in enumerate(states):
+                self.episodes.totals[seed] = state[EPISODES]
         except (ValueError, RuntimeError) as error:
-            self.step, self.updates, self.seed = counts
-            self.set_state(before)
-            raise ValueError(f"checkpoint {path}: {str(error).splitlines()[0]}") from None
+            self.step, self.updates, self.seeds = before
+            self.set_seed_states(kept)
+            raise ValueError(f"checkpoint {paths[0]}: {str(error).splitlines()[0]}") from None
+
+
+def _of_seed(losses: Mapping[str, Any], seed: int) -> dict[str, float]:
+    """The numbers of one seed."""
+    return {
+        name: float(value[seed]) if isinstance(value, torch.Tensor) and value.dim() else float(value)
+        for name, value in losses.items()
+    }
 
 
 class FrontAgent(Agent):
@@ -510,21 +649,10 @@ class FrontAgent(Agent):
     - :meth:`conditions` and :attr:`condition_names`: what its policies are conditioned on, such as commands or weights.
     - :meth:`policies`: what acts under conditions.
 
-    Args:
-        env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
-        **options: ``seed``, ``device`` and the hyperparameters, as of :class:`Agent`.
-
-    Attributes:
-        scales: (d,) nominal size of each objective's return, by which distances between returns are measured.
-
     With V vehicles a policy drives all of them, and its front has their V d objectives.
     """
 
     known_utility = False
-
-    def __init__(self, env: VectorEnv, **options: Any):
-        super().__init__(env, **options)
-        self.scales = self.env.objective_scales
 
     @property
     def front_objectives(self) -> tuple[str, ...]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
+from typing_extensions import Self
 
 from mo_deepdrive.config import Settings
 
@@ -42,7 +43,7 @@ def a_twentieth(total_timesteps: int) -> int:
 
 
 class NetworkSettings(Settings):
-    """Hyperparameters of networks, the base of every Config whose algorithm uses :mod:`algorithms.networks.modules`."""
+    """Hyperparameters of networks, the base of every Config whose algorithm uses :mod:`algorithms.learning.networks`."""
 
     hidden: HiddenSizes = [64, 32]
     """Sizes of the hidden layers."""
@@ -66,16 +67,97 @@ class NetworkSettings(Settings):
 
 
 class ActorCriticSettings(NetworkSettings):
-    """Hyperparameters that all algorithms of :mod:`algorithms.actor_critic` have beside those of NetworkSettings."""
+    """Hyperparameters of all algorithms of :mod:`algorithms.actor_critic`, beside those of NetworkSettings."""
 
+    learning_rate: LearningRate = 1e-3
+    """Adam's step size at the start of training."""
+    learning_rate_end: FinalLearningRate | None = None
+    """Adam's step size at the end, to which it moves linearly; None for a constant one."""
+    gamma: Fraction = 0.99
+    """Discount."""
+    gae_lambda: Fraction = 0.95
+    """lambda of the advantages; 0 gives one-step advantages, 1 uses the whole rollout."""
+    steps: Count = 16
+    """T, time steps per environment and update."""
+    entropy_start: NonNegative = 0.01
+    """c_e at the start of training."""
+    entropy_end: NonNegative = 0.01
+    """c_e at the end, to which it moves geometrically."""
+    entropy_until: PositiveFraction = 1.0
+    """Fraction of the training after which c_e is ``entropy_end``."""
+    value_coefficient: Positive = 0.5
+    """c_v."""
+    max_grad_norm: Positive = 0.5
+    """Maximum norm of the gradient."""
+    normalise_advantages: bool = True
+    """Normalise the advantages of a rollout to mean 0 and standard deviation 1."""
+    objective_scales: Scales | None = None
+    """Nominal size of each objective's return; None for the environment's own."""
+    centralised_critic: bool = False
+    """The critic also sees the observations of the other vehicles; the actor does not."""
     cost_growth: Fraction = 0.0
     """Fraction of the training in which costs, the objectives whose rewards are never positive, grow from 0 to their
     full size in what is learnt from; 0 for none. It is a curriculum: who is punished from the first step on may learn
     to stand still before the first arrival."""
 
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.entropy_start == 0.0) != (self.entropy_end == 0.0):
+            raise ValueError(
+                f"entropy_start = {self.entropy_start} and entropy_end = {self.entropy_end} must both be positive "
+                "or both be 0: the coefficient moves geometrically between them"
+            )
+        return self
+
+
+class ProximalSettings(ActorCriticSettings):
+    """Hyperparameters of PPO and its relatives."""
+
+    epochs: Annotated[int, Field(ge=1, le=100)] = 4
+    """Passes over every rollout."""
+    minibatches: Count = 4
+    """Gradient steps per pass."""
+    clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    """epsilon, by which pi / pi_old may differ from 1 before a sample no longer counts."""
+
+
+class AccruedSettings(Settings):
+    """Hyperparameters of algorithms whose utility judges the accrued reward and what is to come."""
+
+    advantage: Literal["utility_difference", "as_printed", "utility_gradient", "expected_utility"] = (
+        "utility_difference"
+    )
+    """How A_t is calculated, by the difference of utilities, as printed in the paper, by the gradient of u, or by the
+    increases of u."""
+    accrued_gamma: PositiveFraction | None = None
+    """g, discount of the accrued reward; None for gamma, as in the paper. With "expected_utility" gamma is at most g,
+    and gamma / g is the discount of the increases of u."""
+    observe_accrued: bool = True
+    """Include R_t in the state, as the theory requires; without it the policy ignores the past."""
+    observe_discount: bool = True
+    """Include g^t in the state, on which A_t depends too."""
+    utility_scale: Positive = 10.0
+    """Nominal size of the utility of a return, for the critic of "expected_utility"."""
+
+    @property
+    def accrued_discount(self) -> float:
+        """g: ``accrued_gamma``, or gamma where that is None."""
+        gamma: float = self.gamma  # type: ignore[attr-defined]  # of the settings that this is mixed into
+        return gamma if self.accrued_gamma is None else self.accrued_gamma
+
+    @model_validator(mode="after")
+    def _discounts(self) -> Self:
+        gamma: float = self.gamma  # type: ignore[attr-defined]
+        if self.advantage == "expected_utility" and gamma > self.accrued_discount:
+            raise ValueError(
+                f"gamma = {gamma} must be at most accrued_gamma = {self.accrued_discount} with advantage = "
+                f"{self.advantage!r}"
+            )
+        return self
+
 
 class GuideSettings(Settings):
-    """When a guide (:mod:`algorithms.rollouts.guides`) begins episodes of a vehicle that learns."""
+    """When a guide (:mod:`algorithms.learning.guides`) begins episodes of a vehicle that learns."""
 
     driver: Annotated[str, Field(min_length=1)]
     """A run, a policy of the zoo or a scripted driver."""
@@ -102,28 +184,3 @@ def schedules(config: Settings) -> list[str]:
     if values.get("cost_growth"):
         found.append("cost_growth")
     return [f"algorithm.{name} = {values[name]}" for name in found]
-
-
-def check_entropy_schedule(entropy_start: float, entropy_end: float) -> None:
-    """Refuse a geometric schedule from or to zero.
-
-    Raises:
-        ValueError: unless both ends are positive or both are zero.
-    """
-    if (entropy_start == 0.0) != (entropy_end == 0.0):
-        raise ValueError(
-            f"entropy_start = {entropy_start} and entropy_end = {entropy_end} must both be positive "
-            "or both be 0: the coefficient moves geometrically between them"
-        )
-
-
-def check_discounts(advantage: str, gamma: float, accrued_gamma: float) -> None:
-    """Refuse increases of the utility that count the more, the later they come.
-
-    Raises:
-        ValueError: for "expected_utility" with a gamma above g.
-    """
-    if advantage == "expected_utility" and gamma > accrued_gamma:
-        raise ValueError(
-            f"gamma = {gamma} must be at most accrued_gamma = {accrued_gamma} with advantage = {advantage!r}"
-        )

@@ -25,41 +25,26 @@ The actors do not see the accrued rewards R_{v,t}. Where u or J is not linear, a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
-from pydantic import Field, model_validator
 
-from algorithms.actor_critic import ActorCritic, Learner
 from algorithms.files.checkpoints import strip_prefix
-from algorithms.hyperparameters import (
-    ActorCriticSettings,
-    Count,
-    FinalLearningRate,
-    Fraction,
-    LearningRate,
-    NonNegative,
-    Positive,
-    PositiveFraction,
-    Scales,
-    check_entropy_schedule,
-)
-from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Losses, means, policy_change, proximal_loss
-from algorithms.networks.modules import make_network
-from algorithms.networks.optimiser import Adam
-from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
-from algorithms.rollouts.buffers import Samples
+from algorithms.hyperparameters import Fraction, Positive, ProximalSettings
+from algorithms.learning.advantages import generalised_advantages
+from algorithms.learning.losses import Loss, mean, policy_change
+from algorithms.ppo import PPO
+from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from gymnasium.vector import VectorEnv
 
-    from algorithms.rollouts.buffers import Rollout, VehicleRollout
-    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+    from algorithms.actor_critic import PolicyLearner
+    from algorithms.learning.learner import Networks
+    from algorithms.learning.storage import Rollout, RolloutStorage, Samples
     from mo_deepdrive.evaluation.episodes import UtilityLike
-    from mo_deepdrive.utilities import Utility
 
 
 JointUtility = Literal["sum", "worst_off", "gini"]
@@ -100,257 +85,139 @@ def joint_utility(
     return JOINT_UTILITIES[name](torch.stack(each, dim=-1))
 
 
-class MAPPOConfig(ActorCriticSettings):
-    """Hyperparameters of MAPPO; those of actor and critic are described in ActorCriticSettings."""
-
-    joint: JointUtility = "sum"
-    """J, the joint utility, which is "sum", "worst_off" or "gini"."""
-    learning_rate: LearningRate = 1e-3
-    """Adam's step size at the start of training."""
-    learning_rate_end: FinalLearningRate | None = None
-    """Adam's step size at the end, to which it moves linearly; None for a constant one."""
-    gamma: Fraction = 1.0
-    """Discount of the team's rewards."""
-    gae_lambda: Fraction = 0.95
-    """lambda of eq. 3; 0 gives one-step advantages, 1 uses the whole rollout."""
-    steps: Count = 16
-    """T, time steps per environment and update."""
-    epochs: Annotated[int, Field(ge=1, le=100)] = 4
-    """Passes over every rollout."""
-    minibatches: Count = 4
-    """Gradient steps per pass."""
-    clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
-    """epsilon of eq. 5."""
-    entropy_start: NonNegative = 0.01
-    """c_e at the start of training."""
-    entropy_end: NonNegative = 0.01
-    """c_e at the end, to which it moves geometrically."""
-    entropy_until: PositiveFraction = 1.0
-    """Fraction of the training after which c_e is ``entropy_end``."""
-    value_coefficient: Positive = 0.5
-    """c_v."""
-    value_scale: Positive = 10.0
-    """Nominal size of the team's utility, by which the critic's output is multiplied."""
-    max_grad_norm: Positive = 0.5
-    """Maximum norm of the gradient."""
-    objective_scales: Scales | None = None
-    """Nominal size of each objective's return; None for the environment's own."""
-
-    @model_validator(mode="after")
-    def _consistent(self) -> MAPPOConfig:
-        check_entropy_schedule(self.entropy_start, self.entropy_end)
-        return self
-
-    @property
-    def centralised_critic(self) -> bool:
-        """What others observe is a part of S_t, not of a vehicle's own rollout."""
-        return False
-
-
-class TeamRollout(NamedTuple):
-    """T steps of N teams.
+class MAPPO(PPO):
+    """Multi-agent PPO for a joint utility; every vehicle has an actor and a critic that sees the whole team.
 
     Attributes:
-        rewards: (T, N) of eq. 1.
-        states: (T + 1, N, s) S_t, scaled.
-        final_states: (T, N, s) S_{t+1} where a team's episode was truncated at t, else undefined.
-        terminated, truncated: (T, N) whether the team's episode ended at t; never both.
+        returns: (S, N, V, d) R_{v,t} of the running episodes of the teams.
+        team_ended: (S, N, V) whether the vehicle has ended in them.
     """
-
-    rewards: torch.Tensor
-    states: torch.Tensor
-    final_states: torch.Tensor
-    terminated: torch.Tensor
-    truncated: torch.Tensor
-
-    def of_each(self, vehicles: int) -> TeamRollout:
-        """The same for each of some vehicles that share a policy, (..., N vehicles, ...)."""
-        return TeamRollout(*(each.repeat_interleave(vehicles, dim=1) for each in self))
-
-
-class TeamEpisodes:
-    """Follows the episodes of N teams from rollout to rollout.
-
-    Args:
-        env: where the vehicles drive.
-        joint: J.
-        utilities: one per vehicle.
-        objective_scales: (d,) nominal size of each objective's return.
-    """
-
-    def __init__(
-        self, env: EnvAdapter, joint: JointUtility, utilities: Sequence[Utility], objective_scales: torch.Tensor
-    ):
-        self._joint = joint
-        self.utilities = utilities
-        device = objective_scales.device
-        self._observation_scales = torch.from_numpy(env.observation_scales).to(device)
-        self._objective_scales = objective_scales
-        self.begin(env.num_envs, env.vehicles)
-
-    def begin(self, *shape: int) -> None:
-        """Begin episodes of vehicles of this shape, (N, V) or with further axes before them."""
-        d, device = len(self._objective_scales), self._objective_scales.device
-        # R_{v,t} of the running episodes, and whether the vehicle has ended.
-        self.returns = torch.zeros(*shape, d, device=device)
-        self.ended = torch.zeros(shape, dtype=torch.bool, device=device)
-
-    def follow(self, rollout: Rollout) -> TeamRollout:
-        """The team's part of a rollout that continues the last one."""
-        steps = len(rollout.acted)
-        before, after = (self.returns.new_empty(steps, *self.returns.shape) for _ in range(2))
-        ended = self.ended.new_empty(steps + 1, *self.ended.shape)
-        finally_ended = self.ended.new_empty(steps, *self.ended.shape)
-        terminated, truncated = (self.ended.new_zeros(steps, *self.ended.shape[:-1]) for _ in range(2))
-        for t in range(steps):
-            acted, cut = rollout.acted[t], rollout.truncated[t] & ~rollout.terminated[t]
-            before[t], ended[t] = self.returns, self.ended
-            after[t] = self.returns + rollout.rewards[t] * acted.unsqueeze(-1)
-            # Of the true final state of a team that is cut: a vehicle that is cut is still under way in it.
-            finally_ended[t] = self.ended | (acted & rollout.terminated[t])
-            self.ended = self.ended | (acted & (rollout.terminated[t] | rollout.truncated[t]))
-            over = self.ended.all(dim=-1)
-            truncated[t] = over & (acted & cut).any(dim=-1)
-            terminated[t] = over & ~truncated[t]
-            self.returns = after[t].masked_fill(over[..., None, None], 0.0)
-            self.ended = self.ended & ~over.unsqueeze(-1)
-        ended[steps] = self.ended
-        # Equation 1.
-        utilities = [joint_utility(self._joint, self.utilities, returns) for returns in (before, after)]
-        states = self._states(rollout.observations, torch.cat([before, self.returns.unsqueeze(0)]), ended)
-        final_states = self._states(rollout.final, after, finally_ended)
-        return TeamRollout(utilities[1] - utilities[0], states, final_states, terminated, truncated)
-
-    def _states(self, observations: torch.Tensor, returns: torch.Tensor, ended: torch.Tensor) -> torch.Tensor:
-        """S (..., s), scaled, from observations (..., V, o), returns (..., V, d) and who has ended (..., V)."""
-        parts = (observations / self._observation_scales).flatten(-2), (returns / self._objective_scales).flatten(-2)
-        return torch.cat([*parts, ended.to(observations.dtype)], dim=-1)
-
-
-class MAPPOLearner(Learner):
-    """MAPPO for one policy; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
-
-    config: MAPPOConfig
-
-    def __init__(
-        self,
-        env: EnvAdapter,
-        vehicles: tuple[int, ...],
-        utility: Utility,
-        config: MAPPOConfig,
-        generator: torch.Generator,
-        device: torch.device,
-    ):
-        super().__init__(env, vehicles, utility, config, generator, device)
-        self.input_size = env.observation_size
-        state_size = env.vehicles * (env.observation_size + len(env.objectives) + 1)
-        self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
-        self.critic = make_network(config, state_size, 1, generator).to(device)
-        self.value_scales = torch.tensor([config.value_scale], device=device)
-        self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
-        self.team: TeamRollout  # of the rollout that is learnt from
-
-    # ------------------------------------------------------------------------------------------------------ the update
-
-    def update(
-        self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
-    ) -> dict[str, float]:
-        """Epochs of minibatch steps of eq. 5 on a rollout of T steps in N environments; mean losses by name."""
-        config, samples, steps = self.config, self.samples(rollout), []
-        if not rollout.acted.any():
-            return {}
-        self.optimiser.param_groups[0]["lr"] = learning_rate
-        for minibatch in samples.minibatches(config.epochs, config.minibatches, generator):
-            losses = self.loss(minibatch, entropy_coefficient)
-            self.optimiser.zero_grad()
-            losses.total.backward()
-            self.optimiser.clip(config.max_grad_norm, losses.parts)
-            self.optimiser.step()
-            steps.append(losses)
-        return {**means(steps), **policy_change(steps, config.clip)}
-
-    @torch.no_grad()
-    def samples(self, rollout: VehicleRollout) -> Samples:
-        """What is learnt from a rollout, (T N, ...): A_t, y_t and log pi_old of the networks as they are now.
-
-        All count for the critic, and those in which the vehicle acted for the actor.
-        """
-        team, inputs = self.team, self.inputs(rollout.observations[:-1], rollout.accrued[:-1], rollout.discounts[:-1])
-        values = self.values(team.states)
-        following = self.next_values(rollout, values)
-        # Equations 2 and 3.
-        ended, gamma = (team.terminated | team.truncated).unsqueeze(-1), self.config.gamma
-        deltas = team.rewards.unsqueeze(-1) + gamma * following - values[:-1]
-        vector = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)
-        weights = rollout.acted.to(values.dtype)
-        advantages, targets = normalise(vector.squeeze(-1), weights), (vector + values[:-1]) / self.value_scales
-        log_prob, _ = self.actor(inputs, rollout.actions)
-        return Samples(inputs, team.states[:-1], rollout.actions, advantages, targets, weights, log_prob).flat()
-
-    def next_values(self, rollout: VehicleRollout, values: torch.Tensor) -> torch.Tensor:
-        """v(S_{t+1}) (T, N, 1) of the team's states, from those (T + 1, N, 1) of S_0 to S_T."""
-        return next_values(values[1:], self.final_values(rollout), self.team.terminated, self.team.truncated)
-
-    def final_values(self, rollout: VehicleRollout) -> torch.Tensor:
-        """V (T, N, 1) of the true states after steps that truncated a team's episode; anything after other steps."""
-        del rollout  # this vehicle's
-        truncated, states = self.team.truncated, self.team.final_states
-        if self.static_shapes:
-            return self.values(states)
-        found = torch.zeros((*truncated.shape, 1), device=self.device)
-        if truncated.any():
-            found[truncated] = self.values(states[truncated])
-        return found
-
-    def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
-        """L of eq. 5, a function of tensors that autograd differentiates."""
-        log_prob, entropies = self.actor(samples.inputs, samples.actions)
-        outputs = self.critic(samples.critic_inputs)
-        return proximal_loss(
-            log_prob, entropies, outputs, samples, self.config, entropy_coefficient, critic_learns_from_all=True
-        )
-
-
-class MAPPO(ActorCritic):
-    """Multi-agent PPO for a joint utility; every vehicle has an actor and a critic that sees the whole team."""
 
     name = "mappo"
-    Config = MAPPOConfig
-    learner = MAPPOLearner
-    trains_on_devices = True
     trains_with_guides = False  # the team's return would go on where the guide's decisions are not learnt from
+
+    class Config(ProximalSettings):
+        """Hyperparameters of MAPPO; the others are described in ProximalSettings and ActorCriticSettings."""
+
+        joint: JointUtility = "sum"
+        """J, the joint utility, which is "sum", "worst_off" or "gini"."""
+        gamma: Fraction = 1.0
+        """Discount of the team's rewards."""
+        value_scale: Positive = 10.0
+        """Nominal size of the team's utility, by which the critic's output is multiplied."""
+        centralised_critic: Literal[False] = False
+        """False: what the other vehicles observe is a part of S_t already."""
 
     def __init__(self, env: VectorEnv, utility: UtilityLike | Sequence[UtilityLike], **options: Any):
         super().__init__(env, utility, **options)
         if self.env.vehicles == 1:
             raise ValueError(f"{self.env.name} has one vehicle; algorithm {self.name!r} is for a team")
-        config = self.config
-        self.team = TeamEpisodes(self.env, config.joint, self.utilities, self.learners[0].objective_scales)
+        shape = len(self.seeds), self.env.num_envs, self.env.vehicles
+        self.returns = torch.zeros(*shape, len(self.env.objectives), device=self.device)
+        self.team_ended = torch.zeros(shape, dtype=torch.bool, device=self.device)
+
+    def advantages(
+        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """A_t (T, N) and y_t (T, N, 1) of eqs. 2 and 3, from the team's r_t, v(S_t) and v(S_{t+1}) (T, N, 1)."""
+        gamma, ended = self.config.gamma, rollout.ended.unsqueeze(-1)
+        deltas = rollout.rewards + gamma * next_values - values  # eq. 2
+        advantages = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)
+        return advantages.squeeze(-1), advantages + values  # eq. 3
+
+    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+        """L of eq. 5: the actor learns from the steps in which its vehicle acted, the critic from all."""
+        config, weights = self.config, samples.weights
+        log_prob, entropies = networks.actor(samples.inputs, samples.actions)
+        log_ratio = log_prob - samples.log_prob
+        ratio = log_ratio.exp()  # eq. 4
+        clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
+        policy_loss = -mean(torch.minimum(ratio * samples.advantages, clipped * samples.advantages), weights)
+        value_loss = (samples.targets - networks.critic(samples.states)).square().mean()
+        entropy = mean(entropies, weights)
+        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+        parts = {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
+        return Loss(total, {**parts, **policy_change(log_ratio, config.clip, weights)})
+
+    # -------------------------------------------------------------------------------------------------------- the team
+
+    @property
+    def state_size(self) -> int:
+        """Width of S_t: of every vehicle what it observes, R_{v,t}, and whether it has ended."""
+        return self.env.vehicles * (self.env.observation_size + len(self.env.objectives) + 1)
 
     def begin(self) -> None:
         """Reset the environments."""
         super().begin()
-        self.team.begin(self.env.num_envs, self.env.vehicles)
+        self.returns.zero_()
+        self.team_ended.zero_()
 
-    def learn(self, rollout: Rollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
-        """Each learner learns from its vehicle's part of the rollout and from the team's."""
-        team = self.team.follow(rollout)
-        for learner in self.learners:
-            cast("MAPPOLearner", learner).team = team.of_each(len(learner.vehicles))
-        return super().learn(rollout, learning_rate, entropy_coefficient)
+    def before_learning(self, storage: RolloutStorage) -> None:
+        """Follow the teams' episodes through a rollout that continues the last one: r_t, S_t and where they end."""
+        shape = storage.rewards.shape
+        steps = shape[1]
+        before, after = (self.returns.new_empty(shape) for _ in range(2))
+        ended = self.team_ended.new_empty(shape[0], steps + 1, *shape[2:-1])
+        finally_ended = torch.empty_like(ended[:, 1:])
+        terminated, truncated = (self.team_ended.new_zeros(shape[:3]) for _ in range(2))
+        for t in range(steps):
+            acted, cut = storage.acted[:, t], storage.truncated[:, t] & ~storage.terminated[:, t]
+            before[:, t], ended[:, t] = self.returns, self.team_ended
+            after[:, t] = self.returns + storage.rewards[:, t] * acted.unsqueeze(-1)
+            # Of the true final state of a team that is cut: a vehicle that is cut is still under way in it.
+            finally_ended[:, t] = self.team_ended | (acted & storage.terminated[:, t])
+            self.team_ended |= acted & (storage.terminated[:, t] | storage.truncated[:, t])
+            over = self.team_ended.all(dim=-1)
+            truncated[:, t] = over & (acted & cut).any(dim=-1)
+            terminated[:, t] = over & ~truncated[:, t]
+            self.returns.copy_(after[:, t].masked_fill(over[..., None, None], 0.0))
+            self.team_ended &= ~over.unsqueeze(-1)
+        ended[:, steps] = self.team_ended
+        utilities = [each.unchecked() for each in self.utilities]
+        gains = [joint_utility(self.config.joint, utilities, returns) for returns in (after, before)]
+        self._team = {
+            "rewards": (gains[0] - gains[1]).unsqueeze(-1),  # eq. 1
+            "states": self._states(storage.inputs, torch.cat([before, self.returns.unsqueeze(1)], dim=1), ended),
+            "final_states": self._states(storage.final_inputs, after, finally_ended),
+            "terminated": terminated,
+            "truncated": truncated,
+        }
 
-    def get_state(self) -> dict[str, torch.Tensor]:
+    def _states(self, observations: torch.Tensor, returns: torch.Tensor, ended: torch.Tensor) -> torch.Tensor:
+        """S (..., s) from scaled observations (..., V, o), returns (..., V, d) and who has ended (..., V)."""
+        parts = observations.flatten(-2), (returns / self.objective_scales).flatten(-2)
+        return torch.cat([*parts, ended.to(observations.dtype)], dim=-1)
+
+    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+        """What a policy did, with the team's rewards, states and ends; the same for vehicles that share a policy."""
+        vehicles = len(learner.vehicles)
+        team = {name: each.repeat_interleave(vehicles, dim=2) for name, each in self._team.items()}
+        return {**super().rollout_of(learner, storage), **team}
+
+    def states(self, storage: RolloutStorage, vehicles: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+        """S_0 to S_T, and the true final states."""
+        del storage, vehicles  # all vehicles' critics see the same
+        return self._team["states"], self._team["final_states"]
+
+    # ----------------------------------------------------------------------------------------------------- checkpoints
+
+    def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
         """Learners, environments and the teams' running episodes."""
-        return {**super().get_state(), "team.returns": self.team.returns, "team.ended": self.team.ended}
+        return {
+            **super().get_seed_state(seed),
+            "team.returns": self.returns[seed],
+            "team.ended": self.team_ended[seed],
+        }
 
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`.
+    def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
+        """Resume from :meth:`get_seed_state` of all seeds.
 
         Raises:
             ValueError: for values from which training cannot continue.
         """
-        super().set_state(state)
-        team = strip_prefix(state, "team.")
-        if team["ended"].all(dim=-1).any():
-            raise ValueError("the teams' running episodes are broken: nobody is under way")
-        self.team.returns, self.team.ended = team["returns"].clone(), team["ended"].clone()
+        super().set_seed_states(states)
+        for seed, state in enumerate(states):
+            team = strip_prefix(state, "team.")
+            if team["ended"].all(dim=-1).any():
+                raise ValueError("the teams' running episodes are broken: nobody is under way")
+            self.returns[seed], self.team_ended[seed] = team["returns"], team["ended"]

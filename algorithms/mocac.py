@@ -45,260 +45,200 @@ next steps (lambda < 1) the advantages are biased.
 from __future__ import annotations
 
 import copy
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
 from pydantic import model_validator
+from typing_extensions import Self
 
-from algorithms.actor_critic import ActorCritic, Learner
-from algorithms.files.checkpoints import strip_prefix
-from algorithms.hyperparameters import (
-    ActorCriticSettings,
-    Count,
-    FinalLearningRate,
-    Fraction,
-    LearningRate,
-    NonNegative,
-    Positive,
-    PositiveFraction,
-    Scales,
-    check_entropy_schedule,
-)
-from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Losses, mean
-from algorithms.networks.modules import make_network
-from algorithms.networks.optimiser import Adam
-from algorithms.networks.return_distributions import CategoricalGrid, Particles, ReturnDistribution
-from algorithms.rollouts.advantages import generalised_advantages, normalise
+from algorithms.actor_critic import ActorCritic
+from algorithms.hyperparameters import ActorCriticSettings, Count, PositiveFraction
+from algorithms.learning.advantages import generalised_advantages, normalise
+from algorithms.learning.learner import Networks
+from algorithms.learning.losses import Loss, mean
+from algorithms.learning.return_distributions import CategoricalGrid, Particles, ReturnDistribution
+from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
-    from algorithms.rollouts.buffers import VehicleRollout
-    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
-    from mo_deepdrive.utilities import Utility
+    from algorithms.actor_critic import PolicyLearner
+    from algorithms.learning.storage import Rollout, RolloutStorage
 
 
 WIDE = 10.0  # bound of particles, in nominal scales
 
 
-class MOCACConfig(ActorCriticSettings):
-    """Hyperparameters of MOCAC; those of actor and critic are described in ActorCriticSettings."""
+class MOCACSamples(NamedTuple):
+    """M samples of one policy.
 
-    learning_rate: LearningRate = 1e-3
-    """Adam's step size at the start of training."""
-    learning_rate_end: FinalLearningRate | None = None
-    """Adam's step size at the end, to which it moves linearly; None for a constant one."""
-    gamma: PositiveFraction = 0.99
-    """g, discount of the return that the utility judges."""
-    gae_lambda: Fraction = 0.95
-    """lambda of eq. 4; 0 gives one-step advantages, 1 uses the whole rollout."""
-    critic: Literal["particles", "categorical"] = "particles"
-    """The critic, "particles" for any number of objectives, or "categorical" for few."""
-    atoms: Count = 11
-    """A, atoms per objective of a categorical critic; A^d is at most 4096."""
-    v_min: list[float] | None = None
-    """Smallest rest of a return, per objective, the first atom of a grid or the bound of the particles' targets; None
-    for minus the nominal scale on a grid, minus ten times the nominal scale with particles."""
-    v_max: list[float] | None = None
-    """Largest rest of a return, per objective; None for minus the default of v_min."""
-    particles: Count = 32
-    """K, of a critic of particles."""
-    target_rate: PositiveFraction | None = None
-    """tau of the weights of Z'; None for 1 (Z itself) with a grid, 0.05 with particles."""
-    observe_discount: bool = True
-    """Include g^t in the state, on which V depends where gamma < 1."""
-    steps: Count = 16
-    """T, time steps per environment and update."""
-    entropy_start: NonNegative = 0.01
-    """c_e at the start of training."""
-    entropy_end: NonNegative = 0.01
-    """c_e at the end, to which it moves geometrically."""
-    entropy_until: PositiveFraction = 1.0
-    """Fraction of the training after which c_e is ``entropy_end``."""
-    value_coefficient: Positive = 0.5
-    """c_v."""
-    max_grad_norm: Positive = 0.5
-    """Maximum norm of the gradient."""
-    normalise_advantages: bool = True
-    """Normalise the advantages of an update to mean 0 and standard deviation 1."""
-    objective_scales: Scales | None = None
-    """Nominal size of each objective's return; None for the environment's own."""
-    centralised_critic: bool = False
-    """The critic also sees the observations of the other vehicles; the actor does not."""
+    Attributes:
+        inputs: (M, i) what the actor saw.
+        states: (M, c) what the critic saw.
+        actions: (M,) or (M, k).
+        advantages: (M,) A_t.
+        shifts: (M, d) the sums of rewards of eq. 5.
+        discounts: (M,) g^{e-t}; 0 where the episode terminates at e.
+        following: (M, K) outputs for Z'(S_e).
+        weights: (M,) 1 where the vehicle acted, 0 elsewhere; None if it acted in all.
+    """
+
+    inputs: torch.Tensor
+    states: torch.Tensor
+    actions: torch.Tensor
+    advantages: torch.Tensor
+    shifts: torch.Tensor
+    discounts: torch.Tensor
+    following: torch.Tensor
+    weights: torch.Tensor | None = None
+
+
+class MOCAC(ActorCritic):
+    """Multi-objective categorical actor-critic for a known utility, one independent policy per vehicle."""
+
+    name = "mocac"
+    Samples = MOCACSamples
+    observes_accrued = True
+
+    class Config(ActorCriticSettings):
+        """Hyperparameters of MOCAC; the others are described in ActorCriticSettings."""
+
+        gamma: PositiveFraction = 0.99
+        """g, discount of the return that the utility judges."""
+        critic: Literal["particles", "categorical"] = "particles"
+        """The critic, "particles" for any number of objectives, or "categorical" for few."""
+        atoms: Count = 11
+        """A, atoms per objective of a categorical critic; A^d is at most 4096."""
+        v_min: list[float] | None = None
+        """Smallest rest of a return, per objective, the first atom of a grid or the bound of the particles' targets;
+        None for minus the nominal scale on a grid, minus ten times the nominal scale with particles."""
+        v_max: list[float] | None = None
+        """Largest rest of a return, per objective; None for minus the default of v_min."""
+        particles: Count = 32
+        """K, of a critic of particles."""
+        target_rate: PositiveFraction | None = None
+        """tau of the weights of Z'; None for 1 (Z itself) with a grid, 0.05 with particles."""
+        observe_discount: bool = True
+        """Include g^t in the state, on which V depends where gamma < 1."""
+
+        @property
+        def tau(self) -> float:
+            """``target_rate``, or its default for the critic where that is None."""
+            default = 1.0 if self.critic == "categorical" else 0.05
+            return default if self.target_rate is None else self.target_rate
+
+        @model_validator(mode="after")
+        def _enough_atoms(self) -> Self:
+            if self.critic == "categorical" and self.atoms < 2:
+                raise ValueError(f"atoms = {self.atoms} must be at least 2")
+            return self
 
     @property
-    def tau(self) -> float:
-        """``target_rate``, or its default for the critic where that is None."""
-        default = 1.0 if self.critic == "categorical" else 0.05
-        return default if self.target_rate is None else self.target_rate
+    def observes_discount(self) -> bool:  # type: ignore[override]
+        """Whether S_t of eq. 1 has g^t."""
+        return bool(self.config.observe_discount)
 
-    @model_validator(mode="after")
-    def _consistent(self) -> MOCACConfig:
-        check_entropy_schedule(self.entropy_start, self.entropy_end)
-        if self.critic == "categorical" and self.atoms < 2:
-            raise ValueError(f"atoms = {self.atoms} must be at least 2")
-        return self
-
-
-class MOCACLearner(Learner):
-    """MOCAC for one policy; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
-
-    config: MOCACConfig
-
-    def __init__(
-        self,
-        env: EnvAdapter,
-        vehicles: tuple[int, ...],
-        utility: Utility,
-        config: MOCACConfig,
-        generator: torch.Generator,
-        device: torch.device,
-    ):
-        super().__init__(env, vehicles, utility, config, generator, device)
-        # S_t of eq. 1: what the actor and the critic see.
-        self.observes_accrued, self.observes_discount = True, config.observe_discount
-        self.input_size = env.observation_size + len(env.objectives) + config.observe_discount
-        self.distribution = self._distribution(env.objectives)
-        self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
-        width = self.input_size + self.others_size
-        self.critic = make_network(config, width, self.distribution.outputs, generator).to(device)
-        self.target_critic = copy.deepcopy(self.critic).requires_grad_(requires_grad=False)  # Z'
-        self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
-
-    def _distribution(self, objectives: tuple[str, ...]) -> ReturnDistribution:
+    def prepare(self) -> None:
         """What the outputs of the critic stand for."""
-        config = self.config
+        config, objectives = self.config, self.env.objectives
         for name, bound in (("v_min", config.v_min), ("v_max", config.v_max)):
             if bound is not None and len(bound) != len(objectives):
                 raise ValueError(f"{name} = {bound} needs {len(objectives)} numbers: {objectives}")
         reach = self.objective_scales * (WIDE if config.critic == "particles" else 1.0)
         low = (-reach).tolist() if config.v_min is None else config.v_min
         high = reach.tolist() if config.v_max is None else config.v_max
-        if config.critic == "particles":
-            return Particles(config.particles, self.objective_scales, low, high)
-        return CategoricalGrid(low, high, config.atoms, self.device)
+        self.distribution: ReturnDistribution = (
+            Particles(config.particles, self.objective_scales, low, high)
+            if config.critic == "particles"
+            else CategoricalGrid(low, high, config.atoms, self.device)
+        )
+
+    @property
+    def value_scales(self) -> torch.Tensor:
+        """(K,) one for every output of the critic, which has no unit."""
+        return torch.ones(self.distribution.outputs, device=self.device)
+
+    def make_networks(self, generator: torch.Generator) -> Networks:
+        """An actor, a critic, and the critic with slowly moving weights of Z'."""
+        made = super().make_networks(generator)
+        return Networks(actor=made.actor, critic=made.critic, target_critic=copy.deepcopy(made.critic))
 
     # ------------------------------------------------------------------------------------------------------ the update
 
-    def update(
-        self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
-    ) -> dict[str, float]:
-        """One gradient step of eq. 6 on a rollout of T steps in N environments; the losses by name."""
-        del generator  # nothing is drawn
-        if not rollout.acted.any():
-            return {}
-        losses = self.loss(rollout, entropy_coefficient)
-        self.optimiser.param_groups[0]["lr"] = learning_rate
-        self.optimiser.zero_grad()
-        losses.total.backward()
-        self.optimiser.clip(self.config.max_grad_norm, losses.parts)
-        self.optimiser.step()
-        with torch.no_grad():
-            for slow, weight in zip(self.target_critic.parameters(), self.critic.parameters(), strict=True):
-                slow.lerp_(weight, self.config.tau)
-        return losses.parts()
+    def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+        """One gradient step of eq. 6 on a rollout, then one of the weights of Z'; the parts of the loss."""
+        losses = super().learn_once(learner, storage)
+        slow = learner.parameters("target_critic")
+        for name, weight in learner.parameters("critic").items():
+            slow[f"target_{name}"].lerp_(weight, self.config.tau)
+        return losses
 
-    def loss(self, rollout: VehicleRollout, entropy_coefficient: float) -> Losses:
-        """L of eq. 6, which autograd differentiates."""
-        config = self.config
-        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
-        critic_inputs = self.critic_inputs(inputs, rollout.others)
-        outputs: torch.Tensor = self.critic(critic_inputs[:-1].flatten(0, 1))
-        ends, end_inputs = self.ends(rollout, critic_inputs)
-        with torch.no_grad():
-            end_outputs, target_outputs = self.critic(end_inputs), self.target_critic(end_inputs)
-
-        weights = rollout.acted.to(inputs.dtype)
-        advantages = self.advantages(rollout, outputs.detach(), ends, end_outputs)
-        if config.normalise_advantages:
+    def samples(self, networks: Networks, rollout: Rollout) -> MOCACSamples:
+        """What one seed learns from its rollout, (T, N, ...): the terms of eq. 6 that have no gradient."""
+        # V(S_0) to V(S_T) of eq. 3, and V(S_{t+1}) where an episode ends.
+        expected = self._expected(rollout, networks.critic(rollout.states), rollout.accrued, rollout.discounts)
+        following, next_values = torch.zeros_like(networks.critic(rollout.states[1:])), expected[1:]
+        if self.collector.static or rollout.truncated.any():
+            following = networks.target_critic(rollout.final_states)
+            outputs, discounts = networks.critic(rollout.final_states), self.config.gamma * rollout.discounts[:-1]
+            final = self._expected(rollout, outputs, rollout.next_accrued, discounts)
+            next_values = torch.where(rollout.truncated, final, next_values)
+        next_values = torch.where(rollout.terminated, rollout.utility(rollout.next_accrued), next_values)
+        advantages, _ = self.advantages(rollout, expected[:-1], next_values)
+        weights = rollout.acted.to(advantages.dtype)
+        if self.config.normalise_advantages:
             advantages = normalise(advantages, weights)
+        # Z'(S_e): of the true final state of a truncated episode, else of S_T.
+        at_end = torch.where(rollout.truncated[-1:, :, None], following[-1:], networks.target_critic(rollout.states[-1:]))
+        targets = self.targets(rollout, torch.cat([following[:-1], at_end]))
+        return MOCACSamples(
+            rollout.inputs[:-1], rollout.states[:-1], rollout.actions, advantages, *targets, weights=weights
+        )
 
-        shifts, discounts, source = self.targets(rollout, ends)
-        log_prob, entropies = self.actor(inputs[:-1].flatten(0, 1), rollout.actions.flatten(0, 1))
-        weights, advantages = weights.flatten(), advantages.flatten()
-        value_loss = mean(self.distribution.distance(outputs, shifts, discounts, target_outputs[source]), weights)
-        policy_loss = -mean(advantages * log_prob, weights)
-        entropy = mean(entropies, weights)
-        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return Losses(total, policy_loss, value_loss, entropy)
+    def _expected(
+        self, rollout: Rollout, outputs: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor
+    ) -> torch.Tensor:
+        """E[u(R + D Z)] (T, N) for outputs (T, N, K) of the critic, R (T, N, d) and D (T, N)."""
+        parts = (outputs.flatten(0, 1), accrued.flatten(0, 1), discounts.flatten())
+        return self.distribution.expected_utility(rollout.utility, *parts).unflatten(0, discounts.shape)
 
-    def ends(self, rollout: VehicleRollout, critic_inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The states S_e of eq. 5 behind which something may follow: their numbers, and what the critic sees there.
+    def targets(self, rollout: Rollout, following: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Equation 5: the sum of rewards (T, N, d), g^{e-t} (T, N), 0 after termination, and Z'(S_e) (T, N, K).
 
         Args:
-            rollout: T steps of this vehicle.
-            critic_inputs: (T + 1, N, ...) of S_0 to S_T.
-
-        Returns:
-            (T, N) number of the true state after each step that ends a truncated episode or the rollout, else -1; and
-            (E, ...) critic inputs by number. The first N are those of S_T.
+            rollout: T steps of N environments.
+            following: (T, N, K) outputs for Z' behind the steps in which an episode is truncated, and the last.
         """
-        steps, n = rollout.acted.shape
-        truncated = rollout.truncated & ~rollout.terminated
-        numbers = torch.full((steps, n), -1, device=self.device)
-        numbers[-1] = torch.arange(n, device=self.device)
-        numbers[truncated] = n + torch.arange(int(truncated.sum()), device=self.device)
-        if not truncated.any():
-            return numbers, critic_inputs[-1]
-        final = self.inputs(*rollout.final_states(truncated, self.config.gamma))
-        return numbers, torch.cat([critic_inputs[-1], self.critic_inputs(final, rollout.final_others[truncated])])
+        gamma, on, stays = self.config.gamma, ~rollout.ended, (~rollout.terminated).to(rollout.rewards.dtype)
+        shifts, discounts, sources = [rollout.rewards[-1]], [gamma * stays[-1]], [following[-1]]
+        for t in range(len(rollout.rewards) - 2, -1, -1):
+            shifts.append(rollout.rewards[t] + gamma * on[t].unsqueeze(-1) * shifts[-1])
+            discounts.append(gamma * torch.where(on[t], discounts[-1], stays[t]))
+            sources.append(torch.where(on[t].unsqueeze(-1), sources[-1], following[t]))
+        return torch.stack(shifts[::-1]), torch.stack(discounts[::-1]), torch.stack(sources[::-1])
 
-    def targets(self, rollout: VehicleRollout, ends: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Equation 5 for M = T N samples: the sum of rewards (M, d), g^{e-t} (M,) and the number of S_e (M,).
-
-        The discount is 0 where the episode terminates at e; the number is then any.
-        """
-        gamma = self.config.gamma
-        shifts = rollout.rewards.clone()
-        discounts = torch.full_like(rollout.discounts[:-1], gamma)
-        source = ends.clamp(min=0)
-        over = rollout.terminated | rollout.truncated
-        discounts[rollout.terminated] = 0.0
-        for t in range(len(shifts) - 2, -1, -1):
-            on = ~over[t]
-            shifts[t, on] += gamma * shifts[t + 1, on]
-            discounts[t, on] = gamma * discounts[t + 1, on]
-            source[t, on] = source[t + 1, on]
-        return shifts.flatten(0, 1), discounts.flatten(), source.flatten()
-
-    @torch.no_grad()
     def advantages(
-        self, rollout: VehicleRollout, outputs: torch.Tensor, ends: torch.Tensor, end_outputs: torch.Tensor
-    ) -> torch.Tensor:
-        """A_t (T, N) of eq. 4, from the critic's outputs (T N, outputs) at S_t and (E, outputs) at the ends."""
-        expected = self.distribution.expected_utility
-        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1]
-        # V(S_t) of eq. 3, and V(S_{t+1}): at first V(S_t) a step later.
-        values = expected(self.utility, outputs, accrued.flatten(0, 1), discounts.flatten()).view(discounts.shape)
-        next_values = torch.cat([values[1:], torch.zeros_like(values[:1])])
-        # Where an episode or the rollout ends, R_{t+1} = R_t + g^t r_t, and Z is that of S_e, or 0 after termination.
-        at_end = ends >= 0
-        next_accrued = accrued + discounts.unsqueeze(-1) * rollout.rewards
-        rest = end_outputs[ends[at_end]]
-        next_discounts = self.config.gamma * discounts[at_end]
-        next_values[at_end] = expected(self.utility, rest, next_accrued[at_end], next_discounts)
-        next_values[rollout.terminated] = self.utility(next_accrued[rollout.terminated])
-        ended = rollout.terminated | rollout.truncated
-        return generalised_advantages(next_values - values, ended, self.config.gae_lambda)
+        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """A_t (T, N) of eq. 4 from V(S_t) and V(S_{t+1}) (T, N), and V(S_{t+1}): the critic's targets are of eq. 5."""
+        return generalised_advantages(next_values - values, rollout.ended, self.config.gae_lambda), next_values
+
+    def loss(self, networks: Networks, samples: MOCACSamples, entropy_coefficient: torch.Tensor) -> Loss:  # type: ignore[override]
+        """L of eq. 6."""
+        log_prob, entropies = networks.actor(samples.inputs, samples.actions)
+        distances = self.distribution.distance(
+            networks.critic(samples.states), samples.shifts, samples.discounts, samples.following
+        )
+        policy_loss = -mean(samples.advantages * log_prob, samples.weights)
+        value_loss = mean(distances, samples.weights)
+        entropy = mean(entropies, samples.weights)
+        total = policy_loss + self.config.value_coefficient * value_loss - entropy_coefficient * entropy
+        return Loss(total, {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy})
+
+    def diagnose(self, learner: PolicyLearner, seed: int) -> None:
+        """Call the utility with a check."""
+        for v in learner.vehicles:
+            self.utilities[v](self.collector.storage.ended_values[seed, :, :, v])
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
-
-    def get_state(self) -> dict[str, torch.Tensor]:
-        """Weights, those of Z' too, and the optimiser's state."""
-        slow = {f"target_critic.{name}": tensor for name, tensor in self.target_critic.state_dict().items()}
-        return {**super().get_state(), **slow}
-
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`."""
-        super().set_state(state)
-        self.target_critic.load_state_dict(strip_prefix(state, "target_critic."))
-
-
-class MOCAC(ActorCritic):
-    """Multi-objective categorical actor-critic for a known utility, one independent learner per vehicle."""
-
-    name = "mocac"
-    Config = MOCACConfig
-    learner = MOCACLearner
 
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""

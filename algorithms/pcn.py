@@ -54,11 +54,12 @@ from algorithms.hyperparameters import (
     Scales,
     schedules,
 )
-from algorithms.networks.actors import check_outputs
-from algorithms.networks.modules import CommandNetwork
-from algorithms.networks.optimiser import Adam, linear_schedule
-from algorithms.rollouts.buffers import Episodes
-from algorithms.rollouts.episode_buffer import Episode, EpisodeBuffer, returns_to_go
+from algorithms.learning.actors import check_outputs
+from algorithms.learning.learner import NORM, Learner, Networks
+from algorithms.learning.losses import Loss
+from algorithms.learning.networks import CommandNetwork
+from algorithms.learning.optimiser import linear_schedule
+from algorithms.learning.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from mo_deepdrive.config import Settings
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
@@ -160,8 +161,9 @@ class PCN(FrontAgent):
             self.env.actions,
             self.initial,
             standardised=self._standardises,
-        ).to(self.device)
-        self.optimiser = Adam(self.network.parameters())
+        )
+        self.learner = Learner([Networks(network=self.network)], math.inf, self.name)
+        self.learners = [self.learner]
         self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
         self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
         # Draws commands, random actions and batches.
@@ -205,13 +207,38 @@ class PCN(FrontAgent):
         learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
         policy = self._sample_commands()
         attained = self._collect(policy)
-        losses = [self._gradient_step(learning_rate) for _ in range(config.gradient_steps)]
+        rate = torch.tensor(learning_rate)
+        steps = [self.learner.minimise(self.loss, self._batch(), [], rate) for _ in range(config.gradient_steps)]
+        losses = {name: float(torch.cat([step[name] for step in steps]).mean()) for name in steps[0]}
+        check_numbers(losses)
+        del losses[NORM]
         return {
-            metrics.POLICY_LOSS: float(torch.stack(losses).mean()),
+            **losses,
             metrics.LEARNING_RATE: learning_rate,
             metrics.COMMAND_ERROR: float((np.abs(attained - policy.desired) / self.scales).mean()),
             metrics.NON_DOMINATED: float(len(self.buffer.best())),
         }
+
+    def _batch(self) -> dict[str, torch.Tensor]:
+        """A batch of the buffer (1, n, ...), as :meth:`loss` takes it."""
+        observations, actions, returns, left = self.buffer.sample(self.config.batch_size, self.draws)
+        seen, asked = self._scaled(observations, returns, left)
+        batch = {"observations": seen, "commands": asked, "actions": actions}
+        return {name: torch.from_numpy(each).unsqueeze(0) for name, each in batch.items()}
+
+    def loss(self, networks: Networks, samples: dict[str, torch.Tensor]) -> Loss:
+        """L of eq. 1 or 2."""
+        outputs = networks.network(samples["observations"], samples["commands"])
+        if self.env.continuous:
+            total = nn.functional.mse_loss(outputs.tanh(), samples["actions"])
+        else:
+            total = nn.functional.cross_entropy(outputs, samples["actions"])
+        return Loss(total, {metrics.POLICY_LOSS: total})
+
+    def gradient_steps(self, total_timesteps: int) -> int:
+        """How many there are in a training of episodes of usual length."""
+        updates = total_timesteps / (self.env.num_envs * self.config.horizon_scale)
+        return int(updates * self.config.gradient_steps)
 
     def _sample_commands(self) -> CommandPolicy:
         """One command per environment, by eq. 3."""
@@ -268,7 +295,8 @@ class PCN(FrontAgent):
         self.updates += 1
         self._collected += n
         returns, succeeded = rewards.sum(axis=1, dtype=np.float64), succeeded[np.arange(n), last]
-        self.episodes.append(Episodes(np.zeros_like(lengths), returns, discounted.astype(float), lengths, succeeded))
+        sums = torch.from_numpy(np.column_stack([succeeded, lengths, returns]))[None, :, None]
+        self.episodes.add(torch.ones(sums.shape[:-1], dtype=torch.bool), sums)
         return discounted
 
     def _random_from(self, policy: CommandPolicy) -> NDArray[np.float64]:
@@ -289,24 +317,6 @@ class PCN(FrontAgent):
             repeat = torch.rand(n, generator=self.draws).numpy() < self.config.persistence
             actions[repeat] = previous[repeat]
         return actions
-
-    def _gradient_step(self, learning_rate: float) -> torch.Tensor:
-        """One gradient step of eq. 1 or 2 on a batch of the buffer; the loss."""
-        observations, actions, returns, left = self.buffer.sample(self.config.batch_size, self.draws)
-        targets = torch.from_numpy(actions).to(self.device)
-        inputs = self._scaled(observations, returns, left)
-        outputs = self.network(*(torch.from_numpy(each).to(self.device) for each in inputs))
-        loss = (
-            nn.functional.mse_loss(outputs.tanh(), targets)
-            if self.env.continuous
-            else nn.functional.cross_entropy(outputs, targets)
-        )
-        self.optimiser.param_groups[0]["lr"] = learning_rate
-        self.optimiser.zero_grad()
-        loss.backward()
-        self.optimiser.clip(math.inf, lambda: {metrics.POLICY_LOSS: float(loss.detach())})
-        self.optimiser.step()
-        return loss.detach()
 
     def _scaled(
         self, observations: NDArray[np.float32], desired: NDArray[np.float32], horizon: NDArray[np.float32]
@@ -334,7 +344,7 @@ class PCN(FrontAgent):
             generator: samples actions; None acts greedily.
         """
         outputs = self.network.respond(*self._scaled(observations, desired, horizon))
-        check_outputs(outputs)
+        check_outputs(torch.from_numpy(outputs))
         if self.env.continuous:
             actions: NDArray[np.float32] = np.tanh(outputs)
             if generator is not None:
@@ -448,9 +458,9 @@ class PCN(FrontAgent):
     def get_state(self) -> dict[str, torch.Tensor]:
         """Network, optimiser, buffer and counts."""
         return {
-            "counts": torch.tensor([self.updates, self._collected, self.env_seed]),
+            "counts": torch.tensor([self.updates, self._collected]),
             **self._policy_tensors(),
-            **{f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()},
+            **{name: each for name, each in self.learner.get_state().items() if name.startswith("optimiser.")},
             **{f"store.{name}": tensor for name, tensor in self.buffer.get_state().items()},
         }
 
@@ -463,15 +473,15 @@ class PCN(FrontAgent):
         self.set_policy(state)
         counts = state["counts"].tolist()
         if min(counts) < 0:
-            raise ValueError(f"counts = {counts} of updates, episodes and seed must not be negative")
-        self.updates, self._collected, self.env_seed = counts
+            raise ValueError(f"counts = {counts} of updates and episodes must not be negative")
+        self.updates, self._collected = counts
         if not len(self.buffer) and (self.step or self._collected):
             raise ValueError(f"the buffer is empty after {self.step} steps and {self._collected} episodes")
-        self.optimiser.set_state(strip_prefix(state, "optimiser."))
+        self.learner.set_state(state)
 
     def _policy_tensors(self) -> dict[str, torch.Tensor]:
         """What acting under a command needs."""
-        network = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
+        network = self.learner.get_weights("network")
         inputs = {"inputs": torch.from_numpy(self.inputs)} if self._standardises else {}
         return {"bounds": torch.from_numpy(np.stack(self.bounds)), **inputs, **network}
 
@@ -501,7 +511,7 @@ class PCN(FrontAgent):
         """
         attained = strip_prefix(state, "attained.")
         self._attained = self._read_attained(attained) if attained else None
-        self.network.load_state_dict(strip_prefix(state, "network."))
+        self.learner.set_weights(state)
         low, high = state["bounds"].numpy()
         self.bounds = low, high
         if self._standardises:

@@ -25,6 +25,7 @@ STEP, UPDATES, SEED = "step", "updates", "seed"
 OBJECTIVE_SCALES, ACCRUED_GAMMA = "objective_scales", "accrued_gamma"  # entries: what observed returns are in units of
 SHARED = "share_policy"  # entry: whether one policy drives all vehicles
 RHO, PRICE = "rho", "price"  # entries: of Chebyshev and budgeted utilities
+RESIDENT = "resident"  # entry: whether the worlds were on the device
 MOST_STEPS = 2**63 - 1
 
 

@@ -1,4 +1,4 @@
-"""Multilayer perceptrons, users' own networks, inputs of centralised critics, and the network of PCN."""
+"""Multilayer perceptrons, users' own networks, and the network of PCN."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from algorithms.networks.compiled.perceptron import Perceptron
-from algorithms.networks.threads import limited_threads
+from algorithms.learning.threads import limited_threads
 from mo_deepdrive.importing import import_named
 
 if TYPE_CHECKING:
@@ -58,7 +57,7 @@ def mlp(
         layers.append(layer)
         if not last:
             layers.append(ACTIVATIONS[activation]())
-    return Perceptron(*layers) if activation == "relu" else nn.Sequential(*layers)
+    return nn.Sequential(*layers)
 
 
 @limited_threads()
@@ -109,12 +108,6 @@ def _users_network(path: str, inputs: int, outputs: int, generator: torch.Genera
     return network
 
 
-def centralised_inputs(inputs: torch.Tensor, others: torch.Tensor, observation_scales: torch.Tensor) -> torch.Tensor:
-    """What a centralised critic sees: ``inputs`` (..., i), and the other vehicles' observations (..., (V - 1) * o)."""
-    scaled = others.unflatten(-1, (-1, len(observation_scales))) / observation_scales
-    return torch.cat([inputs, scaled.flatten(-2)], dim=-1)
-
-
 class CommandNetwork(nn.Module):
     """The network of Pareto Conditioned Networks: f(s, c) = MLP(sigmoid(W_s s) * sigmoid(W_c c)), W with biases.
 
@@ -146,10 +139,9 @@ class CommandNetwork(nn.Module):
         super().__init__()
         widths = (inputs, commands)
         gains = [math.sqrt(max(1.0, hidden[0] / width)) if standardised else 1.0 for width in widths]
-        # Plain layers: the product of two of them is no chain, for which alone a Perceptron is faster.
-        self.observation = nn.Sequential(*mlp(inputs, (), hidden[0], generator, output_gain=gains[0]))
-        self.command = nn.Sequential(*mlp(commands, (), hidden[0], generator, output_gain=gains[1]))
-        self.body = nn.Sequential(*mlp(hidden[0], hidden[1:], outputs, generator, output_gain=0.01))
+        self.observation = mlp(inputs, (), hidden[0], generator, output_gain=gains[0])
+        self.command = mlp(commands, (), hidden[0], generator, output_gain=gains[1])
+        self.body = mlp(hidden[0], hidden[1:], outputs, generator, output_gain=0.01)
         self._tensors = [*self.parameters()]
         self._arrays: tuple[int, list[NDArray[np.float32]]] | None = None
 

@@ -6,18 +6,13 @@ Both describe the joint distribution of all objectives. Rows are samples: M of t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 
-from algorithms.networks.compiled import serves
-from mo_deepdrive.simulation.jit import jit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from mo_deepdrive.utilities import Utility
 
@@ -189,93 +184,8 @@ def energy_score(particles: torch.Tensor, targets: torch.Tensor) -> torch.Tensor
         particles: (M, K, d) X, equally likely.
         targets: (M, J, d) Y, equally likely, without a gradient.
     """
-    if serves(particles):
-        found: torch.Tensor = _EnergyScore.apply(particles, targets)  # type: ignore[no-untyped-call]
-        return found
-
     def distance(others: torch.Tensor) -> torch.Tensor:
         squares = (particles.unsqueeze(-2) - others.unsqueeze(-3)).square().sum(-1)
         return (squares + SMOOTHING**2).sqrt().mean((-2, -1))
 
     return 2.0 * distance(targets) - distance(particles)
-
-
-class _EnergyScore(torch.autograd.Function):
-    """:func:`energy_score`, compiled; its gradient is calculated with it."""
-
-    @staticmethod
-    def forward(ctx: Any, particles: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
-        """The scores."""
-        x, y = particles.detach().contiguous().numpy(), targets.contiguous().numpy()
-        scores, gradient = np.empty(len(x), np.float32), np.empty_like(x)
-        _energy_score(x, y, scores, gradient)
-        ctx.gradient = torch.from_numpy(gradient)
-        return torch.from_numpy(scores)
-
-    @staticmethod
-    def backward(ctx: Any, by_scores: torch.Tensor) -> tuple[torch.Tensor, None]:
-        """By the particles."""
-        return by_scores[:, None, None] * ctx.gradient, None
-
-
-@jit
-def _energy_score(
-    particles: NDArray[np.float32],
-    targets: NDArray[np.float32],
-    scores: NDArray[np.float32],
-    gradient: NDArray[np.float32],
-) -> None:
-    """Write the scores (M,) and their gradient (M, K, d) by the particles."""
-    rows, number, d = particles.shape
-    x, by_x = np.empty((d, number), np.float32), np.empty((d, number), np.float32)
-    spare = np.empty((2, number), np.float32)
-    to_targets, to_each_other = 2.0 / (number * targets.shape[1]), 2.0 / number**2
-    for m in range(rows):
-        for i in range(number):  # assignments of arrays take much longer to compile
-            for k in range(d):
-                x[k, i], by_x[k, i] = particles[m, i, k], 0.0
-        score = to_targets * _add_distances(x, targets[m], to_targets, by_x, spare)
-        score -= 0.5 * to_each_other * _add_distances(x, particles[m], -to_each_other, by_x, spare)
-        scores[m] = score
-        for i in range(number):
-            for k in range(d):
-                gradient[m, i, k] = by_x[k, i]
-
-
-@jit
-def _add_distances(
-    x: NDArray[np.float32],
-    points: NDArray[np.float32],
-    factor: float,
-    by_x: NDArray[np.float32],
-    spare: NDArray[np.float32],
-) -> float:
-    """The sum over i and j of ``|x_i - p_j|``; its derivative by z = x_i - p_j is ``z / |z|``.
-
-    The innermost loops are over i, so that the compiler can vectorise them.
-
-    Args:
-        x: (d, K).
-        points: (J, d) p.
-        factor: of the gradient.
-        by_x: (d, K), to which the gradient is added.
-        spare: (2, K), overwritten.
-    """
-    slopes, sums, scale = spare[0], spare[1], np.float32(factor)
-    sums[:] = 0.0
-    for j in range(len(points)):
-        slopes[:] = np.float32(SMOOTHING**2)
-        for k in range(len(x)):
-            for i in range(x.shape[1]):
-                slopes[i] += (x[k, i] - points[j, k]) * (x[k, i] - points[j, k])
-        for i in range(x.shape[1]):
-            distance = np.sqrt(slopes[i])
-            sums[i] += distance
-            slopes[i] = scale / distance
-        for k in range(len(x)):
-            for i in range(x.shape[1]):
-                by_x[k, i] += slopes[i] * (x[k, i] - points[j, k])
-    total = 0.0
-    for i in range(len(sums)):
-        total += sums[i]
-    return total

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import torch
@@ -58,20 +58,6 @@ class PreferenceSettings(Settings):
         return self
 
 
-class Drawn(NamedTuple):
-    """New preferences of a rollout.
-
-    Attributes:
-        candidates: (T, N, V, m) that begin where an episode does, or where they change.
-        changes: (T, N, V) whether the preference changes, also in the middle of an episode.
-        followed: (T, N, V, m) under which the vehicles act, written by the rollout.
-    """
-
-    candidates: NDArray[np.float32]
-    changes: NDArray[np.bool_]
-    followed: NDArray[np.float32]
-
-
 class Preferences:
     """The preferences that one network serves: how they are drawn, what they are worth, what it sees of them.
 
@@ -85,8 +71,6 @@ class Preferences:
 
     Attributes:
         names: of the m components.
-        ideal: (d,) z, from which :meth:`draw` knows the gains, and on which Chebyshev utilities depend.
-        seen_any: whether an episode has ended, from which z is known.
         weight_columns, budget_columns: of a row.
         factors, divisors: (m,) by which networks see the components multiplied and divided.
 
@@ -111,8 +95,6 @@ class Preferences:
         self._with_budget = torch.tensor(self.budgeted, dtype=torch.int64)
         self._free = torch.tensor([i for i in range(len(objectives)) if i not in self.budgeted], dtype=torch.int64)
         self.largest = torch.tensor([*config.budgets.values()], dtype=torch.float32)
-        self.ideal = torch.zeros(len(objectives))
-        self.seen_any = False
         weighted = self.used != [COMFORT_BUDGET]
         d, first = len(objectives), len(self.used) if len(self.used) > 1 else 0
         self.weight_columns = slice(first, first + d * weighted)
@@ -149,22 +131,12 @@ class Preferences:
         parts += [weights * (1.0 - has_budgets)] if self.weight_columns.stop > self.weight_columns.start else []
         return torch.cat([*parts, budgets * self.largest * has_budgets], dim=-1)
 
-    def note_episodes(self, discounted: NDArray[np.float64]) -> None:
-        """Raise z to the best discounted returns (E, d) of episodes that ended."""
-        if len(discounted):
-            best = torch.from_numpy(discounted.max(axis=0)).float()
-            self.ideal = torch.maximum(self.ideal, best) if self.seen_any else best
-            self.seen_any = True
-
-    def draw(
-        self, count: int, rng: np.random.Generator, cost_share: float = 1.0, *, emphasis: bool = True
-    ) -> NDArray[np.float32]:
+    def draw(self, count: int, rng: np.random.Generator, *, emphasis: bool = True) -> NDArray[np.float32]:
         """(count, m) preferences from the distribution of training.
 
         Args:
             count: number of preferences.
             rng: draws them.
-            cost_share: c of eq. 12; by default the weights are as drawn.
             emphasis: whether that of the config applies; without it all objectives are alike.
         """
         rows = np.zeros((count, len(self.names)), dtype=np.float32)
@@ -176,12 +148,7 @@ class Preferences:
             alpha = np.full(len(self.objectives), self.config.concentration)
             if emphasis:
                 alpha *= self.emphasis
-            weights = rng.dirichlet(alpha, int(weighted.sum()))
-            if cost_share < 1.0 and (gains := self.ideal.numpy() > 0.0).any():  # eq. 12
-                of_gains = np.where(gains, weights + TINY, 0.0)
-                of_gains /= of_gains.sum(axis=1, keepdims=True)
-                weights = (1.0 - cost_share) * of_gains + cost_share * weights
-            rows[weighted, self.weight_columns] = weights
+            rows[weighted, self.weight_columns] = rng.dirichlet(alpha, int(weighted.sum()))
         if not weighted.all():
             highest = self.largest.numpy()
             rows[~weighted, self.budget_columns] = highest * rng.random((int((~weighted).sum()), len(highest)))
@@ -260,19 +227,19 @@ class Preferences:
         """The weights w (..., d) of preferences (..., m); 0 under budgets."""
         return preferences[..., self.weight_columns]
 
-    def gaps(self, returns: torch.Tensor, preferences: torch.Tensor) -> torch.Tensor:
+    def gaps(self, returns: torch.Tensor, preferences: torch.Tensor, ideal: torch.Tensor) -> torch.Tensor:
         """The gaps q of eq. 2 (..., d)."""
-        return self.weights(preferences) * (self.ideal.to(returns) - returns) / self.scales.to(returns)
+        return self.weights(preferences) * (ideal.to(returns) - returns) / self.scales.to(returns)
 
-    def utility(self, returns: torch.Tensor, preferences: torch.Tensor) -> torch.Tensor:
-        """u(R; p) (...) of eqs. 1 to 3, for returns (..., d) and preferences (..., m)."""
+    def utility(self, returns: torch.Tensor, preferences: torch.Tensor, ideal: torch.Tensor) -> torch.Tensor:
+        """u(R; p) (...) of eqs. 1 to 3, for returns (..., d), preferences (..., m) and z (..., d)."""
         scaled = returns / self.scales.to(returns)
         value = torch.zeros(returns.shape[:-1], device=returns.device, dtype=returns.dtype)
         if LINEAR in self.used:
             linear = (self.weights(preferences) * scaled).sum(-1)
             value = torch.where(self.is_family(preferences, LINEAR), linear, value)
         if CHEBYSHEV in self.used:
-            gaps = self.gaps(returns, preferences)
+            gaps = self.gaps(returns, preferences, ideal)
             chebyshev = -(gaps.amax(-1) + self.config.rho * gaps.sum(-1))
             value = torch.where(self.is_family(preferences, CHEBYSHEV), chebyshev, value)
         if COMFORT_BUDGET in self.used:
@@ -288,23 +255,98 @@ class Preferences:
         d = len(self.objectives)
         return len(self.names) + d * (CHEBYSHEV in self.used) + len(self.budgeted)
 
-    def features(self, preferences: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+    def features(
+        self, preferences: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, ideal: torch.Tensor
+    ) -> torch.Tensor:
         """(p, c_t) of eq. 6, scaled: (..., width).
 
         Args:
             preferences: (..., m).
             accrued: (..., d) R_t.
             discounts: (...) gamma^t.
+            ideal: (..., d) z.
         """
         left = discounts.unsqueeze(-1).clamp(min=SMALLEST_DISCOUNT)
-        largest = self.largest.to(accrued)
-        parts = [preferences * self.factors.to(preferences) / self.divisors.to(preferences)]
+        parts = [preferences * self.factors / self.divisors]
         if CHEBYSHEV in self.used:
-            gaps = self.gaps(accrued, preferences)
+            gaps = self.gaps(accrued, preferences, ideal)
             behind = ((gaps - gaps.amax(-1, keepdim=True)) / left).clamp(min=-FURTHEST)
             parts.append(behind * self.is_family(preferences, CHEBYSHEV).unsqueeze(-1))
         if COMFORT_BUDGET in self.used:
-            unspent = (accrued[..., self._with_budget] + preferences[..., self.budget_columns]) / left / largest
+            unspent = (accrued[..., self._with_budget] + preferences[..., self.budget_columns]) / left / self.largest
             is_budget = self.is_family(preferences, COMFORT_BUDGET).unsqueeze(-1)
             parts.append(unspent.clamp(-FURTHEST, FURTHEST) * is_budget)
         return torch.cat(parts, dim=-1)
+
+
+class TrainingPreferences:
+    """The preferences of N environments of S seeds while they train, and the best returns that they have seen.
+
+    Args:
+        preferences: what they are; its tensors are on the device.
+        shape: S, T, N and V.
+        switching: probability per decision that a preference changes within an episode.
+        device: of the tensors.
+
+    Attributes:
+        width: m.
+        current: (S, N, V, m) of the running episodes.
+        ideal: (S, d) z, the best accrued rewards of any episode; 0 before one has ended.
+        seen_any: (S,) whether one has.
+        cost_share: c of eq. 12.
+    """
+
+    def __init__(
+        self, preferences: Preferences, shape: tuple[int, int, int, int], switching: float, device: torch.device
+    ):
+        seeds, _, num_envs, vehicles = shape
+        d, self.width = len(preferences.objectives), len(preferences.names)
+        self._preferences, self._switching = preferences, switching
+        self.current = torch.zeros(seeds, num_envs, vehicles, self.width, device=device)
+        self.ideal = torch.zeros(seeds, d, device=device)
+        self.seen_any = torch.zeros(seeds, dtype=torch.bool, device=device)
+        self.cost_share = torch.ones((), device=device)
+        concentration = torch.from_numpy(preferences.config.concentration * preferences.emphasis)
+        self._concentration = concentration.float().to(device)
+        shares = torch.from_numpy(preferences.shares[preferences.used]).float()
+        self._thresholds = shares.cumsum(0)[:-1].to(device)
+        # Of every decision: weights, and uniform numbers for family, switching and budgets.
+        self._weights = torch.zeros(*shape, d, device=device)
+        self._uniform = torch.zeros(*shape, 2 + len(preferences.budgeted), device=device)
+
+    def draw(self, seed: int, generator: torch.Generator) -> None:
+        """Draw the random numbers of a rollout of the seed with this index."""
+        concentration = self._concentration.expand(self._weights[seed].shape)
+        self._weights[seed] = torch._sample_dirichlet(concentration, generator=generator)
+        self._uniform[seed].uniform_(generator=generator)
+
+    def follow(self, t: int, lengths: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The preferences (S, N, V, m) of decision t of a rollout, and z (S, 1, 1, d).
+
+        They change where an episode begins, and by chance elsewhere.
+
+        Args:
+            t: the decision.
+            lengths: (S, N, V) decisions of running episodes.
+        """
+        weights, uniform = self._weights[:, t], self._uniform[:, t]
+        ideal = self.ideal[:, None, None]
+        # Equation 12.
+        gains = ideal > 0.0
+        of_gains = torch.where(gains, weights + TINY, 0.0)
+        of_gains = of_gains / of_gains.sum(-1, keepdim=True).clamp(min=TINY)
+        grown = (1.0 - self.cost_share) * of_gains + self.cost_share * weights
+        weights = torch.where(gains.any(-1, keepdim=True), grown, weights)
+        family = (uniform[..., :1] >= self._thresholds).sum(-1)
+        drawn = self._preferences.rows(family, weights, uniform[..., 2:])
+        changes = (lengths == 0) | (uniform[..., 1] < self._switching)
+        self.current.copy_(torch.where(changes.unsqueeze(-1), drawn, self.current))
+        return self.current, ideal
+
+    def note_episodes(self, values: torch.Tensor, ended: torch.Tensor) -> None:
+        """Raise z to the best accrued rewards (S, T, N, V, d) of the episodes that ended, where a mask says."""
+        best = values.masked_fill(~ended.unsqueeze(-1), -torch.inf).amax((1, 2, 3))
+        any_ended = ended.flatten(1).any(-1)
+        before = torch.where(self.seen_any.unsqueeze(-1), self.ideal, -torch.inf)
+        self.ideal.copy_(torch.where((self.seen_any | any_ended).unsqueeze(-1), torch.maximum(before, best), 0.0))
+        self.seen_any.logical_or_(any_ended)

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from algorithms.hyperparameters import GuideSettings
-    from algorithms.rollouts.buffers import Rollout
     from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.team import Population
 
@@ -48,12 +47,14 @@ class Guide:
         self.vehicle = driver.vehicle
         self._handover = np.zeros(num_envs, dtype=np.int64)  # decisions after which the learner drives
         self._share = 0.0
-        self._led: list[NDArray[np.bool_]] = []
+
+    def copy(self) -> Guide:
+        """The same for other environments."""
+        return Guide(self.driver, self.settings, len(self._handover))
 
     def begin_rollout(self, progress: float) -> None:
         """Set the share of guided episodes for a rollout at ``progress``, the fraction of the training that is done."""
         self._share = self.settings.share * max(0.0, 1.0 - progress / self.settings.until)
-        self._led.clear()
 
     def drive(
         self,
@@ -61,8 +62,8 @@ class Guide:
         observations: NDArray[np.float32],
         accrued_reward: AccruedReward,
         generator: torch.Generator,
-    ) -> None:
-        """Overwrite the vehicle's actions where the guide drives.
+    ) -> NDArray[np.bool_]:
+        """Overwrite the vehicle's actions where the guide drives; the mask (N,) of these environments.
 
         Args:
             actions: (N, V) or (N, V, k) of the learners.
@@ -80,11 +81,7 @@ class Guide:
         rows = np.flatnonzero(led)
         if len(rows):
             actions[rows, self.vehicle] = self.driver.act(observations[rows], accrued_reward.take(rows), generator)
-        self._led.append(led)
-
-    def hide(self, rollout: Rollout) -> None:
-        """Mark the samples in which the guide drove as samples in which the vehicle did not act."""
-        rollout.acted[:, :, self.vehicle] &= torch.from_numpy(~np.stack(self._led))
+        return led
 
     def identity(self) -> list[str]:
         """What a checkpoint must share: the driver, and when it drives."""
@@ -122,6 +119,7 @@ class Guides:
     """
 
     def __init__(self, guides: Sequence[Guide], discount: float):
+        self._discount = discount
         self._of_vehicle = {guide.vehicle: guide for guide in guides}
         if len(self._of_vehicle) < len(guides):
             raise ValueError(f"a vehicle has several guides: they are for {sorted(guide.vehicle for guide in guides)}")
@@ -131,6 +129,10 @@ class Guides:
                 raise ValueError(
                     f"a guide observes rewards accrued with the discount {theirs:g}; here it is {discount:g}"
                 )
+
+    def copy(self) -> Guides:
+        """The same for other environments."""
+        return Guides([guide.copy() for guide in self], self._discount)
 
     @property
     def schedules(self) -> list[str]:
@@ -144,23 +146,6 @@ class Guides:
         """Set the shares of guided episodes for a rollout at ``progress``."""
         for guide in self:
             guide.begin_rollout(progress)
-
-    def drive(
-        self,
-        actions: NDArray[Any],
-        observations: NDArray[np.float32],
-        accrued_reward: AccruedReward,
-        generator: torch.Generator,
-    ) -> NDArray[Any]:
-        """The actions, those of guides where these drive; arguments are those of :meth:`Guide.drive`."""
-        for guide in self:
-            guide.drive(actions, observations, accrued_reward, generator)
-        return actions
-
-    def hide(self, rollout: Rollout) -> None:
-        """Mark what the guides did, as :meth:`Guide.hide`."""
-        for guide in self:
-            guide.hide(rollout)
 
     def identity(self) -> dict[str, list[str]]:
         """:meth:`Guide.identity` by vehicle."""

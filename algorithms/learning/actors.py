@@ -1,0 +1,216 @@
+"""Actors (policy networks): softmax and Gaussian policies over the outputs of a network.
+
+What is chosen, its log-probability and the entropy are functions of those outputs.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import torch
+from torch import nn
+
+from algorithms.learning.networks import make_network
+from mo_deepdrive.faults import NotFinite
+
+if TYPE_CHECKING:
+    from algorithms.hyperparameters import NetworkSettings
+
+LOG_TWO_PI = math.log(2 * math.pi)
+INITIAL_LOG_STD = -0.5  # of Gaussian policies
+LOWEST_LOG_STD, HIGHEST_LOG_STD = -5.0, 1.0  # where it depends on the state
+# By which an output that depends on the state is multiplied. Adam moves all weights of a layer at once, so an output
+# moves faster than a parameter of its own would; with 1, more runs stopped exploring too early (measured in
+# docs/lab/conditioned.md).
+LOG_STD_GAIN = 0.3
+
+
+def check_outputs(outputs: torch.Tensor) -> None:
+    """Refuse outputs of a policy's network from which no action can be chosen.
+
+    Args:
+        outputs: (N, ...) of N environments.
+
+    Raises:
+        NotFinite: naming the environment.
+    """
+    wrong = ~outputs.isfinite()
+    if wrong.any():
+        environment = int(wrong.nonzero()[0, 0])
+        raise NotFinite(
+            f"environment {environment}: an output of the policy's network = {outputs[wrong][0]:g}; it must be finite"
+        )
+
+
+def softmax_log_prob_and_entropy(logits: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Log p_a and the entropy of p = softmax(z), each (...), for logits z (..., n) and actions a (...)."""
+    log_p = logits.log_softmax(-1)
+    return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), -(log_p.exp() * log_p).sum(-1)
+
+
+def gaussian_log_density_and_entropy(
+    mean: torch.Tensor, log_std: torch.Tensor, actions: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Log N(a; m, sigma) and the entropy, each (...), for m and a (..., k) and log sigma (..., k) or (k,)."""
+    z = (actions - mean) / log_std.exp()
+    log_density = (-0.5 * z.square() - log_std - 0.5 * LOG_TWO_PI).sum(-1)
+    return log_density, (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1).expand_as(log_density)
+
+
+class Actor(nn.Module, ABC):
+    """A policy; calling it gives the log-probability of actions and its entropy.
+
+    Args:
+        body: network from (..., inputs) to the parameters of the distribution.
+        noise: how many random numbers :meth:`choose` takes for an action.
+    """
+
+    def __init__(self, body: nn.Module, noise: int):
+        super().__init__()
+        self.body = body
+        self.noise = noise
+
+    @abstractmethod
+    def draw(self, noise: torch.Tensor, generator: torch.Generator) -> None:
+        """Fill ``noise`` (..., noise) with the random numbers of :meth:`choose`."""
+
+    @abstractmethod
+    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+        """Actions (...) or (..., k) for outputs (..., n) of the body and random numbers (..., noise)."""
+
+    @abstractmethod
+    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+        """The most probable actions (...) or (..., k) for outputs (..., n) of the body."""
+
+    @abstractmethod
+    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-probability of ``actions`` and entropy, each (...), for outputs (..., n) of the body."""
+
+    def act(self, x: torch.Tensor, generator: torch.Generator | None) -> torch.Tensor:
+        """One action per row of x (N, ..., inputs): the most probable one without a generator.
+
+        Raises:
+            NotFinite: naming the environment, for outputs of the network that are not finite.
+        """
+        outputs: torch.Tensor = self.body(x)
+        check_outputs(outputs)
+        if generator is None:
+            return self.best(outputs)
+        noise = outputs.new_empty(*outputs.shape[:-1], self.noise)
+        self.draw(noise, generator)
+        return self.choose(outputs, noise)
+
+    def forward(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-probability of ``actions`` and entropy of the policy, each (...)."""
+        return self.evaluate(self.body(x), actions)
+
+
+class CategoricalActor(Actor):
+    """Softmax policy over n discrete actions; actions are int64 tensors of shape (...).
+
+    Args:
+        body: network from (..., inputs) to n logits.
+    """
+
+    def __init__(self, body: nn.Module):
+        super().__init__(body, noise=1)
+
+    def draw(self, noise: torch.Tensor, generator: torch.Generator) -> None:
+        """Uniform in [0, 1)."""
+        noise.uniform_(generator=generator)
+
+    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+        """By inversion: the first action whose cumulative probability is above a uniform number."""
+        cumulative = outputs.softmax(-1).cumsum(-1)
+        return (cumulative[..., :-1] <= noise * cumulative[..., -1:]).sum(-1)
+
+    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+        """The action of the largest logit."""
+        return outputs.argmax(-1)
+
+    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """As :func:`softmax_log_prob_and_entropy`."""
+        return softmax_log_prob_and_entropy(outputs, actions)
+
+
+class _Gaussian(Actor):
+    """Diagonal Gaussian policy; actions are float tensors (..., k).
+
+    The environment clips actions to its box; the log-probability is that of the unclipped sample.
+    """
+
+    @abstractmethod
+    def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Means (..., k) and log standard deviations (..., k) or (k,) that outputs (..., n) stand for."""
+
+    def draw(self, noise: torch.Tensor, generator: torch.Generator) -> None:
+        """Standard normal."""
+        noise.normal_(generator=generator)
+
+    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+        """M + sigma x."""
+        mean, log_std = self.mean_and_log_std(outputs)
+        return mean + log_std.exp() * noise
+
+    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+        """The mean."""
+        return self.mean_and_log_std(outputs)[0]
+
+    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """As :func:`gaussian_log_density_and_entropy`."""
+        return gaussian_log_density_and_entropy(*self.mean_and_log_std(outputs), actions)
+
+
+class GaussianActor(_Gaussian):
+    """Gaussian policy with one log standard deviation per axis.
+
+    Args:
+        body: network from (..., inputs) to the means of the actions.
+        actions: k.
+    """
+
+    def __init__(self, body: nn.Module, actions: int):
+        super().__init__(body, noise=actions)
+        self.log_std = nn.Parameter(torch.full((actions,), INITIAL_LOG_STD))
+
+    def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The outputs, and a parameter."""
+        return outputs, self.log_std
+
+
+class StateGaussianActor(_Gaussian):
+    """Gaussian policy whose standard deviation, too, depends on the state.
+
+    What explores in one state, or under one preference, can be certain in another.
+
+    Args:
+        body: network from (..., inputs) to k means, then k numbers of which the deviations are made.
+        actions: k.
+    """
+
+    def __init__(self, body: nn.Module, actions: int):
+        super().__init__(body, noise=actions)
+
+    def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Both halves of the outputs (..., 2 k)."""
+        mean, log_std = outputs.split(self.noise, dim=-1)
+        return mean, (LOG_STD_GAIN * log_std + INITIAL_LOG_STD).clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD)
+
+
+def make_actor(
+    config: NetworkSettings, inputs: int, actions: int, generator: torch.Generator, *, continuous: bool
+) -> Actor:
+    """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many.
+
+    With ``config.state_dependent_std`` the network has two outputs per axis.
+
+    Raises:
+        ValueError: as :func:`algorithms.learning.networks.make_network`.
+    """
+    outputs = 2 * actions if continuous and config.state_dependent_std else actions
+    body = make_network(config, inputs, outputs, generator, output_gain=0.01)
+    if not continuous:
+        return CategoricalActor(body)
+    return StateGaussianActor(body, actions) if config.state_dependent_std else GaussianActor(body, actions)

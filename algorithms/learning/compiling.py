@@ -1,0 +1,86 @@
+"""Functions of tensors that ``torch.compile`` makes into few kernels."""
+
+from __future__ import annotations
+
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch.utils import _pytree as pytree
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+BACKEND = "inductor"
+# Gradient steps in a training from which on compiling saves more time than it takes.
+WORTHWHILE = {"cpu": 8_000, "cuda": 100_000}
+
+
+def has_compiler(device: str) -> bool:
+    """Whether ``torch.compile`` finds what it needs: a C++ compiler, and on a GPU Triton."""
+    if device != "cpu":
+        return torch.utils._triton.has_triton()
+    from torch._inductor import config  # not earlier: it takes a second
+
+    return any(name and shutil.which(name) for name in config.cpp.cxx)
+
+
+class Compiled:
+    """A function of trees of tensors, compiled at its first call with arguments of these shapes.
+
+    It is traced with all that autograd does, of which ``torch.compile`` then sees nothing but operations. What is no
+    tensor, and tensors that are no arguments, stay what they were when it was traced; tensors in its results are new.
+
+    Args:
+        function: gives a tree of tensors, and may change its arguments in place.
+        enabled: whether it is compiled; else it is called as it is.
+    """
+
+    def __init__(self, function: Callable[..., Any], *, enabled: bool):
+        self._function, self._enabled = function, enabled
+        self._compiled: dict[Any, tuple[Callable[..., Any], pytree.TreeSpec]] = {}
+
+    @torch.no_grad()
+    def __call__(self, *arguments: Any) -> Any:
+        """The function's result.
+
+        Raises:
+            ValueError: if it cannot be compiled.
+        """
+        if not self._enabled:
+            return self._function(*arguments)
+        leaves, form = pytree.tree_flatten(arguments)
+        key = (str(form), *((tuple(each.shape), each.stride()) for each in leaves))
+        if key not in self._compiled:
+            self._compiled[key] = self._compile(leaves, form)
+        compiled, form = self._compiled[key]
+        return pytree.tree_unflatten(compiled(*leaves), form)
+
+    def _compile(
+        self, leaves: list[torch.Tensor], form: pytree.TreeSpec
+    ) -> tuple[Callable[..., Any], pytree.TreeSpec]:
+        from torch.fx.experimental.proxy_tensor import make_fx  # not earlier: it takes a second
+
+        forms: list[pytree.TreeSpec] = []
+
+        def flat(*leaves: torch.Tensor) -> list[Any]:
+            found, form_of_found = pytree.tree_flatten(self._function(*pytree.tree_unflatten(leaves, form)))
+            forms.append(form_of_found)
+            return found
+
+        try:
+            traced = make_fx(flat)(*map(_copy, leaves))
+            compiled = torch.compile(traced, backend=BACKEND, fullgraph=True, dynamic=False)
+            compiled(*map(_copy, leaves))
+        except Exception as error:
+            reason = " ".join(str(error).split())[:300]
+            raise ValueError(
+                f"training.compiled = True: this update cannot be compiled; take false, or mend what torch.compile "
+                f"refuses ({type(error).__name__}: {reason})"
+            ) from error
+        return compiled, forms[0]
+
+
+def _copy(tensor: torch.Tensor) -> torch.Tensor:
+    """A tensor of the same strides, for operations depend on them."""
+    return torch.empty_strided(tensor.shape, tensor.stride(), dtype=tensor.dtype, device=tensor.device).copy_(tensor)

@@ -1,0 +1,260 @@
+"""The networks of one policy for S seeds: parameters with the seeds as their first axis, and Adam for all of them."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import nn
+from torch.func import functional_call, vmap
+from torch.utils._pytree import tree_map
+
+from algorithms.files.checkpoints import strip_prefix
+from algorithms.learning.compiling import Compiled
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from algorithms.learning.losses import Loss
+
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
+LANES = 64
+TINY = 1e-6  # added to the norm of a gradient that is clipped
+NORM = "the norm of the gradient"  # among the parts of a loss
+# Of the products of a gradient on a GPU: rows of a part, and how many parts of all seeds keep it busy.
+ROWS, PARTS = 128, 256
+
+
+class Networks(nn.Module):
+    """All networks of a policy by name, so that whatever is done with them can be done with other parameters."""
+
+    def __init__(self, **networks: nn.Module):
+        super().__init__()
+        for name, network in networks.items():
+            self.add_module(name, network)
+
+    def forward(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """``function(self, *arguments)``."""
+        return function(self, *arguments)
+
+
+class Learner:
+    """Networks of S seeds, and one step of Adam for all of them down the gradient of their losses.
+
+    What is done for one seed, :meth:`call` does for all at once, by ``torch.func.vmap``; seeds do not meet. All
+    parameters are views of one matrix, so that a step of Adam is one operation.
+
+    Args:
+        networks: of each seed, alike but for their parameters, on the device. Those of the first seed are moved into
+            the matrix, and remain its networks.
+        max_grad_norm: to which the norm of a seed's gradient is clipped; infinite for no limit.
+        name: in checkpoints.
+
+    Attributes:
+        networks: of the first seed; for the others they lend their structure.
+        vector: (S, P) the parameters.
+        count: (S, 1) steps of Adam; the rest of its state is ``mean`` and ``mean_square``, as ``vector``.
+        compiled, computes_compiled: whether gradient steps, and what :meth:`compute` computes, go through
+            ``torch.compile``.
+    """
+
+    def __init__(self, networks: Sequence[Networks], max_grad_norm: float, name: str):
+        self.networks, self.name, self.seeds = networks[0], name, len(networks)
+        self._max_grad_norm = max_grad_norm
+        first = next(self.networks.parameters())
+        if first.is_cuda:
+            for layer in self.networks.modules():
+                if isinstance(layer, nn.Linear):
+                    layer.forward = partial(_linear, layer, PARTS // self.seeds)  # type: ignore[method-assign]
+        self._shapes = {name: each.shape for name, each in self.networks.named_parameters()}
+        self._sizes = [shape.numel() for shape in self._shapes.values()]
+        size = sum(self._sizes)
+        # Padded, so that every number of a seed is in the lane of a vector instruction in which it is alone.
+        self._padding = -size % LANES if self.seeds > 1 else 0
+        self.vector, self.mean, self.mean_square = torch.zeros(3, self.seeds, size + self._padding, device=first.device)
+        for row, each in zip(self.vector, networks, strict=True):
+            row[:size] = torch.cat([parameter.detach().flatten() for parameter in each.parameters()])
+        for parameter, data in zip(self.networks.parameters(), self._views(self.vector[0]).values(), strict=True):
+            parameter.data = data
+        self.count = torch.zeros(self.seeds, 1, device=first.device)
+        self._rows = torch.arange(self.seeds, device=first.device).unsqueeze(1)
+        self.compiled = self.computes_compiled = False
+        self._functions: dict[Any, Compiled] = {}
+
+    @property
+    def state(self) -> tuple[torch.Tensor, ...]:
+        """What a gradient step changes: parameters, the means of Adam, and its numbers of steps."""
+        return self.vector, self.mean, self.mean_square, self.count
+
+    def _views(self, vector: torch.Tensor) -> dict[str, torch.Tensor]:
+        """The parameters by name, (...) of a vector (P,) or (S, ...) of a matrix."""
+        parts = vector[..., : sum(self._sizes)].split(self._sizes, dim=-1)
+        return {name: part.unflatten(-1, shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)}
+
+    def parameters(self, network: str) -> dict[str, torch.Tensor]:
+        """Those of one network of all seeds by name, (S, ...), as views."""
+        return {name: each for name, each in self._views(self.vector).items() if name.startswith(f"{network}.")}
+
+    def compute(self, function: Callable[..., Any], arguments: Any, *shared: Any) -> Any:
+        """:meth:`call` with the parameters as they are, without a gradient."""
+        if self.seeds == 1 and not self.computes_compiled:  # they are those of the networks
+            found = function(self.networks, tree_map(_only, arguments), *shared)
+            return tree_map(_with_axis, found)
+        return self._function(self.call, function, self.computes_compiled)(self.vector, arguments, *shared)
+
+    def _function(self, method: Callable[..., Any], function: Callable[..., Any], compiled: bool) -> Compiled:
+        key = method.__name__, function, compiled
+        if key not in self._functions:
+            self._functions[key] = Compiled(partial(method, function), enabled=compiled)
+        return self._functions[key]
+
+    def call(self, function: Callable[..., Any], vector: torch.Tensor, arguments: Any, *shared: Any) -> Any:
+        """What ``function(networks, arguments, *shared)`` gives for every seed, a tree of tensors (S, ...).
+
+        Args:
+            function: of one seed, whose networks have its parameters.
+            vector: (S, P), as :attr:`vector`.
+            arguments: a tree of tensors (S, ...), of which every seed gets its part.
+            *shared: tensors that all seeds get.
+        """
+        parameters = self._views(vector)
+        if self.seeds == 1:
+            own = tree_map(_only, (parameters, arguments))
+            found = functional_call(self.networks, own[0], (function, own[1], *shared))
+            return tree_map(_with_axis, found)
+        return vmap(lambda own, part: functional_call(self.networks, own, (function, part, *shared)))(
+            parameters, arguments
+        )
+
+    def minimise(
+        self,
+        loss: Callable[..., Loss],
+        samples: Mapping[str, torch.Tensor],
+        rows: Sequence[torch.Tensor],
+        learning_rate: torch.Tensor,
+        *shared: torch.Tensor,
+    ) -> dict[str, torch.Tensor]:
+        """One step of every seed down the gradient of its loss, whose norm is clipped.
+
+        A seed whose gradient is 0, or not finite, stays where it is.
+
+        Args:
+            loss: ``loss(networks, samples, *shared)`` of one seed.
+            samples: by name, (S, M, ...).
+            rows: [(S, m)] which of the samples the loss is of; empty for all.
+            learning_rate: of Adam, a scalar.
+            *shared: what the loss is also given.
+
+        Returns:
+            The parts of the loss and the norm of the gradient, (S,).
+        """
+        step = self._function(self._step, loss, self.compiled)
+        found: dict[str, torch.Tensor] = step(self.state, dict(samples), list(rows), learning_rate, *shared)
+        return found
+
+    def _step(
+        self,
+        loss: Callable[..., Loss],
+        state: tuple[torch.Tensor, ...],
+        samples: dict[str, torch.Tensor],
+        rows: Sequence[torch.Tensor],
+        learning_rate: torch.Tensor,
+        *shared: torch.Tensor,
+    ) -> dict[str, torch.Tensor]:
+        vector, mean, mean_square, count = state
+        for chosen in rows:
+            samples = {name: self._at(each, chosen) for name, each in samples.items()}
+        with torch.enable_grad():
+            leaf = vector.detach().requires_grad_()
+            totals, parts = self.call(loss, leaf, samples, *shared)
+            (gradient,) = torch.autograd.grad(totals.sum(), leaf)
+        norms = torch.linalg.vector_norm(gradient, dim=1, keepdim=True)
+        moves = norms.isfinite() & (norms > 0.0)
+        gradient = torch.where(moves, gradient * (self._max_grad_norm / (norms + TINY)).clamp(max=1.0), 0.0)
+        # Adam (Kingma and Ba 2015, algorithm 1).
+        count += moves
+        mean.lerp_(gradient, 1.0 - BETA1)
+        mean_square.lerp_(gradient.square(), 1.0 - BETA2)
+        correction1, correction2 = 1.0 - BETA1**count, 1.0 - BETA2**count
+        update = learning_rate / correction1 * mean / ((mean_square / correction2).sqrt() + EPSILON)
+        vector -= torch.where(moves, update, 0.0)
+        return {**{name: part.detach() for name, part in parts.items()}, NORM: norms.squeeze(1)}
+
+    def _at(self, samples: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+        """The samples (S, m, ...) of (S, M, ...) at ``rows`` (S, m)."""
+        if self.seeds == 1:
+            return samples[0].index_select(0, rows[0]).unsqueeze(0)
+        return samples[self._rows, rows]
+
+    # ----------------------------------------------------------------------------------------------------- checkpoints
+
+    def get_state(self, seed: int = 0) -> dict[str, torch.Tensor]:
+        """Weights and the optimiser's state of the seed with this index, as named tensors."""
+        size = sum(self._sizes)
+        state = dict(self._views(self.vector[seed]))
+        state |= {f"{name}": each for name, each in self.networks.named_buffers()}
+        adam = {"step": self.count[seed, 0], "exp_avg": self.mean[seed], "exp_avg_sq": self.mean_square[seed]}
+        return state | {f"optimiser.{name}": each[:size] if each.dim() else each for name, each in adam.items()}
+
+    def set_state(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
+        """Resume from :meth:`get_state`.
+
+        Raises:
+            ValueError: for numbers that no optimiser has.
+        """
+        adam = strip_prefix(state, "optimiser.")
+        step, least = float(adam["step"]), float(adam["exp_avg_sq"].min())
+        if not (step >= 0.0 and step.is_integer()):
+            raise ValueError(f"the optimiser's state has step = {step}; it must be an integer from 0 on")
+        if least < 0.0:
+            raise ValueError(f"the optimiser's state has exp_avg_sq = {least}; it must not be negative")
+        size = sum(self._sizes)
+        self.set_weights(state, seed)
+        self.count[seed] = step
+        self.mean[seed, :size], self.mean_square[seed, :size] = adam["exp_avg"], adam["exp_avg_sq"]
+
+    def get_weights(self, network: str, seed: int = 0) -> dict[str, torch.Tensor]:
+        """The part of :meth:`get_state` that one network consists of."""
+        return {name: each for name, each in self.get_state(seed).items() if name.startswith(f"{network}.")}
+
+    def set_weights(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
+        """Take those weights that are in a state."""
+        with torch.no_grad():
+            for name, each in {**self._views(self.vector[seed]), **dict(self.networks.named_buffers())}.items():
+                if name in state:
+                    each.copy_(state[name])
+
+    def park(self, seed: int) -> None:
+        """Give a seed that has failed parameters with which it goes on doing no harm."""
+        for each in self.state:
+            each[seed] = 0.0
+
+
+def _only(tensor: torch.Tensor) -> torch.Tensor:
+    """That of the only seed."""
+    return tensor[0]
+
+
+def _with_axis(tensor: torch.Tensor) -> torch.Tensor:
+    return tensor.unsqueeze(0)
+
+
+def _linear(layer: nn.Linear, most_parts: int, x: torch.Tensor) -> torch.Tensor:
+    """X W^T + b, for which many rows x (M, inputs) are parted.
+
+    The gradient dL/dW = sum_m g_m x_m^T is then a sum of products that a GPU calculates at the same time; as a single
+    product of two long and narrow matrices it would leave most of the GPU idle.
+
+    Args:
+        layer: with W and b.
+        most_parts: at most so many.
+        x: (..., inputs).
+    """
+    rows = len(x) if x.dim() == 2 else 0
+    parts = min(rows // ROWS, most_parts, rows & -rows)  # the last one is the greatest power of two that divides rows
+    if parts < 2:
+        return nn.functional.linear(x, layer.weight, layer.bias)
+    parts = 1 << (parts.bit_length() - 1)
+    weights = layer.weight.t().expand(parts, layer.in_features, layer.out_features)
+    return torch.bmm(x.view(parts, rows // parts, layer.in_features), weights).flatten(0, 1) + layer.bias

@@ -1,0 +1,47 @@
+"""Means over samples, what a loss gives, and how far a gradient step has moved a policy.
+
+Rows are samples. Their ``weights`` (M,) need not sum to 1; None weighs all alike, and a row of weight 0 does not count.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+
+from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION
+
+LARGEST_LOG_RATIO = 80.0  # whose exponential is finite in single precision
+
+
+class Loss(NamedTuple):
+    """A loss of one seed.
+
+    Attributes:
+        total: scalar, what is minimised.
+        parts: scalars by the names of metrics, for logs.
+    """
+
+    total: torch.Tensor
+    parts: dict[str, torch.Tensor]
+
+
+def mean(values: torch.Tensor, weights: torch.Tensor | None) -> torch.Tensor:
+    """The weighted mean of ``values`` (M,); 0 if all weights are."""
+    if weights is None:
+        return values.mean()
+    return (weights * values).sum() / weights.sum().clamp(min=torch.finfo(weights.dtype).tiny)
+
+
+def policy_change(log_ratio: torch.Tensor, clip: float, weights: torch.Tensor | None) -> dict[str, torch.Tensor]:
+    """The fraction of clipped samples, and E[rho - 1 - log rho], an estimate of KL(pi_old || pi), in a gradient step.
+
+    Args:
+        log_ratio: (M,) log rho of samples of pi_old.
+        clip: epsilon.
+        weights: of the samples.
+    """
+    log_ratio = log_ratio.detach()
+    ratio = log_ratio.clamp(max=LARGEST_LOG_RATIO).exp()
+    clipped = ((ratio - 1.0).abs() > clip).to(ratio.dtype)
+    return {CLIP_FRACTION: mean(clipped, weights), APPROX_KL: mean(ratio - 1.0 - log_ratio, weights)}

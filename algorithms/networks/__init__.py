@@ -1,1 +1,0 @@
-"""Networks and how they learn: modules, actors, losses, optimisers, return distributions, threads."""
