@@ -43,7 +43,7 @@ from algorithms.experiments.build import build
 from algorithms.experiments.cli import make_parser
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front
-from algorithms.networks.threads import set_threads
+from algorithms.learning.threads import set_threads
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare

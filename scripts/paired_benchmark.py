@@ -128,7 +128,7 @@ def training(
     from mo_deepdrive.utilities import make_utility
 
     if place is not None:
-        from algorithms.networks.threads import set_threads
+        from algorithms.learning.threads import set_threads
 
         set_threads(place.threads)
     env: Any = make_env(env_id, ENVS, arguments)

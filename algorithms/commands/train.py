@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from algorithms.experiments.run_directory import Run
 
 
+FAILED = 1  # exit code if a run failed
+
+
 def parse_arguments(arguments: list[str], program: str) -> tuple[Namespace, list[str]]:
     """The options, and the overrides of the experiment."""
     parser = make_parser(__doc__, program, "train")
@@ -65,7 +68,8 @@ def open_runs(options: Namespace, overrides: list[str]) -> tuple[list[Run], Any]
         experiment = load_experiment(options.config, overrides)
         check_loggers(experiment)
         experiments = experiment.of_seeds()
-        trainee = build_trainee(experiments)  # before a directory is created: it may fail
+        side_by_side = experiment.is_resident or len(experiments) == 1
+        trainee = build_trainee(experiments if side_by_side else experiments[:1])  # before a directory is created
         return new_runs(options, experiments), trainee
     longer = dict(parse_overrides(overrides))
     total_timesteps = longer.pop("training.total_timesteps", None)
@@ -115,13 +119,21 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             warn(f"warning: since the run was started, {change}")
         for run in runs:
             print(f"run {run.path}", flush=True)
-        received = train_and_finish(runs, trainee, make_console(), resumed=options.resume is not None)
+        if len(runs) > 1 and not runs[0].experiment.is_resident:
+            from algorithms.experiments.side_by_side import train_apart
+
+            received = train_apart(runs, make_console())
+            if received == FAILED:
+                return FAILED
+        else:
+            received = train_and_finish(runs, trainee, make_console(), resumed=options.resume is not None)
         if received is not None:
             print(f"interrupted at step {runs[0].status.get('step', 0):,}; {resume_with}")
             return 128 + received
-    for run in runs:
+    done = [run for seed, run in enumerate(runs) if seed not in trainee.failed]
+    for run in done:
         print(f"finished: {run.path}")
-    print(next_steps(runs[0], program))
-    for run in runs:
+    print(next_steps(done[0], program))
+    for run in done:
         warn_of_changes(run.path)
-    return 0
+    return 0 if len(done) == len(runs) else FAILED

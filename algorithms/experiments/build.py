@@ -15,9 +15,8 @@ from algorithms.experiments.config import Experiment, UtilitySettings, find_envi
 from algorithms.experiments.registry import agent_class
 from algorithms.experiments.run_directory import Run, imported_paths
 from algorithms.files.checkpoints import read_checkpoint
-from algorithms.networks.compiled import set_compiled
-from algorithms.networks.threads import set_threads
-from algorithms.rollouts.guides import Guide
+from algorithms.learning.guides import Guide
+from algorithms.learning.threads import set_threads
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import check_reference_point
 from mo_deepdrive.evaluation.metrics import joint_objectives, vehicle_name
@@ -48,6 +47,7 @@ def build(
     experiment: Experiment,
     num_envs: int | None = None,
     *,
+    seeds: Sequence[int] | None = None,
     device: str = "cpu",
     partners: bool = True,
     guides: bool = True,
@@ -57,7 +57,8 @@ def build(
     Args:
         experiment: what to build.
         num_envs: number of parallel environments; the experiment's if None.
-        device: of the networks.
+        seeds: that train side by side; the experiment's own if None.
+        device: of what learns.
         partners: whether to open the drivers of the vehicles that do not learn; else these vehicles idle.
         guides: whether to open the drivers that begin episodes of the training.
 
@@ -92,12 +93,12 @@ def build(
             raise ValueError(f"training.share_policy: algorithm {experiment.algorithm.name!r} cannot share a policy")
         options["share_policy"] = True
     set_threads(experiment.training.threads)  # after the drivers', which are built like this
-    set_compiled(experiment.training.compiled is not False)
     return algorithm(
         env,
         **options,
-        seed=experiment.training.seed,
+        seed=seeds or experiment.training.seed,
         device=device,
+        compiled=experiment.training.compiled,
         config=experiment.algorithm.config,
     )
 

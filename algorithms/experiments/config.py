@@ -66,17 +66,17 @@ class TrainingSettings(Settings):
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of everything random in training."""
     seeds: Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1)] | None = None
-    """Seeds that are trained side by side in one process, each as a run of its own; None for ``seed`` alone."""
+    """Seeds of several runs that are trained at the same time, one process each on a CPU, side by side on a GPU; None
+    for ``seed`` alone."""
     device: str = "cpu"
     """The device of the training, in PyTorch's notation; on a GPU worlds and learners stay there, and several ``seeds``
     take little longer than one."""
     threads: int = Field(default=1, ge=1, le=1024)
-    """How many collect samples and compute gradients; each needs a core of its own, or training becomes slower. A run
-    is the same, bit for bit, for the same number."""
-    compiled: bool | None = None
-    """Whether updates are compiled, or call PyTorch's operations; the numbers are the same but for rounding. Numba
-    compiles those of one seed on the CPU, ``torch.compile`` those on a GPU and those of several ``seeds``, for about a
-    minute when training begins. None for Numba alone."""
+    """How many threads PyTorch uses; each needs a core of its own, or training becomes slower. A run is the same, bit
+    for bit, for the same number."""
+    compiled: bool | Literal["auto"] = "auto"
+    """Whether gradient steps go through ``torch.compile``; the numbers are the same but for rounding. "auto" where a
+    training is long enough to make up for the time that it takes, and a compiler is installed."""
     share_policy: bool = False
     """One policy that drives all vehicles, and learns from what all of them do, instead of one for each."""
     partners: dict[str, list[str]] = {}
@@ -182,14 +182,14 @@ class Experiment(Settings):
 
     @property
     def is_resident(self) -> bool:
-        """Whether world and learners stay on the device, with the seeds as an axis (:mod:`algorithms.device`)."""
-        return self.training.seeds is not None or self.training.device != "cpu"
+        """Whether worlds and learners stay on a GPU, with the seeds as an axis."""
+        return self.training.device != "cpu"
 
     def of_seeds(self) -> list[Experiment]:
-        """The experiments of the seeds that are trained side by side, each that of a run of its own."""
+        """The experiments of the seeds, each that of a run of its own."""
         if self.training.seeds is None:
             return [self]
-        updates = [{"seed": seed, "seeds": [seed]} for seed in self.training.seeds]
+        updates = [{"seed": seed, "seeds": None} for seed in self.training.seeds]
         return [self.model_copy(update={"training": self.training.model_copy(update=each)}) for each in updates]
 
     def to_dict(self) -> dict[str, Any]:

@@ -25,8 +25,7 @@ from algorithms.actor_critic import ActorCritic
 from algorithms.agent import FrontAgent
 from algorithms.conditioned_mo_ppo import ConditionedMOPPO
 from algorithms.experiments.build import make_environment
-from algorithms.networks.actors import CategoricalActor, GaussianActor
-from algorithms.networks.compiled.perceptron import Perceptron
+from algorithms.learning.actors import CategoricalActor
 from algorithms.pcn import PCN
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from algorithms.experiments.config import Experiment
-    from algorithms.networks.actors import Actor
+    from algorithms.learning.actors import Actor
 
 OBSERVATION, ACCRUED, DISCOUNT, DECISIONS = "observation", "accrued_reward", "discount", "decisions"
 COMMAND, PREFERENCE = "command", "preference"  # conditions of PCN and of conditioned MO-PPO
@@ -223,25 +222,20 @@ class _Graph(nn.Module):
 
 
 def _distribution_of(actor: Actor, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    """What an actor's network says of the actions, in plain layers of PyTorch."""
-    outputs = x
-    for layer in actor.body if isinstance(actor.body, Perceptron) else [actor.body]:
-        outputs = layer(outputs)
+    """What an actor's network says of the actions: logits, or mean and standard deviation."""
+    outputs = actor.body(x)
     if isinstance(actor, CategoricalActor):
         return (outputs,)
-    if isinstance(actor, GaussianActor):
-        return outputs, actor.log_std.exp().expand_as(outputs)
     mean, log_std = actor.mean_and_log_std(outputs)
-    return mean, log_std.exp()
+    return mean, log_std.exp().expand_as(mean)
 
 
 class _ActorCriticGraph(_Graph):
     """A2C, MO-A2C, PPO, MO-PPO, MOCAC and MAPPO: an actor per vehicle that learnt."""
 
     def __init__(self, agent: ActorCritic):
-        observes_accrued = any(learner.observes_accrued for learner in agent.learners)
-        observes_discount = any(learner.observes_discount for learner in agent.learners)
-        super().__init__(agent, [ACCRUED] * observes_accrued + [DISCOUNT] * observes_discount)
+        super().__init__(agent, [ACCRUED] * agent.observes_accrued + [DISCOUNT] * agent.observes_discount)
+        self.agent = agent
         self.learners = {v: learner for learner in agent.learners for v in learner.vehicles}
         self.networks = nn.ModuleList(learner.actor for learner in agent.learners)
         self.driven = sorted(self.learners)
@@ -253,7 +247,7 @@ class _ActorCriticGraph(_Graph):
         nothing = observations[:, :0]
         accrued = given[ACCRUED][:, vehicle] if ACCRUED in given else nothing
         discounts = given[DISCOUNT][:, vehicle] if DISCOUNT in given else nothing
-        return _distribution_of(learner.actor, learner.inputs(observations, accrued, discounts))
+        return _distribution_of(learner.actor, self.agent.inputs(observations, accrued, discounts))
 
 
 class _PreferenceGraph(_Graph):
@@ -265,6 +259,7 @@ class _PreferenceGraph(_Graph):
         # Linear preferences do not depend on the past.
         depends = agent.preferences.width > len(agent.preferences.names)
         super().__init__(agent, [ACCRUED, DISCOUNT] if depends else [], condition)
+        self.agent = agent
         self.learners = {v: learner for learner in agent.learners for v in learner.vehicles}
         self.networks = nn.ModuleList(learner.actor for learner in agent.learners)
 
@@ -275,7 +270,8 @@ class _PreferenceGraph(_Graph):
         preferences = given[PREFERENCE].unflatten(1, (self.env.vehicles, -1))[:, vehicle]
         accrued = given[ACCRUED][:, vehicle] if ACCRUED in given else observations[:, :1].expand(-1, d)
         discounts = given[DISCOUNT][:, vehicle] if DISCOUNT in given else observations[:, 0]
-        return _distribution_of(learner.actor, learner.inputs(observations, preferences, accrued, discounts))
+        seen = self.agent.inputs(observations, accrued, discounts, (preferences, self.agent.ideal[0]))
+        return _distribution_of(learner.actor, seen)
 
 
 class _CommandGraph(_Graph):

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from algorithms.device.trainer import SeedTrainer
 from algorithms.experiments.accessories import Accessory
 from algorithms.experiments.agent_report import VIDEO_FILE, report_agent, show_results
 from algorithms.experiments.config import Experiment, check_loggers, find_environment, is_ours, make_experiment
@@ -42,7 +41,7 @@ def resume(*runs: Run) -> Any:
     """What trains runs whose locks are held, from their last checkpoints; untrained if there are none.
 
     Returns:
-        The agent of one run, or a :class:`algorithms.device.trainer.SeedTrainer`, for several and on a GPU.
+        The agent of the runs.
 
     Raises:
         ValueError: if it cannot be built or loaded, or the runs cannot be trained side by side.
@@ -52,12 +51,12 @@ def resume(*runs: Run) -> Any:
     if checkpoints and len(checkpoints) < len(runs):
         raise ValueError("some of the runs have a checkpoint and others have none; resume them apart")
     if checkpoints:
-        trainee.load(checkpoints if isinstance(trainee, SeedTrainer) else checkpoints[0])
+        trainee.load(*checkpoints)
     return trainee
 
 
 def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tuple[list[Run], Any]:
-    """Open and lock existing runs, to resume them; the runs and what trains them.
+    """Open and lock existing runs, to resume them; the runs, and their agent or that of the first one on a CPU.
 
     Args:
         *paths: the runs' directories; several only of runs that differ in their seeds alone.
@@ -77,10 +76,12 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
             read_checkpoint(run.checkpoint, {}, whole=True)  # a policy of the zoo is refused before a lock is written
     for run in runs:
         run.lock()
-    trainee = resume(*runs)
-    for run in runs:
+    side_by_side = runs[0].experiment.is_resident
+    trainees = [resume(*runs)] * len(runs) if side_by_side else [resume(run) for run in runs]
+    trainee = trainees[0]
+    for run, each in zip(runs, trainees, strict=True):
         for name in (METRICS_FILE, FRONTS_FILE):
-            rows_until(run.path / name, trainee.step)
+            rows_until(run.path / name, each.step)
     if total_timesteps is not None and trainee.schedules:
         for run in runs:
             run.unlock()
@@ -123,16 +124,13 @@ def train_and_finish(
     runs = [runs] if isinstance(runs, Run) else runs
     received = train(runs, trainee, console, resumed=resumed, watch=watch, stop=stop)
     if received is None:
-        for run, agent in zip(runs, agents_of(trainee), strict=True):
+        for seed, run in enumerate(runs):
+            if seed in trainee.failed:
+                continue
             if len(runs) > 1:
                 print_line(console, f"seed {run.experiment.training.seed}")
-            finish(run, agent, console)
+            finish(run, trainee.of_seed(seed), console)
     return received
-
-
-def agents_of(trainee: Any) -> list[Any]:
-    """The agents, one per run, with what has been learnt."""
-    return trainee.hand_over() if isinstance(trainee, SeedTrainer) else [trainee]
 
 
 class _Record:
@@ -214,7 +212,7 @@ def train(
     ours = is_ours(find_environment(experiment.environment.id))
     interrupts = Interrupts(PATIENCE)
     records: list[_Record] = []
-    side_by_side = isinstance(trainee, SeedTrainer)
+    ended: set[int] = set()  # seeds that failed while others go on
     try:
         with (
             interrupts,
@@ -237,13 +235,18 @@ def train(
                 return log
 
             def save(state: Any) -> None:
-                for number, record in enumerate(records):
-                    write = partial(trainee.save, number) if side_by_side else trainee.save
-                    record.save(trainee.step, write, state)
+                for seed, record in enumerate(records):
+                    if seed not in trainee.failed:
+                        record.save(trainee.step, partial(trainee.save, seed=seed), state)
 
             def after_update(_: Any) -> bool:
                 reporter.update(trainee.step)
-                if trainee.step // checkpoint_interval > records[-1].saved // checkpoint_interval:
+                for seed in trainee.failed.keys() - ended:
+                    ended.add(seed)
+                    _set_failed([runs[seed]], records, begun, trainee.failed[seed])
+                    reporter.say(f"{trainee.failed[seed]}; {_last_checkpoint(runs[seed], records[seed].saved)}")
+                last_saved = max(record.saved for record in records)
+                if trainee.step // checkpoint_interval > last_saved // checkpoint_interval:
                     save("running")
                 if interrupts.received is None and stop is not None and stop():
                     interrupts.received = 0
@@ -263,8 +266,8 @@ def train(
                 eval_gamma=evaluation.gamma,
                 reference_point=evaluation.reference_point,
                 reference_front=reference_front,
-                log=logs if side_by_side else logs[0],
-                log_front=log_fronts if side_by_side or log_fronts is None else log_fronts[0],
+                log=logs,
+                log_front=log_fronts,
                 log_interval=logging.interval,
                 after_update=after_update,
             )
@@ -280,11 +283,7 @@ def train(
         if isinstance(error, Moved):
             raise
         _set_failed(runs, records, begun, str(error))
-        rest = (
-            f"the checkpoint of step {min(saved):,} is intact"
-            if runs[-1].checkpoint.exists()
-            else "there is no checkpoint yet"
-        )
+        rest = _last_checkpoint(runs[-1], min(saved))
         raise stopped_by(error, f"training stopped at step {trainee.step:,}: {error}; {rest}") from error
     except Fault as error:
         _set_failed(runs, records, begun, str(error))
@@ -329,6 +328,10 @@ def _open_record(
         say(f"warning: {gap}; the run is continued")
         run.add_metrics_gap(gap)
     return _Record(run, step, logger, fronts)
+
+
+def _last_checkpoint(run: Run, step: int) -> str:
+    return f"the checkpoint of step {step:,} is intact" if run.checkpoint.exists() else "there is no checkpoint yet"
 
 
 def _set_failed(runs: Sequence[Run], records: Sequence[_Record], begun: int, reason: str) -> None:

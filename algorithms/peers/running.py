@@ -27,7 +27,7 @@ from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluate_po
 from algorithms.experiments.run_directory import METRICS_FILE
 from algorithms.experiments.suite_scores import score_run
 from algorithms.files.fronts import FrontsFile
-from algorithms.networks.threads import set_threads
+from algorithms.learning.threads import set_threads
 from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
