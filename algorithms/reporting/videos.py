@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from algorithms.reporting.style import VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK, figure_style
+from mo_deepdrive.atomic_io import without_links
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
@@ -90,7 +91,7 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]
     Raises:
         OSError: if the file cannot be written.
     """
-    path = Path(path)
+    path = without_links(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     count, encoder = 0, None
 

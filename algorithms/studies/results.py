@@ -13,7 +13,7 @@ from algorithms.reporting.run_records import read_evaluation
 from algorithms.reporting.table_files import markdown
 from algorithms.sweeps.manifest import label
 from mo_deepdrive import suite
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes, own_path
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE, split_name
 from mo_deepdrive.evaluation.statistics import mean
@@ -102,17 +102,17 @@ def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> 
     """Write the tables of a study into its directory; returns the results.
 
     Raises:
-        ValueError: as :func:`results_of`.
+        ValueError: as :func:`results_of`, or if one of the files is a link.
         OSError: if a file cannot be written; it is then unchanged.
     """
     results = results_of(plan, runs, directory)
-    write_rows(directory / RESULTS_FILE, results)
+    write_rows(own_path(directory, RESULTS_FILE), results)
     if plan.study.tuning is not None:
-        atomic_write(directory / TUNING_FILE, csv_bytes(tuning_rows(runs, directory)))
+        atomic_write(own_path(directory, TUNING_FILE), csv_bytes(tuning_rows(runs, directory)))
     parts = [f"# {plan.study.title or directory.name}"]
     for title, rows in study_tables(plan, runs, results):
         parts.append(f"## {title}\n\n{markdown(rows, 1, NOTE)}")
-    atomic_write(directory / TABLES_FILE, ("\n\n".join(parts)).encode())
+    atomic_write(own_path(directory, TABLES_FILE), ("\n\n".join(parts)).encode())
     return results
 
 

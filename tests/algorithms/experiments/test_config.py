@@ -151,6 +151,7 @@ def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
         ("--training.seed=true", ["training.seed", "True", "integer"]),
         ("--training.device=abacus", ["training.device", "abacus", "cpu, cuda"]),
         ("--training.device=cuda:99", ["training.device", "cuda:99", "does not exist"]),
+        ("--training.device=cpu:5", ["training.device = 'cpu:5' is not supported; write cpu"]),
         ("--evaluation.gamma=1.1", ["evaluation.gamma", "less than or equal to 1"]),
         ("--utility=linear", ["utility", "'linear'"]),
         ("--logging.wandb.projct=x", ["projct", "did you mean 'project'"]),
