@@ -147,6 +147,22 @@ def parse_training_arguments(
     return options, overrides
 
 
+def refuse_beside(
+    parser: argparse.ArgumentParser, options: argparse.Namespace, option: str, *without_effect: str
+) -> None:
+    """End with an error if an option is given that has no effect beside another one.
+
+    Args:
+        parser: of the options.
+        options: that were parsed.
+        option: the other one, for the message.
+        without_effect: names of attributes of ``options``.
+    """
+    for name in without_effect:
+        if getattr(options, name) != parser.get_default(name):
+            parser.error(f"--{name.replace('_', '-')} has no effect beside {option}")
+
+
 def new_runs(options: argparse.Namespace, experiments: Sequence[Experiment]) -> list[Run]:
     """Create the runs of ``--config`` in ``--output``, or in new directories under ``runs/``.
 

@@ -9,15 +9,19 @@ import numpy as np
 
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.config import Experiment, find_environment, is_ours
+from mo_deepdrive import suite
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import OTHER_ENVS, OUR_ENVS, evaluate
-from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
+from mo_deepdrive.evaluation.evaluation import Evaluation
+from mo_deepdrive.evaluation.front import best_known_front, indicators
+from mo_deepdrive.evaluation.metrics import FRONT, GREEDY, OUR_ENDS, STOCHASTIC, SUCCESS, SUITE, known_metric
+from mo_deepdrive.suite.scorers import SCORERS
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
     from algorithms.agent import FrontAgent
     from mo_deepdrive.config import EnvironmentSettings
-    from mo_deepdrive.evaluation.evaluation import Evaluation
     from mo_deepdrive.evaluation.front import Front
     from mo_deepdrive.evaluation.policy import Policy
 
@@ -52,6 +56,34 @@ def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
         names = [name for name in batch.state.dtype.names if name != "obstacle" or batch.params["has_obstacle"].any()]
         first, second = batch.state[names]
         return 1 if all(np.array_equal(first[name], second[name]) for name in names) else episodes
+
+
+def check_final_metric(name: str, experiment: Experiment) -> None:
+    """Refuse the name of a metric that no final evaluation of an experiment has.
+
+    Raises:
+        ValueError: with the nearest one that it may have.
+    """
+    settings = experiment.evaluation
+    with closing(evaluation_env(experiment, 1)) as env:
+        adapter, best_known = EnvAdapter(env), best_known_front(env, settings.gamma)
+    if experiment.known_utility:
+        # One episode for every reason of an end.
+        shape = (len(OUR_ENDS), adapter.vehicles)
+        numbers, ends = np.zeros((*shape, len(adapter.objectives))), np.array(sorted(OUR_ENDS))
+        utilities: Any = (lambda returns: returns[..., 0],) * adapter.vehicles
+        lengths, arrived = np.ones(shape, dtype=np.int64), np.ones(shape, dtype=np.bool_)
+        ends = np.repeat(ends[:, None], adapter.vehicles, axis=1)
+        one = Evaluation(adapter.objectives, utilities, numbers, numbers, lengths, arrived, ends, numbers)
+        known = [f"{policy}/{metric}" for policy in POLICIES for metric in one.metrics()]
+    else:
+        point = np.zeros((1, adapter.vehicles * len(adapter.objectives)))
+        found = indicators(point, reference_point=settings.reference_point, reference_front=best_known)
+        known = [f"{FRONT}/{metric}" for metric in (*found, SUCCESS)]
+    if settings.task is not None:
+        numbers_of_task = SCORERS[suite.load().task(settings.task).score].numbers
+        known += [f"{policy}/{SUITE}{column}" for policy in POLICIES for column in numbers_of_task]
+    known_metric(name, known)
 
 
 def evaluate_policies(policy: Policy, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:

@@ -10,7 +10,9 @@ import numpy as np
 from algorithms.experiments.registry import find_algorithm
 from algorithms.experiments.shipped import find_config
 from algorithms.files.yaml import read_mapping
-from algorithms.sweeps.manifest import ManifestRow, cell_rows, overridden
+from algorithms.studies.settings import ELSEWHERE
+from algorithms.sweeps.manifest import ManifestRow, cell_rows, overridden, refuse_duplicates
+from algorithms.sweeps.sweep_settings import keys_in
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
 from mo_deepdrive.names import nearest
@@ -90,19 +92,28 @@ class StudyPlan:
         study: its settings.
         tasks: of the arms that are to be trained now; None for all.
         learners: of these arms; None for all.
+        overrides: values of experiment keys for every learner that has them, which count for more than those of the
+            study and of the learners.
 
     Attributes:
         arms: learners on tasks.
         selected: task and learner of those that are to be trained now.
-        idle: what has no effect, one line each: a learner that fits no task, help that no learner has a setting for.
+        idle: what has no effect, one line each: a learner that fits no task, a setting that no learner has.
+        replaced: what a config says and the study sets, one line each.
 
     Raises:
         ValueError: naming the arm and what is invalid; for an unknown task or learner, or no arm that is to be trained.
     """
 
-    def __init__(self, study: Study, tasks: Sequence[str] | None = None, learners: Sequence[str] | None = None):
+    def __init__(
+        self,
+        study: Study,
+        tasks: Sequence[str] | None = None,
+        learners: Sequence[str] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+    ):
         self.study = study
-        self.arms, self.idle = _arms(study)
+        self.arms, self.idle, self.replaced = _arms(study, overrides or {})
         for option, given, i in (("--tasks", tasks, 0), ("--learners", learners, 1)):
             known = dict.fromkeys(arm.key[i] for arm in self.arms)
             for name in given or ():
@@ -111,10 +122,9 @@ class StudyPlan:
                     raise ValueError(f"{option} {name}: {missing[i]}; {nearest(name, known)}")
         wanted = [arm.key for arm in self.arms if tasks is None or arm.task in tasks]
         self.selected = {key for key in wanted if learners is None or key[1] in learners}
-        if not self.selected:
-            raise ValueError(
-                f"no learner of --learners {' '.join(learners or ())} fits --tasks {' '.join(tasks or ())}"
-            )
+        for name in learners or ():
+            if not any(name == key[1] for key in self.selected):
+                raise ValueError(f"learner {name!r} fits none of the tasks {', '.join(tasks or study.tasks)}")
         self._rows: dict[tuple[str, str, int | None], tuple[ManifestRow, ...]] = {}
 
     def runs(self, scores: Scores) -> list[ArmRuns]:
@@ -129,16 +139,29 @@ class StudyPlan:
         return [self._runs_of(arm, scores) for arm in self.arms]
 
     def rows(self, scores: Scores) -> list[ManifestRow]:
-        """The same as the rows of a manifest: those of the tuning first, a run that two arms share once."""
-        arms = self.runs(scores)
+        """The same as the rows of a manifest: those of the tuning first, a run that two arms share once.
+
+        It is then one of an arm that is to be trained now, if any of them is.
+        """
+        arms = sorted(self.runs(scores), key=lambda runs: runs.arm.key not in self.selected)
         tuning = [row for arm in arms for rows in arm.tuning for row in rows]
         found: dict[str, ManifestRow] = {}
         for row in [*tuning, *(row for arm in arms for row in arm.final)]:
             found.setdefault(row.id, row)
         return list(found.values())
 
+    def announcement(self) -> str:
+        """All runs of the arms that are to be trained now, in a line."""
+        arms = [arm for arm in self.arms if arm.key in self.selected]
+        tried = sum(len(arm.points) for arm in arms) * len(self.study.tuning.seeds if self.study.tuning else ())
+        counted = sum(len(arm.seeds) for arm in arms)
+        learners, tasks = (", ".join(dict.fromkeys(arm.key[i] for arm in arms)) for i in (1, 0))
+        runs = f"{tried} runs of tuning, then {counted}" if tried else f"{counted} runs, without tuning,"
+        return f"{runs} that count: {learners} on {tasks}"
+
     def _runs_of(self, arm: Arm, scores: Scores) -> ArmRuns:
         tuning = tuple(self._cell(arm, trial) for trial in range(len(arm.points)))
+        refuse_duplicates([row for rows in tuning for row in rows])
         found = tuple(_mean([scores.get(row.id, np.nan) for row in rows]) for rows in tuning)
         known = [score for score in found if score is not None]
         if not arm.points:
@@ -164,7 +187,8 @@ class StudyPlan:
                 if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
                     values["training"]["total_timesteps"] = max(1, round(arm.tuning_share * steps))
             build_once = arm.key in self.selected  # others may need what is not installed here
-            self._rows[key] = tuple(cell_rows(cell, values, seeds, trial, build_once=build_once))
+            rows = cell_rows(cell, values, seeds, trial, metric=arm.metric, build_once=build_once)
+            self._rows[key] = tuple(rows)
         return self._rows[key]
 
 
@@ -174,14 +198,15 @@ def _mean(scores: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if len(known) == len(scores) else None
 
 
-def _arms(study: Study) -> tuple[tuple[Arm, ...], list[str]]:
-    """The arms of a study, and what has no effect.
+def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str], list[str]]:
+    """The arms of a study, what has no effect, and what it replaces.
 
     Raises:
         ValueError: for an unknown task of the suite, or a learner without an algorithm or that fits no task.
     """
     arms: list[Arm] = []
-    unused = {*study.help, *(key for task in study.tasks.values() for key in task.help)}
+    unused = {*overrides, *study.help, *(key for task in study.tasks.values() for key in task.help)}
+    replaced: dict[str, None] = {}
     for name, task in study.tasks.items():
         for key, learner in study.learners_of(name).items():
             where = f"learner {key!r} on task {name!r}"
@@ -191,19 +216,33 @@ def _arms(study: Study) -> tuple[tuple[Arm, ...], list[str]]:
                 if key in task.learners:
                     raise ValueError(f"{where}: it learns for {'a' if entry.known_utility else 'no'} known utility")
                 continue
-            help_ = {each: value for each, value in {**study.help, **task.help}.items() if _has(entry, each)}
-            unused -= set(help_)
+            help_, given = (
+                {each: value for each, value in settings.items() if _has(entry, each)}
+                for settings in ({**study.help, **task.help}, overrides)
+            )
+            unused -= {*help_, *given}
+            replaced |= {
+                f"{learner.config}: {each} is not used; the study sets it": None
+                for each in keys_in(values)
+                if each in ELSEWHERE
+            }
             values = _on_task(values, task)
-            for changes in (study.overrides, task.overrides, help_, learner.overrides):
+            for changes in (study.overrides, task.overrides, help_, learner.overrides, given):
                 values = overridden(values, changes, {TASK: name, LEARNER: key})
             points, seeds = tuple(study.points(learner)), tuple(task.seeds or study.seeds)
+            for tried in points[0] if points else ():
+                if not _has(entry, tried):
+                    raise ValueError(f"{where}: the study tunes {tried!r}, a setting that it does not have")
+                if tried in given:
+                    raise ValueError(f"{tried} = {given[tried]!r}: the study tunes it for {where}")
             share = learner.tuning_share or (study.tuning.share if study.tuning else 1.0)
             arms.append(Arm(name, key, learner.label or key, _metric(study, name), values, points, share, seeds))
     if not arms:
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
     learners = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}
     idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners)]
-    return tuple(arms), idle + [f"help: no learner has the setting {key!r}" for key in sorted(unused)]
+    idle += [f"no learner has the setting {key!r}" for key in sorted(unused)]
+    return tuple(arms), idle, [*replaced]
 
 
 def _base(learner: Learner, where: str) -> dict[str, Any]:

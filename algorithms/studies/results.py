@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.experiments.run_directory import read_status
-from algorithms.reporting.run_records import read_evaluation
+from algorithms.reporting.run_records import experiment_record, read_evaluation
 from algorithms.reporting.table_files import markdown
 from algorithms.sweeps.manifest import label
 from mo_deepdrive import suite
@@ -60,6 +60,8 @@ def _results_of(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> li
     status = read_status(path)
     state = str(status.get("state", WAITING))
     about: dict[str, Any] = {"state": state, "cpu_seconds": status.get("cpu_seconds"), "source": row.directory}
+    about["steps"] = row.config["training"]["total_timesteps"]
+    about["environment"] = experiment_record(row.config).environment.label
     evaluation = read_evaluation(path) if state == FINISHED else None
     if evaluation is None:
         return [Row(task, learner, seed, "", "", None, **about)]

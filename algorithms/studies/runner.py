@@ -40,8 +40,13 @@ class StudyRunner(Runner):
         self._metrics = {arm.key: arm.metric for arm in plan.arms}
 
     def expand(self, scores: Scores) -> list[ManifestRow]:
+        """As of the base class: of the arms that were selected, and what the manifest has of others."""
+        listed = {row.id for row in self._listed()}
+        return [row for row in self._plan.rows(scores) if self.wanted(row) or row.id in listed]
+
+    def announcement(self) -> list[str]:
         """As of the base class."""
-        return self._plan.rows(scores)
+        return [*self._plan.replaced, self._plan.announcement()]
 
     def metric_of(self, row: ManifestRow) -> str | None:
         """As of the base class."""

@@ -10,20 +10,31 @@ from pydantic import BeforeValidator, Field
 from algorithms.experiments.config import Count, UtilitySettings
 from algorithms.experiments.shipped import find_config
 from algorithms.files.yaml import read_mapping
-from algorithms.sweeps.sweep_settings import BackendSettings, Seeds
+from algorithms.sweeps.sweep_settings import SEED_KEYS, BackendSettings, Seeds, key_problems, keys_in, tried_keys
 from mo_deepdrive.config import EnvironmentSettings, Settings, parse
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 MAX_TUNING_RUNS = 12  # of an arm
+# Experiment keys that are set elsewhere, and where.
+ELSEWHERE = {
+    **SEED_KEYS,
+    "evaluation.split": "a study scores its tuning on the validation split, and the runs that count on the test split",
+    "evaluation.task": "name the task of the suite as 'task' of a task",
+}
 
 Values = dict[str, Annotated[list[Any], Field(min_length=1)]]
 
 
 def _as_tasks(value: Any) -> Any:
     """A list is short for tasks of the suite."""
-    return {name: {"task": name} for name in value} if isinstance(value, list) else value
+    if not isinstance(value, list):
+        return value
+    if not all(isinstance(name, str) for name in value) or len(set(value)) < len(value):
+        raise ValueError("a list must have the ids of tasks of the suite, each of them once; other tasks have names")
+    return {name: {"task": name} for name in value}
 
 
 class Learner(Settings):
@@ -172,6 +183,25 @@ def _beside(name: str, study: Path) -> str:
     return str(beside) if find_config(name, beside=study) == beside else name
 
 
+def _learners(study: Study) -> Iterator[tuple[str, Learner]]:
+    """All learners of a study, and where they are in it."""
+    yield from ((f"learners.{name}", learner) for name, learner in study.learners.items())
+    for key, task in study.tasks.items():
+        yield from ((f"tasks.{key}.learners.{name}", learner) for name, learner in task.learners.items())
+
+
+def _keys_by_place(study: Study) -> dict[str, list[str]]:
+    """The experiment keys in a study, by where they are in it."""
+    found = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
+    if study.tuning is not None:
+        found["tuning.values"] = tried_keys(study.tuning.values)
+    for key, task in study.tasks.items():
+        found |= {f"tasks.{key}.overrides": keys_in(task.overrides), f"tasks.{key}.help": keys_in(task.help)}
+    for place, learner in _learners(study):
+        found |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": tried_keys(learner.tuning or {})}
+    return found
+
+
 def problems_of(study: Study) -> list[str]:
     """What is invalid in a study by itself, one line each."""
     found = []
@@ -185,6 +215,14 @@ def problems_of(study: Study) -> list[str]:
             found.append(f"{where} = {seeds} has a duplicate seed")
         if where != "tuning.seeds" and (both := set(seeds) & set(tuning)):
             found.append(f"{where} has {min(both)}, a seed of the tuning; take others")
+    found += key_problems(_keys_by_place(study), ELSEWHERE)
+    for place, learner in _learners(study):
+        for name in ("tuning", "tuning_share") if study.tuning is None else ():
+            if getattr(learner, name) is not None:
+                found.append(f"{place}.{name} has no effect in a study without tuning")
+    for key, task in study.tasks.items():
+        if task.task is not None and task.environment is not None:
+            found.append(f"tasks.{key}.environment: the suite's task {task.task!r} has an environment of its own")
     if study.ray.asha is not None:
         found.append("ray.asha would prune runs that count")
     for name in study.tasks:

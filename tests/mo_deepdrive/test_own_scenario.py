@@ -370,7 +370,10 @@ def test_a_span_widens_only_what_is_drawn_with_it(registries: None) -> None:
         ),
         ({"routes": (lane(), *row().routes)}, "route 1 has waypoints; where routes have segments, none may"),
         ({"routes": (lane(segments=(Segment(40.0, 0.4),)),)}, "must have a radius above the width of the lane"),
-        ({"routes": (lane(segments=(Segment(40.0, 1e-160),)),)}, "and of at most 1e+09 m, and turn by less than a circ"),
+        (
+            {"routes": (lane(segments=(Segment(40.0, 1e-160),)),)},
+            "and of at most 1e+09 m, and turn by less than a circ",
+        ),
         ({"routes": (lane(segments=(Segment(-1.0),)),)}, "segment 0 of route 0"),
         ({"routes": (lane(segments=(Segment(300.0),)),)}, "route 0 leaves [-250, 250] m"),
         (
