@@ -66,6 +66,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         run = Run.open(options.run, trust=options.trust)
         episodes, seed = evaluation_arguments(options, run.experiment)
         check_directory("--output", options.output)
+        if options.stochastic and not run.experiment.known_utility:
+            raise ValueError("--stochastic has no effect: of a front the greedy policies are filmed")
         final = run.experiment.evaluation.final_seed
         replaces = bool(options.output) and Path(options.output).resolve() == run.path.resolve()
         if replaces and seed != final:

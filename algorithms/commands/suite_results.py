@@ -31,14 +31,14 @@ def add_suite_run(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--learner",
         nargs="+",
+        action="extend",
         required=True,
         metavar="L",
         help="YAML file with an algorithm, the name of a shipped one, an own package.module:Class, or a learner of the "
         f"reference study ({REFERENCE}), which is tuned as there, as are all beside it",
     )
-    parser.add_argument(
-        "--tasks", nargs="+", default=[CORE], metavar="TASK", help="their ids, core (the default), or all that count"
-    )
+    tasks = "their ids, core (the default), or all that count"
+    parser.add_argument("--tasks", nargs="+", action="extend", metavar="TASK", help=tasks)
     parser.add_argument("--seeds", type=int, default=10, metavar="N", help="seeds of each task (default: %(default)s)")
     add_study_arguments(parser)
 
@@ -49,7 +49,9 @@ def suite_run(options: Namespace) -> int:
     def make(directory: Path, backend: Backend, console: Console) -> Runner:
         from algorithms.studies.runner import StudyRunner
 
-        plan = plan_of(options.learner, options.tasks, options.seeds, dict(parse_overrides(options.overrides)))
+        plan = plan_of(
+            options.learner, options.tasks or [CORE], options.seeds, dict(parse_overrides(options.overrides))
+        )
         return StudyRunner(plan, directory, backend, console, train=not options.tables)
 
     name = "-".join(["suite", *short_names(options.learner).values()]).replace("/", "-")

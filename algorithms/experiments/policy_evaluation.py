@@ -14,7 +14,7 @@ from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import OTHER_ENVS, OUR_ENVS, evaluate
 from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.evaluation.front import best_known_front, indicators
-from mo_deepdrive.evaluation.metrics import FRONT, GREEDY, OUR_ENDS, STOCHASTIC, SUCCESS, SUITE, known_metric
+from mo_deepdrive.evaluation.metrics import FRONT, GREEDY, OUR_ENDS, STOCHASTIC, SUCCESS, SUITE
 from mo_deepdrive.suite.scorers import SCORERS
 
 if TYPE_CHECKING:
@@ -58,12 +58,8 @@ def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
         return 1 if all(np.array_equal(first[name], second[name]) for name in names) else episodes
 
 
-def check_final_metric(name: str, experiment: Experiment) -> None:
-    """Refuse the name of a metric that no final evaluation of an experiment has.
-
-    Raises:
-        ValueError: with the nearest one that it may have.
-    """
+def final_metrics(experiment: Experiment) -> list[str]:
+    """The names of the metrics that the final evaluation of an experiment may have, as ``stochastic/success``."""
     settings = experiment.evaluation
     with closing(evaluation_env(experiment, 1)) as env:
         adapter, best_known = EnvAdapter(env), best_known_front(env, settings.gamma)
@@ -83,7 +79,7 @@ def check_final_metric(name: str, experiment: Experiment) -> None:
     if settings.task is not None:
         numbers_of_task = SCORERS[suite.load().task(settings.task).score].numbers
         known += [f"{policy}/{SUITE}{column}" for policy in POLICIES for column in numbers_of_task]
-    known_metric(name, known)
+    return known
 
 
 def evaluate_policies(policy: Policy, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:

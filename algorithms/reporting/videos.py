@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -25,6 +24,7 @@ from mo_deepdrive.evaluation.splits import SPLITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
+    from pathlib import Path
 
     from mo_deepdrive.evaluation.policy import Policy
 

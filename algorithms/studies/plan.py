@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from algorithms.experiments.config import make_experiment
 from algorithms.experiments.registry import find_algorithm
 from algorithms.experiments.shipped import find_config
 from algorithms.files.yaml import read_mapping
@@ -126,6 +127,7 @@ class StudyPlan:
             if not any(name == key[1] for key in self.selected):
                 raise ValueError(f"learner {name!r} fits none of the tasks {', '.join(tasks or study.tasks)}")
         self._rows: dict[tuple[str, str, int | None], tuple[ManifestRow, ...]] = {}
+        self._columns_known = False
 
     def runs(self, scores: Scores) -> list[ArmRuns]:
         """The runs that are known by now, by arm.
@@ -144,11 +146,25 @@ class StudyPlan:
         It is then one of an arm that is to be trained now, if any of them is.
         """
         arms = sorted(self.runs(scores), key=lambda runs: runs.arm.key not in self.selected)
+        self._check_columns([runs.rows[0] for runs in arms if runs.arm.key in self.selected])
         tuning = [row for arm in arms for rows in arm.tuning for row in rows]
         found: dict[str, ManifestRow] = {}
         for row in [*tuning, *(row for arm in arms for row in arm.final)]:
             found.setdefault(row.id, row)
         return list(found.values())
+
+    def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
+        """Refuse a column that none of the runs has."""
+        if not self.study.columns or self._columns_known:
+            return
+        from algorithms.experiments.policy_evaluation import final_metrics
+
+        experiments = (make_experiment(row.config, here=False) for row in rows)
+        known = {name.partition("/")[2] for experiment in experiments for name in final_metrics(experiment)}
+        for column in self.study.columns:
+            if column not in known:
+                raise ValueError(f"columns has {column!r}, which no run of the study has; {nearest(column, known)}")
+        self._columns_known = True
 
     def announcement(self) -> str:
         """All runs of the arms that are to be trained now, in a line."""
@@ -207,6 +223,7 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
     arms: list[Arm] = []
     unused = {*overrides, *study.help, *(key for task in study.tasks.values() for key in task.help)}
     replaced: dict[str, None] = {}
+    known: set[str] = set()
     for name, task in study.tasks.items():
         for key, learner in study.learners_of(name).items():
             where = f"learner {key!r} on task {name!r}"
@@ -221,6 +238,7 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
                 for settings in ({**study.help, **task.help}, overrides)
             )
             unused -= {*help_, *given}
+            known |= {f"algorithm.{each}" for each in entry.config_class.model_fields}
             replaced |= {
                 f"{learner.config}: {each} is not used; the study sets it": None
                 for each in keys_in(values)
@@ -232,7 +250,10 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
             points, seeds = tuple(study.points(learner)), tuple(task.seeds or study.seeds)
             for tried in points[0] if points else ():
                 if not _has(entry, tried):
-                    raise ValueError(f"{where}: the study tunes {tried!r}, a setting that it does not have")
+                    raise ValueError(
+                        f"{where}: the study tunes {tried!r}, a setting that it does not have; give it values of its "
+                        "own that are tried, or train it without learners that are tuned"
+                    )
                 if tried in given:
                     raise ValueError(f"{tried} = {given[tried]!r}: the study tunes it for {where}")
             share = learner.tuning_share or (study.tuning.share if study.tuning else 1.0)
@@ -241,7 +262,7 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
     learners = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}
     idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners)]
-    idle += [f"no learner has the setting {key!r}" for key in sorted(unused)]
+    idle += [f"no learner has the setting {key!r}; {nearest(key, known)}" for key in sorted(unused)]
     return tuple(arms), idle, [*replaced]
 
 

@@ -223,6 +223,12 @@ def problems_of(study: Study) -> list[str]:
     for key, task in study.tasks.items():
         if task.task is not None and task.environment is not None:
             found.append(f"tasks.{key}.environment: the suite's task {task.task!r} has an environment of its own")
+    for name, used in {
+        "metric": any(task.task is None and task.metric is None for task in study.tasks.values()),
+        "seeds": any(task.seeds is None for task in study.tasks.values()),
+    }.items():
+        if name in study.model_fields_set and getattr(study, name) is not None and not used:
+            found.append(f"{name} has no effect: every task has its own")
     if study.ray.asha is not None:
         found.append("ray.asha would prune runs that count")
     for name in study.tasks:

@@ -21,6 +21,7 @@ from algorithms.files.yaml import read_mapping
 from algorithms.reporting.seed_groups import INCIDENTAL
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
 from mo_deepdrive.atomic_io import atomic_write, own_path
+from mo_deepdrive.evaluation.metrics import known_metric
 
 if TYPE_CHECKING:
     from algorithms.sweeps.sweep_settings import SweepSettings
@@ -191,7 +192,7 @@ def cell_rows(
 def _check_buildable(experiment: Experiment, where: str, metric: str | None) -> None:
     """Raise now the error that the run would raise when it starts, or whoever needs the metric at its end."""
     from algorithms.experiments.build import build
-    from algorithms.experiments.policy_evaluation import check_final_metric
+    from algorithms.experiments.policy_evaluation import final_metrics
     from algorithms.experiments.side_by_side import check_resident
 
     try:
@@ -206,7 +207,7 @@ def _check_buildable(experiment: Experiment, where: str, metric: str | None) -> 
                 check_resident(experiment)
             build(experiment, num_envs=1)
         if metric is not None:
-            check_final_metric(metric, experiment)
+            known_metric(metric, final_metrics(experiment))
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 

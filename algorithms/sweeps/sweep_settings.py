@@ -12,7 +12,7 @@ from algorithms.files.yaml import read_mapping
 from mo_deepdrive.config import Settings, parse
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
 MAX_SEEDS = 100_000
@@ -203,6 +203,12 @@ def load_sweep(path: str | Path) -> SweepSettings:
             problems.append(f"{key!r} is in {' and in '.join(found)}")
     for key, values in space.items():
         problems += [f"search.space.{key}: {problem}" for problem in _problems(values)]
+    if (
+        settings.search is not None
+        and settings.search.sampler == "random"
+        and "batch" in settings.search.model_fields_set
+    ):
+        problems.append("search.batch has no effect with the sampler 'random', which chooses all points in advance")
     if len(set(settings.config)) < len(settings.config):
         problems.append(f"config = {settings.config} has a duplicate file")
     if len(set(settings.seeds)) < len(settings.seeds):
