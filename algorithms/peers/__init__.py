@@ -72,8 +72,6 @@ class Peer:
         env, d = task.env, len(task.objectives)
         if env.vehicles != 1:
             raise ValueError(f"algorithm {name!r} supports one vehicle; the environment has {env.vehicles}")
-        if task.num_envs > 1 and not self.parallel:
-            raise ValueError(f"training.num_envs = {task.num_envs}: algorithm {name!r} trains in 1 environment")
         kind = CONTINUOUS if env.continuous else DISCRETE
         if kind not in self.actions:
             raise ValueError(
@@ -86,6 +84,8 @@ class Peer:
             raise ValueError(f"algorithm {name!r} needs a known utility; set one in the section 'utility'")
         if not self.known_utility and task.utility is not None:
             raise ValueError(f"algorithm {name!r} learns a front; remove the section 'utility'")
+        if task.num_envs > 1 and not self.parallel:
+            raise ValueError(f"training.num_envs = {task.num_envs} must be 1: algorithm {name!r} has one environment")
 
 
 def _morl(

@@ -11,12 +11,10 @@ from algorithms.experiments.config import make_experiment
 from algorithms.experiments.registry import find_algorithm
 from algorithms.experiments.shipped import find_config
 from algorithms.files.yaml import read_mapping
-from algorithms.studies.settings import ELSEWHERE
 from algorithms.sweeps.manifest import ManifestRow, cell_rows, overridden, refuse_duplicates
-from algorithms.sweeps.sweep_settings import keys_in
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
-from mo_deepdrive.names import nearest
+from mo_deepdrive.names import nearest, nearest_few
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -100,7 +98,6 @@ class StudyPlan:
         arms: learners on tasks.
         selected: task and learner of those that are to be trained now.
         idle: what has no effect, one line each: a learner that fits no task, a setting that no learner has.
-        replaced: what a config says and the study sets, one line each.
 
     Raises:
         ValueError: naming the arm and what is invalid; for an unknown task or learner, or no arm that is to be trained.
@@ -114,7 +111,7 @@ class StudyPlan:
         overrides: Mapping[str, Any] | None = None,
     ):
         self.study = study
-        self.arms, self.idle, self.replaced = _arms(study, overrides or {})
+        self.arms, self.idle = _arms(study, overrides or {})
         for option, given, i in (("--tasks", tasks, 0), ("--learners", learners, 1)):
             known = dict.fromkeys(arm.key[i] for arm in self.arms)
             for name in given or ():
@@ -163,7 +160,9 @@ class StudyPlan:
         known = {name.partition("/")[2] for experiment in experiments for name in final_metrics(experiment)}
         for column in self.study.columns:
             if column not in known:
-                raise ValueError(f"columns has {column!r}, which no run of the study has; {nearest(column, known)}")
+                raise ValueError(
+                    f"columns has {column!r}, which no run has; the nearest ones: {nearest_few(column, known)}"
+                )
         self._columns_known = True
 
     def announcement(self) -> str:
@@ -214,15 +213,14 @@ def _mean(scores: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if len(known) == len(scores) else None
 
 
-def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str], list[str]]:
-    """The arms of a study, what has no effect, and what it replaces.
+def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str]]:
+    """The arms of a study, and what has no effect.
 
     Raises:
         ValueError: for an unknown task of the suite, or a learner without an algorithm or that fits no task.
     """
     arms: list[Arm] = []
     unused = {*overrides, *study.help, *(key for task in study.tasks.values() for key in task.help)}
-    replaced: dict[str, None] = {}
     known: set[str] = set()
     for name, task in study.tasks.items():
         for key, learner in study.learners_of(name).items():
@@ -239,11 +237,6 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
             )
             unused -= {*help_, *given}
             known |= {f"algorithm.{each}" for each in entry.config_class.model_fields}
-            replaced |= {
-                f"{learner.config}: {each} is not used; the study sets it": None
-                for each in keys_in(values)
-                if each in ELSEWHERE
-            }
             values = _on_task(values, task)
             for changes in (study.overrides, task.overrides, help_, learner.overrides, given):
                 values = overridden(values, changes, {TASK: name, LEARNER: key})
@@ -263,7 +256,7 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
     learners = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}
     idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners)]
     idle += [f"no learner has the setting {key!r}; {nearest(key, known)}" for key in sorted(unused)]
-    return tuple(arms), idle, [*replaced]
+    return tuple(arms), idle
 
 
 def _base(learner: Learner, where: str) -> dict[str, Any]:

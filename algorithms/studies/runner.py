@@ -8,8 +8,10 @@ from algorithms.experiments.run_directory import is_run
 from algorithms.reporting.wide_tables import print_rows
 from algorithms.studies.plan import LEARNER, TASK, StudyPlan
 from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, study_tables, write_results
+from algorithms.studies.settings import ELSEWHERE, learners_in
 from algorithms.sweeps.manifest import is_sweep
 from algorithms.sweeps.runner import Backend, Runner
+from algorithms.sweeps.sweep_settings import replaced_keys
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,7 +48,9 @@ class StudyRunner(Runner):
 
     def announcement(self) -> list[str]:
         """As of the base class."""
-        return [*self._plan.replaced, self._plan.announcement()]
+        study = self._plan.study
+        configs = (learner.config for _, learner in learners_in(study) if learner.config is not None)
+        return [*replaced_keys(configs, ELSEWHERE), self._plan.announcement()]
 
     def metric_of(self, row: ManifestRow) -> str | None:
         """As of the base class."""

@@ -10,7 +10,15 @@ from pydantic import BeforeValidator, Field
 from algorithms.experiments.config import Count, UtilitySettings
 from algorithms.experiments.shipped import find_config
 from algorithms.files.yaml import read_mapping
-from algorithms.sweeps.sweep_settings import SEED_KEYS, BackendSettings, Seeds, key_problems, keys_in, tried_keys
+from algorithms.sweeps.sweep_settings import (
+    SEED_KEYS,
+    BackendSettings,
+    Seeds,
+    found_beside,
+    key_problems,
+    keys_in,
+    tried_keys,
+)
 from mo_deepdrive.config import EnvironmentSettings, Settings, parse
 
 if TYPE_CHECKING:
@@ -165,7 +173,7 @@ def load_study(path: str | Path) -> Study:
 
     def found(learners: dict[str, Learner]) -> dict[str, Learner]:
         return {
-            key: each.model_copy(update={"config": _beside(each.config, path)}) if each.config else each
+            key: each.model_copy(update={"config": found_beside(each.config, path)}) if each.config else each
             for key, each in learners.items()
         }
 
@@ -173,17 +181,7 @@ def load_study(path: str | Path) -> Study:
     return study.model_copy(update={"tasks": tasks, "learners": found(study.learners)})
 
 
-def _beside(name: str, study: Path) -> str:
-    """``name``, or the path of the file that it names beside the file of the study.
-
-    Raises:
-        ValueError: if there is no such config.
-    """
-    beside = study.parent / name
-    return str(beside) if find_config(name, beside=study) == beside else name
-
-
-def _learners(study: Study) -> Iterator[tuple[str, Learner]]:
+def learners_in(study: Study) -> Iterator[tuple[str, Learner]]:
     """All learners of a study, and where they are in it."""
     yield from ((f"learners.{name}", learner) for name, learner in study.learners.items())
     for key, task in study.tasks.items():
@@ -197,7 +195,7 @@ def _keys_by_place(study: Study) -> dict[str, list[str]]:
         found["tuning.values"] = tried_keys(study.tuning.values)
     for key, task in study.tasks.items():
         found |= {f"tasks.{key}.overrides": keys_in(task.overrides), f"tasks.{key}.help": keys_in(task.help)}
-    for place, learner in _learners(study):
+    for place, learner in learners_in(study):
         found |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": tried_keys(learner.tuning or {})}
     return found
 
@@ -216,7 +214,7 @@ def problems_of(study: Study) -> list[str]:
         if where != "tuning.seeds" and (both := set(seeds) & set(tuning)):
             found.append(f"{where} has {min(both)}, a seed of the tuning; take others")
     found += key_problems(_keys_by_place(study), ELSEWHERE)
-    for place, learner in _learners(study):
+    for place, learner in learners_in(study):
         for name in ("tuning", "tuning_share") if study.tuning is None else ():
             if getattr(learner, name) is not None:
                 found.append(f"{place}.{name} has no effect in a study without tuning")

@@ -21,7 +21,7 @@ from algorithms.files.yaml import read_mapping
 from algorithms.reporting.seed_groups import INCIDENTAL
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
 from mo_deepdrive.atomic_io import atomic_write, own_path
-from mo_deepdrive.evaluation.metrics import known_metric
+from mo_deepdrive.names import nearest_few
 
 if TYPE_CHECKING:
     from algorithms.sweeps.sweep_settings import SweepSettings
@@ -206,8 +206,8 @@ def _check_buildable(experiment: Experiment, where: str, metric: str | None) -> 
             if experiment.is_resident:
                 check_resident(experiment)
             build(experiment, num_envs=1)
-        if metric is not None:
-            known_metric(metric, final_metrics(experiment))
+        if metric is not None and metric not in (known := final_metrics(experiment)):
+            raise ValueError(f"metric {metric!r} is unknown; the nearest ones: {nearest_few(metric, known)}")
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 

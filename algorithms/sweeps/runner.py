@@ -13,11 +13,9 @@ from algorithms.experiments.console import print_line
 from algorithms.experiments.dashboard import Dashboard, count_states, summary_of
 from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.run_directory import imported_paths, is_run, read_status
-from algorithms.experiments.shipped import find_config
-from algorithms.files.yaml import read_mapping
 from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, iterate_manifest, read_manifest, write_manifest
 from algorithms.sweeps.run_scores import read_scores
-from algorithms.sweeps.sweep_settings import keys_in
+from algorithms.sweeps.sweep_settings import SEED_KEYS, replaced_keys
 from algorithms.sweeps.verification import discard, verify
 from mo_deepdrive.machine import GIB, available_cores, available_memory, check_memory
 
@@ -321,11 +319,7 @@ class SweepRunner(Runner):
     def announcement(self) -> list[str]:
         """As of the base class: all runs of a search, of which the manifest has one batch."""
         search, settings = self._settings.search, self._settings
-        lines = [
-            f"{config}: training.seed is not used; the sweep has seeds"
-            for config in settings.config
-            if "training.seed" in keys_in(read_mapping(find_config(config)))
-        ]
+        lines = replaced_keys(settings.config, SEED_KEYS)
         if search is not None:
             cells = len(settings.config) * math.prod(map(len, settings.grid.values()))
             runs = cells * search.trials * len(settings.seeds)

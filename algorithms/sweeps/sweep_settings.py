@@ -12,7 +12,7 @@ from algorithms.files.yaml import read_mapping
 from mo_deepdrive.config import Settings, parse
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
 MAX_SEEDS = 100_000
@@ -215,7 +215,7 @@ def load_sweep(path: str | Path) -> SweepSettings:
         problems.append(f"seeds = {settings.seeds} has a duplicate seed")
     if problems:
         raise ValueError(f"invalid {what}: {'; '.join(problems)}")
-    return settings.model_copy(update={"config": [_found(name, path) for name in settings.config]})
+    return settings.model_copy(update={"config": [found_beside(name, path) for name in settings.config]})
 
 
 def keys_in(values: Mapping[str, Any]) -> list[str]:
@@ -250,14 +250,20 @@ def key_problems(places: Mapping[str, Sequence[str]], elsewhere: Mapping[str, st
     return found
 
 
-def _found(name: str, sweep: Path) -> str:
-    """``name``, or the path of the file that it names beside the file of the sweep.
+def replaced_keys(configs: Iterable[str], elsewhere: Mapping[str, str]) -> list[str]:
+    """What configs say that is set elsewhere, one line each; the arguments are as of :func:`key_problems`."""
+    keys = ((config, key) for config in dict.fromkeys(configs) for key in keys_in(read_mapping(find_config(config))))
+    return [f"{config}: {key} is not used; {elsewhere[key]}" for config, key in keys if key in elsewhere]
+
+
+def found_beside(name: str, file: Path) -> str:
+    """``name``, or the path of the config that it names beside the file of a sweep or study.
 
     Raises:
         ValueError: if there is no such config.
     """
-    beside = sweep.parent / name
-    return str(beside) if find_config(name, beside=sweep) == beside else name
+    beside = file.parent / name
+    return str(beside) if find_config(name, beside=file) == beside else name
 
 
 def _problems(values: SearchRange) -> list[str]:
