@@ -10,7 +10,7 @@ A study trains some learners on some tasks; it may first choose the settings of 
 same command again to resume: finished runs are skipped, interrupted ones continue from their checkpoints.
 
 The study's directory is like that of a sweep, which mo-deepdrive table and mo-deepdrive plot read. It also gets
-results.csv (task, learner, seed, policy, column, value, low, high, state, CPU seconds), tuning.csv and results.md.
+results.csv (a row per number of a run), tuning.csv and results.md.
 """
 
 from __future__ import annotations

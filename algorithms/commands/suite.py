@@ -46,9 +46,10 @@ def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
     add_suite_verify(add("verify", "score an entry again, and compare", suite_verify))
     add_suite_run(add("run", "train learners on tasks of the suite, with the help that all learners get", suite_run))
     add_suite_table(add("table", "normalised scores per task and learner, and per track", suite_table))
-    options, options.overrides = parser.parse_known_args(arguments)
-    if options.overrides and options.run is not suite_run:
-        parser.error(f"unrecognized arguments: {' '.join(options.overrides)}")
+    options, overrides = parser.parse_known_args(arguments)
+    if overrides and options.run is not suite_run:
+        parser.error(f"unrecognized arguments: {' '.join(overrides)}")
+    options.overrides = overrides
     return options
 
 

@@ -150,14 +150,7 @@ def parse_training_arguments(
 def refuse_beside(
     parser: argparse.ArgumentParser, options: argparse.Namespace, option: str, *without_effect: str
 ) -> None:
-    """End with an error if an option is given that has no effect beside another one.
-
-    Args:
-        parser: of the options.
-        options: that were parsed.
-        option: the other one, for the message.
-        without_effect: names of attributes of ``options``.
-    """
+    """End with an error if one of the options ``without_effect`` is given beside ``option``."""
     for name in without_effect:
         if getattr(options, name) != parser.get_default(name):
             parser.error(f"--{name.replace('_', '-')} has no effect beside {option}")

@@ -438,12 +438,7 @@ def _check_episodes(settings: EvaluationSettings) -> None:
 
 
 def _check_task(experiment: Experiment, arguments: Mapping[str, Any]) -> None:
-    """Refuse to score as a task of the suite what is trained on another environment, or for longer.
-
-    Args:
-        experiment: that may name a task.
-        arguments: of its environment, with every default.
-    """
+    """Refuse to score as a task of the suite what is trained in another environment, whose arguments are all given."""
     name = experiment.evaluation.task
     if name is None:
         return
@@ -466,15 +461,10 @@ def _check_task(experiment: Experiment, arguments: Mapping[str, Any]) -> None:
 
 
 def check_effects(experiment: Experiment, keys: Iterable[str], why: str) -> None:
-    """Refuse keys that have no effect unless they have their defaults.
-
-    Args:
-        experiment: to be checked.
-        keys: of its sections, as "section.key".
-        why: they have none.
+    """Refuse each of some keys, as "section.key", that has another value than its default.
 
     Raises:
-        ValueError: naming the key and its value.
+        ValueError: naming the key, its value and why it has no effect.
     """
     for key in keys:
         section, _, name = key.partition(".")

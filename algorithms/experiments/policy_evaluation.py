@@ -14,7 +14,7 @@ from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import OTHER_ENVS, OUR_ENVS, evaluate
 from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.evaluation.front import best_known_front, indicators
-from mo_deepdrive.evaluation.metrics import FRONT, GREEDY, OUR_ENDS, STOCHASTIC, SUCCESS, SUITE
+from mo_deepdrive.evaluation.metrics import ARRIVED, FRONT, GREEDY, STOCHASTIC, SUCCESS, SUITE
 from mo_deepdrive.suite.scorers import SCORERS
 
 if TYPE_CHECKING:
@@ -64,13 +64,11 @@ def final_metrics(experiment: Experiment) -> list[str]:
     with closing(evaluation_env(experiment, 1)) as env:
         adapter, best_known = EnvAdapter(env), best_known_front(env, settings.gamma)
     if experiment.known_utility:
-        # One episode for every reason of an end.
-        shape = (len(OUR_ENDS), adapter.vehicles)
-        numbers, ends = np.zeros((*shape, len(adapter.objectives))), np.array(sorted(OUR_ENDS))
+        shape = (1, adapter.vehicles)
+        zeros, ones = np.zeros((*shape, len(adapter.objectives))), np.ones(shape, dtype=np.int64)
         utilities: Any = (lambda returns: returns[..., 0],) * adapter.vehicles
-        lengths, arrived = np.ones(shape, dtype=np.int64), np.ones(shape, dtype=np.bool_)
-        ends = np.repeat(ends[:, None], adapter.vehicles, axis=1)
-        one = Evaluation(adapter.objectives, utilities, numbers, numbers, lengths, arrived, ends, numbers)
+        arrived = np.full(shape, ARRIVED, dtype=object)
+        one = Evaluation(adapter.objectives, utilities, zeros, zeros, ones, ones == 1, arrived, zeros)
         known = [f"{policy}/{metric}" for policy in POLICIES for metric in one.metrics()]
     else:
         point = np.zeros((1, adapter.vehicles * len(adapter.objectives)))

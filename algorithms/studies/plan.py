@@ -255,8 +255,10 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
     learners = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}
     idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners)]
-    idle += [f"no learner has the setting {key!r}; {nearest(key, known)}" for key in sorted(unused)]
-    return tuple(arms), idle
+    hints = {key: f"no learner has the setting {key!r}; {nearest(key, known)}" for key in sorted(unused)}
+    for key in (key for key in overrides if key in hints):
+        raise ValueError(hints[key])
+    return tuple(arms), [*idle, *hints.values()]
 
 
 def _base(learner: Learner, where: str) -> dict[str, Any]:

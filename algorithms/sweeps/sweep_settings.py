@@ -194,7 +194,8 @@ def load_sweep(path: str | Path) -> SweepSettings:
     if "algorithm" in given and "config" not in given:
         raise ValueError(f"{name!r} is the file of an experiment; mo-deepdrive train --config {name} trains it")
     settings = parse(SweepSettings, given, what)
-    space = {} if settings.search is None else settings.search.space
+    search = settings.search
+    space = {} if search is None else search.space
     places = {"overrides": keys_in(settings.overrides), "grid": tried_keys(settings.grid), "search.space": [*space]}
     problems = key_problems(places, SEED_KEYS)
     for key in dict.fromkeys(key for keys in places.values() for key in keys):
@@ -203,11 +204,7 @@ def load_sweep(path: str | Path) -> SweepSettings:
             problems.append(f"{key!r} is in {' and in '.join(found)}")
     for key, values in space.items():
         problems += [f"search.space.{key}: {problem}" for problem in _problems(values)]
-    if (
-        settings.search is not None
-        and settings.search.sampler == "random"
-        and "batch" in settings.search.model_fields_set
-    ):
+    if search is not None and search.sampler == "random" and "batch" in search.model_fields_set:
         problems.append("search.batch has no effect with the sampler 'random', which chooses all points in advance")
     if len(set(settings.config)) < len(settings.config):
         problems.append(f"config = {settings.config} has a duplicate file")
