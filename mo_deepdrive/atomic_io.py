@@ -1,4 +1,8 @@
-"""Files of users: whole or as they were, never through a link, on any file system."""
+"""Files of users: whole or as they were, on any file system.
+
+A link to a file that a user names is followed (:func:`atomic_write`); one in a directory of ours is refused
+(:func:`own_path`), since whoever made the directory would choose what is overwritten.
+"""
 
 from __future__ import annotations
 
@@ -69,16 +73,21 @@ def own_path(directory: Path, name: str) -> Path:
     return path
 
 
+def without_links(path: str | Path) -> Path:
+    """The file, existing or not, that a path leads to."""
+    return Path(os.path.realpath(path))  # Path.resolve() refuses a link to itself with a RuntimeError
+
+
 def atomic_write(path: str | Path, data: bytes | Iterable[bytes]) -> None:
     """Replace the contents of ``path`` by ``data``, whole or in pieces, or leave it exactly as it was.
 
     The bytes go to a temporary file in the same folder, reach the disk, and are then renamed over ``path``: a reader
-    sees the old content or the new one, never a part. A link is replaced, not followed.
+    sees the old content or the new one, never a part. Of a link it is the target that is replaced.
 
     Raises:
         OSError: if anything went wrong (disk full, no permission); the temporary file is gone and ``path`` untouched.
     """
-    path = Path(path)
+    path = without_links(path)
     part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     file = part.open("xb")  # with the permissions that the umask leaves
     try:
@@ -86,7 +95,7 @@ def atomic_write(path: str | Path, data: bytes | Iterable[bytes]) -> None:
             file.writelines([data] if isinstance(data, bytes) else data)
             file.flush()
             flush_to_disk(file)
-        if path.is_file() and not path.is_symlink():
+        if path.is_file():
             with optional():
                 part.chmod(path.stat().st_mode & 0o777)
         part.replace(path)

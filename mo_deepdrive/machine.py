@@ -96,7 +96,7 @@ def check_device(argument: str, name: str, here: bool = True) -> None:
     count = torch.cuda.device_count()
     if here and device.type == "cuda" and (device.index or 0) >= count:
         raise ValueError(f"{argument} = {name!r} does not exist; PyTorch finds {count} CUDA devices")
-    if device.type not in ("cpu", "cuda"):
+    if device.type not in ("cpu", "cuda") or (device.type == "cpu" and name != "cpu"):
         raise ValueError(f"{argument} = {name!r} is not supported; write cpu, cuda or cuda:0")
 
 

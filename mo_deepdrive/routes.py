@@ -22,8 +22,10 @@ from mo_deepdrive.simulation.state import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+MOST_TURNED = 250.0  # rad; largest heading
 FARTHEST = 250.0  # m; largest coordinate of a start, waypoint or road, so that observations stay in their space
 JOINT = (0.01, 0.001)  # m and rad, by which what joins may be apart
+LARGEST_RADIUS = 1e9  # m; of a larger one rounding takes distances to the centre more than it bends
 
 Pose = tuple[float, float, float]  # x, y (m) and heading (rad), which is 0 along +y and grows to the left
 
@@ -144,6 +146,9 @@ def waypoints_problem(v: int, route: Route, span: tuple[float, float]) -> str:
     shape = shape_of(route.waypoints)
     if not shape or (shape[1:] != (2,) and shape != (0,)):
         return f"waypoints = {route.waypoints!r} of route {v} must be (x, y) pairs of finite numbers in m"
+    for name in ("end", "lane_width", "priority"):
+        if np.any(getattr(route, name) != getattr(Route, name)):
+            return f"{name} = {getattr(route, name)!r} of route {v} has no effect without segments; omit it"
     if not 1 <= shape[0] <= MAX_WAYPOINTS:
         return f"waypoints of route {v} has {shape[0]} points; it must have 1 to {MAX_WAYPOINTS}"
     x, y, _ = route.start
@@ -157,6 +162,8 @@ def start_problem(v: int, route: Route) -> str:
     """What is wrong with the start of a route; "" if nothing is."""
     if shape_of(route.start) != (3,):
         return f"start = {route.start!r} of route {v} must be (x, y, heading): finite numbers in m and rad"
+    if abs(route.start[2]) > MOST_TURNED:
+        return f"start = {route.start!r} of route {v} must have a heading in [-{MOST_TURNED:g}, {MOST_TURNED:g}] rad"
     if not is_finite(route.start_span):
         return f"start_span = {route.start_span!r} of route {v} must be a finite number in m"
     return ""
@@ -176,10 +183,11 @@ def lane_problem(v: int, route: Route) -> str:
     for k, each in enumerate(segments):
         if not is_finite(each.length) or not is_finite(each.curvature) or not 0.0 < each.length <= 2 * FARTHEST:
             return f"segment {k} of route {v} = {each!r} must have a length in (0, {2 * FARTHEST:g}] m, and be finite"
-        if abs(each.curvature) * route.lane_width >= 1.0 or abs(each.curvature) * each.length >= 2 * math.pi:
+        bend = abs(each.curvature)
+        if bend and not (1 / LARGEST_RADIUS <= bend < min(1.0 / route.lane_width, math.tau / each.length)):
             return (
                 f"curvature = {each.curvature!r} of segment {k} of route {v} must have a radius above the width of "
-                "the lane, and turn by less than a circle"
+                f"the lane and of at most {LARGEST_RADIUS:g} m, and turn by less than a circle; a straight has 0"
             )
     return _joint_problem(v, route)
 
@@ -199,8 +207,11 @@ def _joint_problem(v: int, route: Route) -> str:
                 "they must join"
             )
     stretch = (0.0, 1.0) if route.priority is None else route.priority
-    if shape_of(stretch) != (2,) or not 0.0 <= stretch[0] < stretch[1]:
-        return f"priority = {route.priority!r} of route {v} must be (from, to) in m, with 0 <= from < to"
+    if shape_of(stretch) != (2,) or not 0.0 <= stretch[0] < min(stretch[1], route.length):
+        return (
+            f"priority = {route.priority!r} of route {v} must be (from, to) in m, with 0 <= from < to, and from "
+            f"within its length of {route.length:g} m"
+        )
     if route.start_span < 0.0 or entry_room(route) < 1:
         return (
             f"start_span = {route.start_span!r} of route {v} must be at least 0 and leave {LENGTH:.2f} m for a car on "

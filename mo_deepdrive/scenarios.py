@@ -20,7 +20,7 @@ import gymnasium
 
 from mo_deepdrive.names import check_name, nearest
 from mo_deepdrive.objectives import INDEX
-from mo_deepdrive.plain_values import with_plain_fields
+from mo_deepdrive.plain_values import is_finite, with_plain_fields
 from mo_deepdrive.roundabout import roundabout_routes
 from mo_deepdrive.routes import (
     Route,
@@ -266,11 +266,15 @@ def _problem(scenario: Scenario) -> str:
         problem = problem or (lane_problem(v, route) if roads else waypoints_problem(v, route, span))
         if problem:
             return problem
+    if not is_finite(scenario.conflict_time) or scenario.conflict_time <= 0.0:
+        return f"conflict_time = {scenario.conflict_time!r} must be a finite number of seconds above 0"
     for name in (*scenario.objectives, *scenario.reference):
         if name not in INDEX:
             return f"objective {name!r} is unknown; {nearest(name, INDEX)}"
     if not scenario.objectives or len(set(scenario.objectives)) != len(scenario.objectives):
         return f"objectives = {list(scenario.objectives)} must be one or more distinct names"
+    if not isinstance(scenario.lanes, bool):
+        return f"lanes = {scenario.lanes!r} must be True or False"
     if not _is_count(scenario.obstacles):
         return f"obstacles = {scenario.obstacles!r} must be a number of bicycles: 0, 1, 2, ..."
     if scenario.obstacles and (scenario.vehicles > 1 or roads):
@@ -279,6 +283,8 @@ def _problem(scenario: Scenario) -> str:
         return f"cars = {scenario.cars!r} must be a number of cars: 0, 1, ... or {MAX_CARS}"
     if roads:
         return _roads_problem(scenario)
+    if scenario.number != 1:
+        return f"number = {scenario.number!r} has no effect without roads of segments; omit it"
     if scenario.cars and (scenario.vehicles > 1 or not scenario.lanes):
         return f"cars = {scenario.cars} must be 0 where there are two vehicles or no lanes"
     return _reference_problem(scenario)

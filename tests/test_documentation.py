@@ -233,6 +233,8 @@ def test_a_command_is_understood_by_its_program(
     parsed = parse(words, monkeypatch)
     config = getattr(parsed.options, "config", None)
     assert all(re.fullmatch(r"--\w+(\.\w+)+=.+", other) for other in parsed.others)
+    if words[:2] == ["suite", "run"]:
+        return  # whose learners may be the reader's own
     if config is None:
         longer = ["--training.total_timesteps"] if getattr(parsed.options, "resume", None) else []
         assert [other.partition("=")[0] for other in parsed.others] in ([], longer)

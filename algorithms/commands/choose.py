@@ -60,10 +60,11 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     parser.add_argument("run", metavar="RUN", help="directory of a finished run, or a name in the zoo")
     preference = parser.add_mutually_exclusive_group(required=True)
     preference.add_argument(
-        "--weights", nargs="+", metavar="OBJECTIVE=W", help="the weight of each undiscounted return"
+        "--weights", nargs="+", action="extend", metavar="OBJECTIVE=W", help="the weight of each undiscounted return"
     )
     preference.add_argument("--utility", metavar="NAME", help="a utility by name, or package.module:function")
-    preference.add_argument("--target", nargs="+", metavar="OBJECTIVE=R", help="undiscounted returns to be reached")
+    target = "undiscounted returns to be reached"
+    preference.add_argument("--target", nargs="+", action="extend", metavar="OBJECTIVE=R", help=target)
     parser.add_argument(
         "--arguments", default="{}", metavar="YAML", help="arguments of the utility, such as '{weights: [1, 2]}'"
     )

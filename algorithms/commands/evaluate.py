@@ -19,6 +19,7 @@ from algorithms.experiments.cli import (
     evaluation_arguments,
     exit_on_error,
     make_parser,
+    refuse_beside,
     warn_of_changes,
 )
 from algorithms.experiments.run_directory import Run
@@ -37,7 +38,12 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     parser.add_argument("--stochastic", action="store_true", help="film the stochastic policy, not the greedy one")
     parser.add_argument("--output", metavar="DIR", help="also write the files that a training run ends with")
     add_trust_argument(parser)
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if options.zoo:
+        refuse_beside(parser, options, "--zoo", "episodes", "split", "seed", "video", "stochastic", "output", "trust")
+    elif options.video is None:
+        refuse_beside(parser, options, "no --video", "stochastic")
+    return options
 
 
 def main(arguments: list[str], program: str = INSTALLED) -> int:
@@ -60,6 +66,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         run = Run.open(options.run, trust=options.trust)
         episodes, seed = evaluation_arguments(options, run.experiment)
         check_directory("--output", options.output)
+        if options.stochastic and not run.experiment.known_utility:
+            raise ValueError("--stochastic has no effect: of a front the greedy policies are filmed")
         final = run.experiment.evaluation.final_seed
         replaces = bool(options.output) and Path(options.output).resolve() == run.path.resolve()
         if replaces and seed != final:

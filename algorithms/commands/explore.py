@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
     from algorithms.reporting.explorer.explorable_front import ExplorableFront
 
+UNSET = (CHOICE_EPISODES, CHOICE_SPLIT, None, False)  # episodes, split, seed and trust without options
+
 
 def parse_arguments(arguments: list[str], program: str) -> Namespace:
     """The options."""
@@ -59,6 +61,9 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
 
     with exit_on_error(ValueError, program=program), sole_purpose("the page could not be written"):
         check_file("--output", options.output, ".html")
+        of_runs = options.episodes, options.split, options.seed, options.trust
+        if all(name.startswith(BEST_KNOWN) for name in options.runs) and of_runs != UNSET:
+            raise ValueError("--episodes, --split, --seed and --trust have no effect on best-known fronts")
         fronts: dict[str, ExplorableFront] = {}
         for name in options.runs:
             try:

@@ -19,14 +19,22 @@ from algorithms.experiments.cli import (
     make_parser,
     new_runs,
     parse_training_arguments,
+    refuse_beside,
 )
-from algorithms.experiments.config import check_loggers, load_experiment
+from algorithms.experiments.config import check_effects, check_loggers, load_experiment
 from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from algorithms.experiments.config import Experiment
+
+
+# Keys of an experiment by which this package's own training goes.
+UNUSED = (
+    *("training.seeds", "training.compiled", "training.share_policy", "evaluation.interval", "evaluation.episodes"),
+    *("logging.interval", "logging.checkpoint_interval"),
+)
 
 
 def parse_arguments(arguments: list[str], program: str) -> tuple[Namespace, list[str]]:
@@ -36,7 +44,12 @@ def parse_arguments(arguments: list[str], program: str) -> tuple[Namespace, list
     source.add_argument("--config", metavar="FILE", help="YAML file of the experiment, or the name of a shipped one")
     source.add_argument("--list", action="store_true", help="list the peers, their requirements and whether they run")
     add_training_arguments(parser)
-    return parse_training_arguments(parser, arguments)
+    options, overrides = parse_training_arguments(parser, arguments)
+    if options.list:
+        refuse_beside(parser, options, "--list", "output")
+        if overrides:
+            parser.error(f"{overrides[0]} has no effect beside --list")
+    return options, overrides
 
 
 def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
@@ -54,6 +67,7 @@ def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
         raise ValueError(
             f"algorithm.name = {name!r} is not another library's; use mo-deepdrive train, or {nearest(name, PEERS)}"
         )
+    check_effects(experiment, UNUSED, f"algorithm {name!r} is trained by another library")
     prepare(experiment, lambda _step, _metrics: None)
     return experiment
 

@@ -62,8 +62,8 @@ def check_options(options: Namespace) -> None:
             raise ValueError(f"--{name} {value} must be at least 1")
     for name in ("runs", "output"):
         check_directory(f"--{name}", getattr(options, name))
-    if options.redraw and (options.quick or options.seeds is not None):
-        raise ValueError("--redraw does not train; it cannot be combined with --quick or --seeds")
+    if options.redraw and (options.quick or options.seeds is not None or options.workers is not None):
+        raise ValueError("--redraw does not train; it cannot be combined with --quick, --seeds or --workers")
 
 
 def main(arguments: list[str], program: str = INSTALLED) -> int:

@@ -10,7 +10,7 @@ A study trains some learners on some tasks; it may first choose the settings of 
 same command again to resume: finished runs are skipped, interrupted ones continue from their checkpoints.
 
 The study's directory is like that of a sweep, which mo-deepdrive table and mo-deepdrive plot read. It also gets
-results.csv (task, learner, seed, policy, column, value, low, high, state, CPU seconds), tuning.csv and results.md.
+results.csv (a row per number of a run), tuning.csv and results.md.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import add_run_arguments, run_command
-from algorithms.experiments.cli import INSTALLED, make_parser
+from algorithms.experiments.cli import INSTALLED, make_parser, refuse_beside
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -40,12 +40,18 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     """The options."""
     parser = make_parser(__doc__, program, "study")
     parser.add_argument("--config", metavar="FILE", help="YAML file of the study, or the name of a shipped one")
-    parser.add_argument("--tasks", nargs="+", metavar="TASK", help="train on some of its tasks (default: all)")
-    parser.add_argument("--learners", nargs="+", metavar="NAME", help="train some of its learners (default: all)")
+    parser.add_argument(
+        "--tasks", nargs="+", action="extend", metavar="TASK", help="train on some of its tasks (default: all)"
+    )
+    parser.add_argument(
+        "--learners", nargs="+", action="extend", metavar="NAME", help="train some of its learners (default: all)"
+    )
     add_study_arguments(parser)
     options = parser.parse_args(arguments)
     if options.config is None and not ((options.status or options.verify) and options.output):
         parser.error("--config is required, except for --status and --verify with --output")
+    if options.status or options.verify:
+        refuse_beside(parser, options, "--status" if options.status else "--verify", "tasks", "learners")
     return options
 
 

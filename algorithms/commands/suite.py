@@ -4,9 +4,12 @@ mo-deepdrive suite list
 mo-deepdrive suite score policy.py --tasks K1 K5 --output scores.csv
 mo-deepdrive suite verify scores.csv --scenarios 20260101        # again, and on scenarios that follow from a number
 mo-deepdrive suite run --learner suite/ppo                       # train a learner on the core tasks
-mo-deepdrive suite run --learner my_package.my_module:MyAgent --tasks K1 K3 --seeds 5
+mo-deepdrive suite run --learner my_package.my_module:MyAgent mo_ppo --tasks K1 K3 --seeds 5 --algorithm.gamma=0.98
 mo-deepdrive suite table                                         # the reference results
 mo-deepdrive suite table runs/studies/suite-ppo/results.csv --figure profile.png
+
+Where a learner of the reference study is trained, all beside it are tuned by its rule. A key of an experiment, such as
+--algorithm.gamma=0.98, is for every learner that has the setting.
 """
 
 from __future__ import annotations
@@ -43,7 +46,11 @@ def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
     add_suite_verify(add("verify", "score an entry again, and compare", suite_verify))
     add_suite_run(add("run", "train learners on tasks of the suite, with the help that all learners get", suite_run))
     add_suite_table(add("table", "normalised scores per task and learner, and per track", suite_table))
-    return parser.parse_args(arguments)
+    options, overrides = parser.parse_known_args(arguments)
+    if overrides and options.run is not suite_run:
+        parser.error(f"unrecognized arguments: {' '.join(overrides)}")
+    options.overrides = overrides
+    return options
 
 
 def minutes_per_run(rows: list[Row]) -> dict[str, float]:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from algorithms.commands.study import add_study_arguments
 from algorithms.commands.sweep import run_command
 from algorithms.experiments.cli import check_file
+from algorithms.experiments.config import parse_overrides
 from algorithms.experiments.shipped import CONFIGS
+from algorithms.sweeps.manifest import short_names
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
+    from collections.abc import Mapping
 
     from rich.console import Console
 
@@ -28,14 +31,14 @@ def add_suite_run(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--learner",
         nargs="+",
+        action="extend",
         required=True,
         metavar="L",
         help="YAML file with an algorithm, the name of a shipped one, an own package.module:Class, or a learner of the "
-        f"reference study ({REFERENCE}), which is tuned as there",
+        f"reference study ({REFERENCE}), which is tuned as there, as are all beside it",
     )
-    parser.add_argument(
-        "--tasks", nargs="+", default=[CORE], metavar="TASK", help="their ids, core (the default), or all that count"
-    )
+    tasks = "their ids, core (the default), or all that count"
+    parser.add_argument("--tasks", nargs="+", action="extend", metavar="TASK", help=tasks)
     parser.add_argument("--seeds", type=int, default=10, metavar="N", help="seeds of each task (default: %(default)s)")
     add_study_arguments(parser)
 
@@ -46,27 +49,31 @@ def suite_run(options: Namespace) -> int:
     def make(directory: Path, backend: Backend, console: Console) -> Runner:
         from algorithms.studies.runner import StudyRunner
 
-        plan = plan_of(options.learner, options.tasks, options.seeds)
+        plan = plan_of(
+            options.learner, options.tasks or [CORE], options.seeds, dict(parse_overrides(options.overrides))
+        )
         return StudyRunner(plan, directory, backend, console, train=not options.tables)
 
-    name = "-".join(["suite", *(Path(each).stem.rpartition(":")[2] for each in options.learner)])
+    name = "-".join(["suite", *short_names(options.learner).values()]).replace("/", "-")
     return run_command(options, options.program, options.output or Path("runs") / "studies" / name, make)
 
 
-def plan_of(learners: list[str], tasks: list[str], seeds: int) -> StudyPlan:
+def plan_of(learners: list[str], tasks: list[str], seeds: int, overrides: Mapping[str, Any] | None = None) -> StudyPlan:
     """The study of some learners on tasks of the suite, with the help of the reference study.
 
     Args:
-        learners: learners of the reference study, which are tuned as there; else configs or paths of classes, which are
-            not tuned.
+        learners: learners of the reference study, configs and paths of classes. If one of them is of the reference
+            study, all are tuned by its rule; else none is.
         tasks: their ids, "core" or "all".
         seeds: number of seeds.
+        overrides: as of :class:`algorithms.studies.plan.StudyPlan`.
 
     Raises:
-        ValueError: naming what is unknown.
+        ValueError: naming what is unknown, or has no effect.
     """
     from algorithms.studies.plan import StudyPlan
-    from algorithms.studies.settings import Learner, StudyTask, load_study
+    from algorithms.studies.settings import ELSEWHERE, Learner, StudyTask, load_study, problems_of
+    from algorithms.sweeps.sweep_settings import key_problems, keys_in
     from mo_deepdrive import suite
 
     if seeds < 1:
@@ -76,21 +83,27 @@ def plan_of(learners: list[str], tasks: list[str], seeds: int) -> StudyPlan:
     wanted = [key for name in tasks for key in groups.get(name, [name])]
     for key in wanted:
         suite.load().task(key)
-    reference = load_study(REFERENCE).model_copy(update={"seeds": list(range(seeds))})
-    planned = {key for task in reference.tasks for key in reference.learners_of(task)}
-    if set(learners) <= planned:
-        return StudyPlan(reference, wanted, learners)
-    found = {}
-    for name in learners:
-        if name in planned:
-            raise ValueError(f"--learner {' '.join(learners)}: {name} is tuned, the others are not; run them apart")
-        key = Path(name).stem.rpartition(":")[2]
-        found[key] = Learner(overrides={"algorithm.name": name}) if ":" in name else Learner(config=name)
-    own = {
-        key: reference.tasks.get(key, StudyTask(task=key)).model_copy(update={"learners": {}, "title": task.title})
-        for key, task in known.items()
-    }
-    return StudyPlan(reference.model_copy(update={"tasks": own, "tuning": None, "learners": found}), wanted)
+    reference = load_study(REFERENCE)
+    planned = {key for task in reference.tasks for key in reference.learners_of(task)} & {*learners}
+    found = {name: each for name, each in reference.learners.items() if name in planned}
+    names = short_names(learners)
+    for name in (name for name in learners if name not in planned):
+        found[names[name]] = Learner(overrides={"algorithm.name": name}) if ":" in name else Learner(config=name)
+    own = {}
+    for key, task in known.items():
+        given = reference.tasks.get(key, StudyTask(task=key))
+        mine = {name: each for name, each in given.learners.items() if name in planned}
+        own[key] = given.model_copy(update={"learners": mine, "title": task.title})
+    tuning = reference.tuning if planned else None
+    changes = {"seeds": list(range(seeds)), "tasks": own, "learners": found, "tuning": tuning}
+    study = reference.model_copy(update=changes)
+    problems = [f"--learner {name} is given twice" for name in names if learners.count(name) > 1]
+    problems += key_problems({"the options": keys_in(overrides or {})}, ELSEWHERE)
+    asked = {key: own[key] for key in wanted if study.learners_of(key)}
+    problems += problems_of(study.model_copy(update={"tasks": asked}))
+    if problems:
+        raise ValueError("; ".join(problems))
+    return StudyPlan(study, wanted, [*names.values()], overrides)
 
 
 def add_suite_table(parser: ArgumentParser) -> None:

@@ -48,6 +48,7 @@ BACKENDS_OF_OPTIONS = {
     "no_wait": ("slurm",),
     "remake": ("local", "ray", "slurm"),
 }
+WHILE_TRAINING = {"on": "local", "workers": None, "address": None, "no_wait": False}  # options, with their defaults
 
 
 def parse_arguments(arguments: list[str], program: str) -> Namespace:
@@ -103,6 +104,10 @@ def check_options(options: Namespace) -> None:
     if options.workers is not None and options.workers < 1:
         raise ValueError(f"--workers {options.workers} must be at least 1")
     check_directory("--output", options.output)
+    for flag in (name for name in ("status", "verify", "tables") if getattr(options, name, False)):
+        for name, default in WHILE_TRAINING.items():
+            if getattr(options, name, None) not in (None, default):
+                raise ValueError(f"--{name.replace('_', '-')} has no effect beside --{flag}, which trains nothing")
     for name, backends in BACKENDS_OF_OPTIONS.items():
         if getattr(options, name, False) and options.on not in backends:
             raise ValueError(f"--{name.replace('_', '-')} is for --on {' and '.join(backends)}, not {options.on}")

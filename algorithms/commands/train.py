@@ -45,7 +45,7 @@ def parse_arguments(arguments: list[str], program: str) -> tuple[Namespace, list
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--config", metavar="FILE", help="YAML file of the experiment, or the name of a shipped one")
     resume = "directory of a run to resume; of several, to go on side by side"
-    source.add_argument("--resume", metavar="RUN", nargs="+", help=resume)
+    source.add_argument("--resume", metavar="RUN", nargs="+", action="extend", help=resume)
     add_training_arguments(parser)
     add_trust_argument(parser)
     return parse_training_arguments(parser, arguments)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from algorithms.experiments.interrupts import INTERRUPTED, Moved, Stopped
 from algorithms.experiments.run_directory import METRICS_FILE, Run, default_directory, read_status
 from algorithms.experiments.run_files import changed_files
-from mo_deepdrive.atomic_io import expand_home
+from mo_deepdrive.atomic_io import expand_home, without_links
 from mo_deepdrive.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from mo_deepdrive.faults import Fault
 from mo_deepdrive.names import nearest, printable, shortened
@@ -147,6 +147,15 @@ def parse_training_arguments(
     return options, overrides
 
 
+def refuse_beside(
+    parser: argparse.ArgumentParser, options: argparse.Namespace, option: str, *without_effect: str
+) -> None:
+    """End with an error if one of the options ``without_effect`` is given beside ``option``."""
+    for name in without_effect:
+        if getattr(options, name) != parser.get_default(name):
+            parser.error(f"--{name.replace('_', '-')} has no effect beside {option}")
+
+
 def new_runs(options: argparse.Namespace, experiments: Sequence[Experiment]) -> list[Run]:
     """Create the runs of ``--config`` in ``--output``, or in new directories under ``runs/``.
 
@@ -270,7 +279,7 @@ def check_file(option: str, path: str | Path | None, *endings: str) -> None:
         raise ValueError(f"{option} {str(path)!r} must end in {' or '.join(endings)}")
     if Path(path).is_dir():
         raise ValueError(f"{option} {str(path)!r} is a directory; it must be a file")
-    if not (parent := Path(path).absolute().parent).is_dir():
+    if not (parent := without_links(path).parent).is_dir():
         raise ValueError(f"{option} {str(path)!r}: {str(parent)!r} is not a directory")
 
 

@@ -23,7 +23,7 @@ from mo_deepdrive.machine import check_device
 from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from gymnasium.envs.registration import EnvSpec
@@ -249,7 +249,8 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     attempt(lambda: check_device("training.device", experiment.training.device, here))
     attempt(lambda: _check_seeds(experiment.training))
     attempt(lambda: _check_episodes(experiment.evaluation))
-    attempt(lambda: _check_task(experiment))
+    if arguments is not None:
+        attempt(lambda: _check_task(experiment, arguments))
     if algorithm:
         attempt(lambda: _check_utility(experiment))
     front: dict[str, Any] = {}
@@ -382,8 +383,10 @@ def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
 
 def _check_utility(experiment: Experiment) -> None:
     name = experiment.algorithm.name
-    if experiment.known_utility and experiment.utility is None:
-        raise ValueError(f"'utility' is missing: algorithm {name!r} learns for a known utility")
+    if experiment.known_utility:
+        if experiment.utility is None:
+            raise ValueError(f"'utility' is missing: algorithm {name!r} learns for a known utility")
+        check_effects(experiment, ["evaluation.reference_point"], f"algorithm {name!r} learns one policy, not a front")
     if not experiment.known_utility and experiment.utility is not None:
         raise ValueError(
             f"utility = {experiment.utility.name!r}: algorithm {name!r} learns a front for every utility; leave the "
@@ -434,24 +437,42 @@ def _check_episodes(settings: EvaluationSettings) -> None:
     check_episodes("evaluation.final_episodes", settings.final_episodes, settings.split)
 
 
-def _check_task(experiment: Experiment) -> None:
-    """Refuse to score as a task of the suite what is trained on another environment."""
-    if experiment.evaluation.task is None:
+def _check_task(experiment: Experiment, arguments: Mapping[str, Any]) -> None:
+    """Refuse to score as a task of the suite what is trained in another environment, whose arguments are all given."""
+    name = experiment.evaluation.task
+    if name is None:
         return
     from mo_deepdrive import suite  # as late as this, because it imports the simulation
 
     try:
-        wanted = suite.load().task(experiment.evaluation.task).environment
+        task = suite.load().task(name)
     except ValueError as error:
         raise ValueError(f"evaluation.task: {error}") from None
-    action_types = [each.arguments.get("action_type", "discrete") for each in (experiment.environment, wanted)]
-    for key, given, needed in (
-        ("id", experiment.environment.id, wanted.id),
-        ("arguments.action_type", *action_types),
-    ):
-        if given != needed:
-            task = experiment.evaluation.task
-            raise ValueError(f"environment.{key} = {given!r}: evaluation.task = {task!r} needs {needed!r}")
+    own = task.config().model_dump(mode="json", exclude={"scenario"})
+    needed = {"id": task.environment.id, **{f"arguments.{key}": value for key, value in own.items()}}
+    given = {"id": experiment.environment.id, **{f"arguments.{key}": value for key, value in arguments.items()}}
+    for key, value in needed.items():
+        if given.get(key) != value:
+            raise ValueError(f"environment.{key} = {given.get(key)!r}: evaluation.task = {name!r} needs {value!r}")
+    if (steps := experiment.training.total_timesteps) > task.steps:
+        raise ValueError(
+            f"training.total_timesteps = {steps:,}: evaluation.task = {name!r} allows {task.steps:,} environment steps"
+        )
+
+
+def check_effects(experiment: Experiment, keys: Iterable[str], why: str) -> None:
+    """Refuse each of some keys, as "section.key", that has another value than its default.
+
+    Raises:
+        ValueError: naming the key, its value and why it has no effect.
+    """
+    for key in keys:
+        section, _, name = key.partition(".")
+        settings = getattr(experiment, section)
+        value, default = getattr(settings, name), type(settings).model_fields[name].default
+        filled_in = a_twentieth(experiment.training.total_timesteps) if default is None else default
+        if value not in (default, filled_in):
+            raise ValueError(f"{key} = {value!r} has no effect: {why}; leave it out")
 
 
 def check_loggers(experiment: Experiment) -> None:

@@ -9,15 +9,19 @@ import numpy as np
 
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.config import Experiment, find_environment, is_ours
+from mo_deepdrive import suite
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import OTHER_ENVS, OUR_ENVS, evaluate
-from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
+from mo_deepdrive.evaluation.evaluation import Evaluation
+from mo_deepdrive.evaluation.front import best_known_front, indicators
+from mo_deepdrive.evaluation.metrics import ARRIVED, FRONT, GREEDY, STOCHASTIC, SUCCESS, SUITE
+from mo_deepdrive.suite.scorers import SCORERS
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
     from algorithms.agent import FrontAgent
     from mo_deepdrive.config import EnvironmentSettings
-    from mo_deepdrive.evaluation.evaluation import Evaluation
     from mo_deepdrive.evaluation.front import Front
     from mo_deepdrive.evaluation.policy import Policy
 
@@ -52,6 +56,28 @@ def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
         names = [name for name in batch.state.dtype.names if name != "obstacle" or batch.params["has_obstacle"].any()]
         first, second = batch.state[names]
         return 1 if all(np.array_equal(first[name], second[name]) for name in names) else episodes
+
+
+def final_metrics(experiment: Experiment) -> list[str]:
+    """The names of the metrics that the final evaluation of an experiment may have, as ``stochastic/success``."""
+    settings = experiment.evaluation
+    with closing(evaluation_env(experiment, 1)) as env:
+        adapter, best_known = EnvAdapter(env), best_known_front(env, settings.gamma)
+    if experiment.known_utility:
+        shape = (1, adapter.vehicles)
+        zeros, ones = np.zeros((*shape, len(adapter.objectives))), np.ones(shape, dtype=np.int64)
+        utilities: Any = (lambda returns: returns[..., 0],) * adapter.vehicles
+        arrived = np.full(shape, ARRIVED, dtype=object)
+        one = Evaluation(adapter.objectives, utilities, zeros, zeros, ones, ones == 1, arrived, zeros)
+        known = [f"{policy}/{metric}" for policy in POLICIES for metric in one.metrics()]
+    else:
+        point = np.zeros((1, adapter.vehicles * len(adapter.objectives)))
+        found = indicators(point, reference_point=settings.reference_point, reference_front=best_known)
+        known = [f"{FRONT}/{metric}" for metric in (*found, SUCCESS)]
+    if settings.task is not None:
+        numbers_of_task = SCORERS[suite.load().task(settings.task).score].numbers
+        known += [f"{policy}/{SUITE}{column}" for policy in POLICIES for column in numbers_of_task]
+    return known
 
 
 def evaluate_policies(policy: Policy, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:

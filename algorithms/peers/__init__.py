@@ -35,6 +35,7 @@ class Peer:
         adapter: trains it and returns its policies.
         Config: class of its settings.
         objectives: minimum and maximum number of objectives that it supports; None for any.
+        parallel: whether it trains in several environments at a time.
     """
 
     path: str
@@ -44,6 +45,7 @@ class Peer:
     adapter: Callable[[PeerTask], PeerPolicies]
     Config: type[PeerConfig] = PeerConfig
     objectives: tuple[int, int] | None = None
+    parallel: bool = False
 
     def unavailable_reason(self) -> str | None:
         """Why it cannot run here, which is the error of its import; None if it can."""
@@ -82,6 +84,8 @@ class Peer:
             raise ValueError(f"algorithm {name!r} needs a known utility; set one in the section 'utility'")
         if not self.known_utility and task.utility is not None:
             raise ValueError(f"algorithm {name!r} learns a front; remove the section 'utility'")
+        if task.num_envs > 1 and not self.parallel:
+            raise ValueError(f"training.num_envs = {task.num_envs} must be 1: algorithm {name!r} has one environment")
 
 
 def _morl(
@@ -91,12 +95,15 @@ def _morl(
     known_utility: bool = False,
     config: type[PeerConfig] = PeerConfig,
     objectives: tuple[int, int] | None = None,
+    parallel: bool = False,
 ) -> Peer:
-    return Peer(f"morl_baselines.{path}", "morl-baselines", known_utility, actions, adapter, config, objectives)
+    path = f"morl_baselines.{path}"
+    return Peer(path, "morl-baselines", known_utility, actions, adapter, config, objectives, parallel)
 
 
 def _sb3(path: str, adapter: Callable[[PeerTask], PeerPolicies]) -> Peer:
-    return Peer(f"stable_baselines3.{path}", "stable-baselines3", True, (DISCRETE, CONTINUOUS), adapter, ScalarConfig)
+    actions = DISCRETE, CONTINUOUS
+    return Peer(f"stable_baselines3.{path}", "stable-baselines3", True, actions, adapter, ScalarConfig, parallel=True)
 
 
 PEERS: dict[str, Peer] = {
@@ -114,11 +121,13 @@ PEERS: dict[str, Peer] = {
     ),
     "morl_baselines.capql": _morl("multi_policy.capql.capql:CAPQL", morl.capql, CONTINUOUS, config=WeightedConfig),
     "morl_baselines.morld": _morl("multi_policy.morld.morld:MORLD", morl.morld, DISCRETE, CONTINUOUS),
-    "morl_baselines.pgmorl": _morl("multi_policy.pgmorl.pgmorl:PGMORL", morl.pgmorl, CONTINUOUS, objectives=(2, 3)),
-    "morl_baselines.ipro": _morl("multi_policy.ipro.ipro:IPRO", morl.ipro, DISCRETE),
+    "morl_baselines.pgmorl": _morl(
+        "multi_policy.pgmorl.pgmorl:PGMORL", morl.pgmorl, CONTINUOUS, objectives=(2, 3), parallel=True
+    ),
+    "morl_baselines.ipro": _morl("multi_policy.ipro.ipro:IPRO", morl.ipro, DISCRETE, parallel=True),
     "morl_baselines.eupg": _morl("single_policy.esr.eupg:EUPG", morl.eupg, DISCRETE, known_utility=True),
     "morl_baselines.nl_mo_ppo": _morl(
-        "single_policy.ser.nl_mo_ppo:NLMOPPO", morl.nl_mo_ppo, DISCRETE, known_utility=True
+        "single_policy.ser.nl_mo_ppo:NLMOPPO", morl.nl_mo_ppo, DISCRETE, known_utility=True, parallel=True
     ),
     "stable_baselines3.a2c": _sb3("a2c.a2c:A2C", sb3.a2c),
     "stable_baselines3.ppo": _sb3("ppo.ppo:PPO", sb3.ppo),

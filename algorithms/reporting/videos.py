@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -17,6 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from algorithms.reporting.style import VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK, figure_style
+from mo_deepdrive.atomic_io import without_links
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
@@ -24,6 +24,7 @@ from mo_deepdrive.evaluation.splits import SPLITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
+    from pathlib import Path
 
     from mo_deepdrive.evaluation.policy import Policy
 
@@ -90,7 +91,7 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]
     Raises:
         OSError: if the file cannot be written.
     """
-    path = Path(path)
+    path = without_links(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     count, encoder = 0, None
 

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from algorithms.experiments.config import make_experiment
 from algorithms.experiments.registry import find_algorithm
 from algorithms.experiments.shipped import find_config
 from algorithms.files.yaml import read_mapping
-from algorithms.sweeps.manifest import ManifestRow, cell_rows, overridden
+from algorithms.sweeps.manifest import ManifestRow, cell_rows, overridden, refuse_duplicates
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
-from mo_deepdrive.names import nearest
+from mo_deepdrive.names import nearest, nearest_few
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -90,19 +91,27 @@ class StudyPlan:
         study: its settings.
         tasks: of the arms that are to be trained now; None for all.
         learners: of these arms; None for all.
+        overrides: values of experiment keys for every learner that has them, which count for more than those of the
+            study and of the learners.
 
     Attributes:
         arms: learners on tasks.
         selected: task and learner of those that are to be trained now.
-        idle: what has no effect, one line each: a learner that fits no task, help that no learner has a setting for.
+        idle: what has no effect, one line each: a learner that fits no task, a setting that no learner has.
 
     Raises:
         ValueError: naming the arm and what is invalid; for an unknown task or learner, or no arm that is to be trained.
     """
 
-    def __init__(self, study: Study, tasks: Sequence[str] | None = None, learners: Sequence[str] | None = None):
+    def __init__(
+        self,
+        study: Study,
+        tasks: Sequence[str] | None = None,
+        learners: Sequence[str] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+    ):
         self.study = study
-        self.arms, self.idle = _arms(study)
+        self.arms, self.idle = _arms(study, overrides or {})
         for option, given, i in (("--tasks", tasks, 0), ("--learners", learners, 1)):
             known = dict.fromkeys(arm.key[i] for arm in self.arms)
             for name in given or ():
@@ -111,11 +120,11 @@ class StudyPlan:
                     raise ValueError(f"{option} {name}: {missing[i]}; {nearest(name, known)}")
         wanted = [arm.key for arm in self.arms if tasks is None or arm.task in tasks]
         self.selected = {key for key in wanted if learners is None or key[1] in learners}
-        if not self.selected:
-            raise ValueError(
-                f"no learner of --learners {' '.join(learners or ())} fits --tasks {' '.join(tasks or ())}"
-            )
+        for name in learners or ():
+            if not any(name == key[1] for key in self.selected):
+                raise ValueError(f"learner {name!r} fits none of the tasks {', '.join(tasks or study.tasks)}")
         self._rows: dict[tuple[str, str, int | None], tuple[ManifestRow, ...]] = {}
+        self._columns_known = False
 
     def runs(self, scores: Scores) -> list[ArmRuns]:
         """The runs that are known by now, by arm.
@@ -129,16 +138,45 @@ class StudyPlan:
         return [self._runs_of(arm, scores) for arm in self.arms]
 
     def rows(self, scores: Scores) -> list[ManifestRow]:
-        """The same as the rows of a manifest: those of the tuning first, a run that two arms share once."""
-        arms = self.runs(scores)
+        """The same as the rows of a manifest: those of the tuning first, a run that two arms share once.
+
+        It is then one of an arm that is to be trained now, if any of them is.
+        """
+        arms = sorted(self.runs(scores), key=lambda runs: runs.arm.key not in self.selected)
+        self._check_columns([runs.rows[0] for runs in arms if runs.arm.key in self.selected])
         tuning = [row for arm in arms for rows in arm.tuning for row in rows]
         found: dict[str, ManifestRow] = {}
         for row in [*tuning, *(row for arm in arms for row in arm.final)]:
             found.setdefault(row.id, row)
         return list(found.values())
 
+    def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
+        """Refuse a column that none of the runs has."""
+        if not self.study.columns or self._columns_known:
+            return
+        from algorithms.experiments.policy_evaluation import final_metrics
+
+        experiments = (make_experiment(row.config, here=False) for row in rows)
+        known = {name.partition("/")[2] for experiment in experiments for name in final_metrics(experiment)}
+        for column in self.study.columns:
+            if column not in known:
+                raise ValueError(
+                    f"columns has {column!r}, which no run has; the nearest ones: {nearest_few(column, known)}"
+                )
+        self._columns_known = True
+
+    def announcement(self) -> str:
+        """All runs of the arms that are to be trained now, in a line."""
+        arms = [arm for arm in self.arms if arm.key in self.selected]
+        tried = sum(len(arm.points) for arm in arms) * len(self.study.tuning.seeds if self.study.tuning else ())
+        counted = sum(len(arm.seeds) for arm in arms)
+        learners, tasks = (", ".join(dict.fromkeys(arm.key[i] for arm in arms)) for i in (1, 0))
+        runs = f"{tried} runs of tuning, then {counted}" if tried else f"{counted} runs, without tuning,"
+        return f"{runs} that count: {learners} on {tasks}"
+
     def _runs_of(self, arm: Arm, scores: Scores) -> ArmRuns:
         tuning = tuple(self._cell(arm, trial) for trial in range(len(arm.points)))
+        refuse_duplicates([row for rows in tuning for row in rows])
         found = tuple(_mean([scores.get(row.id, np.nan) for row in rows]) for rows in tuning)
         known = [score for score in found if score is not None]
         if not arm.points:
@@ -164,7 +202,8 @@ class StudyPlan:
                 if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
                     values["training"]["total_timesteps"] = max(1, round(arm.tuning_share * steps))
             build_once = arm.key in self.selected  # others may need what is not installed here
-            self._rows[key] = tuple(cell_rows(cell, values, seeds, trial, build_once=build_once))
+            rows = cell_rows(cell, values, seeds, trial, metric=arm.metric, build_once=build_once)
+            self._rows[key] = tuple(rows)
         return self._rows[key]
 
 
@@ -174,14 +213,15 @@ def _mean(scores: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if len(known) == len(scores) else None
 
 
-def _arms(study: Study) -> tuple[tuple[Arm, ...], list[str]]:
+def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str]]:
     """The arms of a study, and what has no effect.
 
     Raises:
         ValueError: for an unknown task of the suite, or a learner without an algorithm or that fits no task.
     """
     arms: list[Arm] = []
-    unused = {*study.help, *(key for task in study.tasks.values() for key in task.help)}
+    unused = {*overrides, *study.help, *(key for task in study.tasks.values() for key in task.help)}
+    known: set[str] = set()
     for name, task in study.tasks.items():
         for key, learner in study.learners_of(name).items():
             where = f"learner {key!r} on task {name!r}"
@@ -191,19 +231,34 @@ def _arms(study: Study) -> tuple[tuple[Arm, ...], list[str]]:
                 if key in task.learners:
                     raise ValueError(f"{where}: it learns for {'a' if entry.known_utility else 'no'} known utility")
                 continue
-            help_ = {each: value for each, value in {**study.help, **task.help}.items() if _has(entry, each)}
-            unused -= set(help_)
+            help_, given = (
+                {each: value for each, value in settings.items() if _has(entry, each)}
+                for settings in ({**study.help, **task.help}, overrides)
+            )
+            unused -= {*help_, *given}
+            known |= {f"algorithm.{each}" for each in entry.config_class.model_fields}
             values = _on_task(values, task)
-            for changes in (study.overrides, task.overrides, help_, learner.overrides):
+            for changes in (study.overrides, task.overrides, help_, learner.overrides, given):
                 values = overridden(values, changes, {TASK: name, LEARNER: key})
             points, seeds = tuple(study.points(learner)), tuple(task.seeds or study.seeds)
+            for tried in points[0] if points else ():
+                if not _has(entry, tried):
+                    raise ValueError(
+                        f"{where}: the study tunes {tried!r}, a setting that it does not have; give it values of its "
+                        "own that are tried, or train it without learners that are tuned"
+                    )
+                if tried in given:
+                    raise ValueError(f"{tried} = {given[tried]!r}: the study tunes it for {where}")
             share = learner.tuning_share or (study.tuning.share if study.tuning else 1.0)
             arms.append(Arm(name, key, learner.label or key, _metric(study, name), values, points, share, seeds))
     if not arms:
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
     learners = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}
     idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners)]
-    return tuple(arms), idle + [f"help: no learner has the setting {key!r}" for key in sorted(unused)]
+    hints = {key: f"no learner has the setting {key!r}; {nearest(key, known)}" for key in sorted(unused)}
+    for key in (key for key in overrides if key in hints):
+        raise ValueError(hints[key])
+    return tuple(arms), [*idle, *hints.values()]
 
 
 def _base(learner: Learner, where: str) -> dict[str, Any]:

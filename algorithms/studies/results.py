@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.experiments.run_directory import read_status
-from algorithms.reporting.run_records import read_evaluation
+from algorithms.reporting.run_records import experiment_record, read_evaluation
 from algorithms.reporting.table_files import markdown
 from algorithms.sweeps.manifest import label
 from mo_deepdrive import suite
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes, own_path
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE, split_name
 from mo_deepdrive.evaluation.statistics import mean
@@ -60,6 +60,8 @@ def _results_of(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> li
     status = read_status(path)
     state = str(status.get("state", WAITING))
     about: dict[str, Any] = {"state": state, "cpu_seconds": status.get("cpu_seconds"), "source": row.directory}
+    about["steps"] = row.config["training"]["total_timesteps"]
+    about["environment"] = experiment_record(row.config).environment.label
     evaluation = read_evaluation(path) if state == FINISHED else None
     if evaluation is None:
         return [Row(task, learner, seed, "", "", None, **about)]
@@ -102,17 +104,17 @@ def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> 
     """Write the tables of a study into its directory; returns the results.
 
     Raises:
-        ValueError: as :func:`results_of`.
+        ValueError: as :func:`results_of`, or if one of the files is a link.
         OSError: if a file cannot be written; it is then unchanged.
     """
     results = results_of(plan, runs, directory)
-    write_rows(directory / RESULTS_FILE, results)
+    write_rows(own_path(directory, RESULTS_FILE), results)
     if plan.study.tuning is not None:
-        atomic_write(directory / TUNING_FILE, csv_bytes(tuning_rows(runs, directory)))
+        atomic_write(own_path(directory, TUNING_FILE), csv_bytes(tuning_rows(runs, directory)))
     parts = [f"# {plan.study.title or directory.name}"]
     for title, rows in study_tables(plan, runs, results):
         parts.append(f"## {title}\n\n{markdown(rows, 1, NOTE)}")
-    atomic_write(directory / TABLES_FILE, ("\n\n".join(parts)).encode())
+    atomic_write(own_path(directory, TABLES_FILE), ("\n\n".join(parts)).encode())
     return results
 
 

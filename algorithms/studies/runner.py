@@ -8,8 +8,10 @@ from algorithms.experiments.run_directory import is_run
 from algorithms.reporting.wide_tables import print_rows
 from algorithms.studies.plan import LEARNER, TASK, StudyPlan
 from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, study_tables, write_results
+from algorithms.studies.settings import ELSEWHERE, learners_in
 from algorithms.sweeps.manifest import is_sweep
 from algorithms.sweeps.runner import Backend, Runner
+from algorithms.sweeps.sweep_settings import replaced_keys
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,8 +42,15 @@ class StudyRunner(Runner):
         self._metrics = {arm.key: arm.metric for arm in plan.arms}
 
     def expand(self, scores: Scores) -> list[ManifestRow]:
+        """As of the base class: of the arms that were selected, and what the manifest has of others."""
+        listed = {row.id for row in self._listed()}
+        return [row for row in self._plan.rows(scores) if self.wanted(row) or row.id in listed]
+
+    def announcement(self) -> list[str]:
         """As of the base class."""
-        return self._plan.rows(scores)
+        study = self._plan.study
+        configs = (learner.config for _, learner in learners_in(study) if learner.config is not None)
+        return [*replaced_keys(configs, ELSEWHERE), self._plan.announcement()]
 
     def metric_of(self, row: ManifestRow) -> str | None:
         """As of the base class."""

@@ -10,20 +10,39 @@ from pydantic import BeforeValidator, Field
 from algorithms.experiments.config import Count, UtilitySettings
 from algorithms.experiments.shipped import find_config
 from algorithms.files.yaml import read_mapping
-from algorithms.sweeps.sweep_settings import BackendSettings, Seeds
+from algorithms.sweeps.sweep_settings import (
+    SEED_KEYS,
+    BackendSettings,
+    Seeds,
+    found_beside,
+    key_problems,
+    keys_in,
+    tried_keys,
+)
 from mo_deepdrive.config import EnvironmentSettings, Settings, parse
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 MAX_TUNING_RUNS = 12  # of an arm
+# Experiment keys that are set elsewhere, and where.
+ELSEWHERE = {
+    **SEED_KEYS,
+    "evaluation.split": "a study scores its tuning on the validation split, and the runs that count on the test split",
+    "evaluation.task": "name the task of the suite as 'task' of a task",
+}
 
 Values = dict[str, Annotated[list[Any], Field(min_length=1)]]
 
 
 def _as_tasks(value: Any) -> Any:
     """A list is short for tasks of the suite."""
-    return {name: {"task": name} for name in value} if isinstance(value, list) else value
+    if not isinstance(value, list):
+        return value
+    if not all(isinstance(name, str) for name in value) or len(set(value)) < len(value):
+        raise ValueError("a list must have the ids of tasks of the suite, each of them once; other tasks have names")
+    return {name: {"task": name} for name in value}
 
 
 class Learner(Settings):
@@ -154,7 +173,7 @@ def load_study(path: str | Path) -> Study:
 
     def found(learners: dict[str, Learner]) -> dict[str, Learner]:
         return {
-            key: each.model_copy(update={"config": _beside(each.config, path)}) if each.config else each
+            key: each.model_copy(update={"config": found_beside(each.config, path)}) if each.config else each
             for key, each in learners.items()
         }
 
@@ -162,14 +181,23 @@ def load_study(path: str | Path) -> Study:
     return study.model_copy(update={"tasks": tasks, "learners": found(study.learners)})
 
 
-def _beside(name: str, study: Path) -> str:
-    """``name``, or the path of the file that it names beside the file of the study.
+def learners_in(study: Study) -> Iterator[tuple[str, Learner]]:
+    """All learners of a study, and where they are in it."""
+    yield from ((f"learners.{name}", learner) for name, learner in study.learners.items())
+    for key, task in study.tasks.items():
+        yield from ((f"tasks.{key}.learners.{name}", learner) for name, learner in task.learners.items())
 
-    Raises:
-        ValueError: if there is no such config.
-    """
-    beside = study.parent / name
-    return str(beside) if find_config(name, beside=study) == beside else name
+
+def _keys_by_place(study: Study) -> dict[str, list[str]]:
+    """The experiment keys in a study, by where they are in it."""
+    found = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
+    if study.tuning is not None:
+        found["tuning.values"] = tried_keys(study.tuning.values)
+    for key, task in study.tasks.items():
+        found |= {f"tasks.{key}.overrides": keys_in(task.overrides), f"tasks.{key}.help": keys_in(task.help)}
+    for place, learner in learners_in(study):
+        found |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": tried_keys(learner.tuning or {})}
+    return found
 
 
 def problems_of(study: Study) -> list[str]:
@@ -185,6 +213,20 @@ def problems_of(study: Study) -> list[str]:
             found.append(f"{where} = {seeds} has a duplicate seed")
         if where != "tuning.seeds" and (both := set(seeds) & set(tuning)):
             found.append(f"{where} has {min(both)}, a seed of the tuning; take others")
+    found += key_problems(_keys_by_place(study), ELSEWHERE)
+    for place, learner in learners_in(study):
+        for name in ("tuning", "tuning_share") if study.tuning is None else ():
+            if getattr(learner, name) is not None:
+                found.append(f"{place}.{name} has no effect in a study without tuning")
+    for key, task in study.tasks.items():
+        if task.task is not None and task.environment is not None:
+            found.append(f"tasks.{key}.environment: the suite's task {task.task!r} has an environment of its own")
+    for name, used in {
+        "metric": any(task.task is None and task.metric is None for task in study.tasks.values()),
+        "seeds": any(task.seeds is None for task in study.tasks.values()),
+    }.items():
+        if name in study.model_fields_set and getattr(study, name) is not None and not used:
+            found.append(f"{name} has no effect: every task has its own")
     if study.ray.asha is not None:
         found.append("ray.asha would prune runs that count")
     for name in study.tasks:

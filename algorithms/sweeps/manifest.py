@@ -21,6 +21,7 @@ from algorithms.files.yaml import read_mapping
 from algorithms.reporting.seed_groups import INCIDENTAL
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
 from mo_deepdrive.atomic_io import atomic_write, own_path
+from mo_deepdrive.names import nearest_few
 
 if TYPE_CHECKING:
     from algorithms.sweeps.sweep_settings import SweepSettings
@@ -100,7 +101,7 @@ def expand(settings: SweepSettings, scores: Scores) -> list[ManifestRow]:
         ValueError: naming each invalid cell and its problem, or two cells with the same run.
     """
     bases = {path: read_mapping(find_config(path)) for path in settings.config}
-    names = _short_names(settings.config)
+    names = short_names(settings.config)
     rows: list[ManifestRow] = []
     problems: list[str] = []
     combinations = list(product(bases, *settings.grid.values()))
@@ -109,15 +110,18 @@ def expand(settings: SweepSettings, scores: Scores) -> list[ManifestRow]:
         cell = {"config": names[path], **grid} if len(bases) > 1 else grid
         try:
             base = overridden(bases[path], {**settings.overrides, **grid}, cell)
-            search = settings.search is not None
-            rows += _search_rows(settings, cell, base, scores) if search else cell_rows(cell, base, settings.seeds)
+            if settings.search is not None:
+                rows += _search_rows(settings, cell, base, scores)
+            else:
+                asha = settings.ray.asha
+                rows += cell_rows(cell, base, settings.seeds, metric=None if asha is None else asha.metric)
         except ValueError as error:
             problems.append(str(error))
     if problems:
         more = len(problems) - MAX_PROBLEMS
         shown = [*problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
         raise ValueError(f"{len(problems)} of {len(combinations)} cells are invalid:\n  " + "\n  ".join(shown))
-    _refuse_duplicates(rows)
+    refuse_duplicates(rows)
     return rows
 
 
@@ -125,7 +129,8 @@ def _search_rows(
     settings: SweepSettings, cell: dict[str, Any], base: dict[str, Any], scores: Scores
 ) -> list[ManifestRow]:
     """The rows of a hyperparameter search within one cell of the grid, which are scored on the validation split."""
-    assert settings.search is not None
+    search = settings.search
+    assert search is not None
     evaluation = base.get("evaluation")
     if not isinstance(evaluation, dict) or "split" not in evaluation:
         base = overridden(base, {"evaluation.split": "validation"}, cell)
@@ -133,12 +138,13 @@ def _search_rows(
 
     def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
         point_cell = {**cell, **point}
-        found = cell_rows(point_cell, overridden(base, point, point_cell), settings.seeds, trial)
+        values = overridden(base, point, point_cell)
+        found = cell_rows(point_cell, values, settings.seeds, trial, metric=None if rows else search.metric)
         known = {row.id for row in rows}  # a search may choose a point twice
         rows.extend(row for row in found if row.id not in known)
         return [row.id for row in found]
 
-    propose_points(settings.search, runs_of, scores)
+    propose_points(search, runs_of, scores)
     return rows
 
 
@@ -148,6 +154,7 @@ def cell_rows(
     seeds: Sequence[int],
     trial: int | None = None,
     *,
+    metric: str | None = None,
     build_once: bool = True,
 ) -> list[ManifestRow]:
     """The rows of one cell, one per seed.
@@ -157,6 +164,7 @@ def cell_rows(
         values: the sections of the experiment.
         seeds: of the runs.
         trial: number of the settings that are tried, which must be scored on the validation split; None if none are.
+        metric: of the final evaluation, which the experiment must have; None to check none.
         build_once: build the agent, to check that it can be built.
 
     Raises:
@@ -170,7 +178,7 @@ def cell_rows(
             "which needs 'validation'"
         )
     if build_once:
-        _check_buildable(experiment, where)
+        _check_buildable(experiment, where, metric)
     resolved = _sorted(experiment.to_dict())
     rows: list[ManifestRow] = []
     for seed in seeds:
@@ -181,9 +189,10 @@ def cell_rows(
     return rows
 
 
-def _check_buildable(experiment: Experiment, where: str) -> None:
-    """Raise now the error that the run would raise when it starts."""
+def _check_buildable(experiment: Experiment, where: str, metric: str | None) -> None:
+    """Raise now the error that the run would raise when it starts, or whoever needs the metric at its end."""
     from algorithms.experiments.build import build
+    from algorithms.experiments.policy_evaluation import final_metrics
     from algorithms.experiments.side_by_side import check_resident
 
     try:
@@ -197,6 +206,8 @@ def _check_buildable(experiment: Experiment, where: str) -> None:
             if experiment.is_resident:
                 check_resident(experiment)
             build(experiment, num_envs=1)
+        if metric is not None and metric not in (known := final_metrics(experiment)):
+            raise ValueError(f"metric {metric!r} is unknown; the nearest ones: {nearest_few(metric, known)}")
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 
@@ -224,13 +235,18 @@ def _sorted(value: Any) -> Any:
     return [_sorted(each) for each in value] if isinstance(value, list) else value
 
 
-def _short_names(paths: Sequence[str]) -> dict[str, str]:
-    """Short names of config files: their stems, or the paths if two stems are equal."""
-    stems = [Path(path).stem for path in paths]
+def short_names(paths: Sequence[str]) -> dict[str, str]:
+    """Short names of config files and paths of classes: stems and classes, or all as given if two of them are equal."""
+    stems = [Path(directory_name(path)).stem for path in paths]
     return dict(zip(paths, stems if len(set(stems)) == len(stems) else paths, strict=True))
 
 
-def _refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
+def refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
+    """Refuse two cells that are the same run.
+
+    Raises:
+        ValueError: naming both.
+    """
     seen: dict[str, ManifestRow] = {}
     for row in rows:
         other = seen.setdefault(row.id, row)

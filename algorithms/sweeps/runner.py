@@ -15,6 +15,7 @@ from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.run_directory import imported_paths, is_run, read_status
 from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, iterate_manifest, read_manifest, write_manifest
 from algorithms.sweeps.run_scores import read_scores
+from algorithms.sweeps.sweep_settings import SEED_KEYS, replaced_keys
 from algorithms.sweeps.verification import discard, verify
 from mo_deepdrive.machine import GIB, available_cores, available_memory, check_memory
 
@@ -82,6 +83,10 @@ class Runner(ABC):
     def settled(self, rows: Sequence[ManifestRow]) -> list[ManifestRow]:
         """Those rows by which others of them were chosen: they are not retried if they failed."""
 
+    def announcement(self) -> list[str]:
+        """What is said before anything is trained, one line each."""
+        return []
+
     def wanted(self, row: ManifestRow) -> bool:
         """Whether a run of the manifest is to be trained now."""
         del row
@@ -105,6 +110,8 @@ class Runner(ABC):
         """
         if self._backend.name == "manifest":
             rows = self._expand()
+            for line in self.announcement():
+                self._say(line)
             print(f"{write_manifest(self._directory, rows)}: {len(rows)} runs")
             return 0
         with Interrupts() as interrupts:
@@ -207,8 +214,11 @@ class Runner(ABC):
 
     def _train(self, stop: Callable[[], bool]) -> list[Job]:
         """Train the runs, batch after batch of a search; returns all of them, whether they succeeded or not."""
+        lines = self.announcement()
         while True:
             rows = self._expand()
+            while lines:
+                self._say(lines.pop(0))
             self._report_removed_runs(rows)
             write_manifest(self._directory, rows)
             jobs = [row.job(self._directory) for row in rows if self.wanted(row)]
@@ -305,6 +315,16 @@ class SweepRunner(Runner):
     def expand(self, scores: Scores) -> list[ManifestRow]:
         """As of the base class."""
         return expand(self._settings, scores)
+
+    def announcement(self) -> list[str]:
+        """As of the base class: all runs of a search, of which the manifest has one batch."""
+        search, settings = self._settings.search, self._settings
+        lines = replaced_keys(settings.config, SEED_KEYS)
+        if search is not None:
+            cells = len(settings.config) * math.prod(map(len, settings.grid.values()))
+            runs = cells * search.trials * len(settings.seeds)
+            lines.append(f"at most {runs} runs: {cells} searches of {search.trials} points, with every seed")
+        return lines
 
     def metric_of(self, row: ManifestRow) -> str | None:
         """As of the base class."""

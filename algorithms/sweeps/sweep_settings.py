@@ -6,15 +6,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from algorithms.experiments.config import SHORT_FORMS, Count
+from algorithms.experiments.config import Count
 from algorithms.experiments.shipped import find_config
 from algorithms.files.yaml import read_mapping
 from mo_deepdrive.config import Settings, parse
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
 MAX_SEEDS = 100_000
+# Experiment keys that are set elsewhere, and where.
+SEED_KEYS = dict.fromkeys(("seed", "training.seed", "training.seeds"), "set seeds with the key 'seeds'")
 
 
 def _as_list(value: Any) -> Any:
@@ -191,42 +194,73 @@ def load_sweep(path: str | Path) -> SweepSettings:
     if "algorithm" in given and "config" not in given:
         raise ValueError(f"{name!r} is the file of an experiment; mo-deepdrive train --config {name} trains it")
     settings = parse(SweepSettings, given, what)
-    space = {} if settings.search is None else settings.search.space
-    places: dict[str, dict[str, Any]] = {
-        "overrides": settings.overrides,
-        "grid": settings.grid,
-        "search.space": space,
-    }
-    problems: list[str] = []
+    search = settings.search
+    space = {} if search is None else search.space
+    places = {"overrides": keys_in(settings.overrides), "grid": tried_keys(settings.grid), "search.space": [*space]}
+    problems = key_problems(places, SEED_KEYS)
     for key in dict.fromkeys(key for keys in places.values() for key in keys):
         found = [name for name, keys in places.items() if key in keys]
-        if SHORT_FORMS.get(key, key) == "training.seed":
-            problems.append(f"{key!r} in {found[0]}: set seeds with the key 'seeds'")
         if len(found) > 1:
             problems.append(f"{key!r} is in {' and in '.join(found)}")
     for key, values in space.items():
         problems += [f"search.space.{key}: {problem}" for problem in _problems(values)]
-    fixed = [(key, [value]) for key, value in settings.overrides.items()] + list(settings.grid.items())
-    for key, choices in fixed:
-        if key == "training" and any(isinstance(value, dict) and "seed" in value for value in choices):
-            problems.append("'seed' in 'training': set seeds with the key 'seeds'")
+    if search is not None and search.sampler == "random" and "batch" in search.model_fields_set:
+        problems.append("search.batch has no effect with the sampler 'random', which chooses all points in advance")
     if len(set(settings.config)) < len(settings.config):
         problems.append(f"config = {settings.config} has a duplicate file")
     if len(set(settings.seeds)) < len(settings.seeds):
         problems.append(f"seeds = {settings.seeds} has a duplicate seed")
     if problems:
         raise ValueError(f"invalid {what}: {'; '.join(problems)}")
-    return settings.model_copy(update={"config": [_found(name, path) for name in settings.config]})
+    return settings.model_copy(update={"config": [found_beside(name, path) for name in settings.config]})
 
 
-def _found(name: str, sweep: Path) -> str:
-    """``name``, or the path of the file that it names beside the file of the sweep.
+def keys_in(values: Mapping[str, Any]) -> list[str]:
+    """The dotted experiment keys that a mapping sets, those in its mappings included."""
+    return [
+        f"{key}.{inner}" if inner else key
+        for key, value in values.items()
+        for inner in (keys_in(value) if isinstance(value, dict) and value else [""])
+    ]
+
+
+def tried_keys(values: Mapping[str, Sequence[Any]]) -> list[str]:
+    """The same of a mapping from keys to the values that are tried for them."""
+    return [
+        key
+        for name, choices in values.items()
+        for key in dict.fromkeys(key for choice in choices for key in keys_in({name: choice}))
+    ]
+
+
+def key_problems(places: Mapping[str, Sequence[str]], elsewhere: Mapping[str, str]) -> list[str]:
+    """What is wrong with the experiment keys in a file, one line each: they are set elsewhere, or twice in a place.
+
+    Args:
+        places: the keys of every place in the file.
+        elsewhere: the keys that are set elsewhere, and where.
+    """
+    found = []
+    for place, keys in places.items():
+        found += [f"{key!r} in {place}: {elsewhere[key]}" for key in dict.fromkeys(keys) if key in elsewhere]
+        found += [f"{key!r} is in {place} twice" for key in dict.fromkeys(keys) if keys.count(key) > 1]
+    return found
+
+
+def replaced_keys(configs: Iterable[str], elsewhere: Mapping[str, str]) -> list[str]:
+    """What configs say that is set elsewhere, one line each; the arguments are as of :func:`key_problems`."""
+    keys = ((config, key) for config in dict.fromkeys(configs) for key in keys_in(read_mapping(find_config(config))))
+    return [f"{config}: {key} is not used; {elsewhere[key]}" for config, key in keys if key in elsewhere]
+
+
+def found_beside(name: str, file: Path) -> str:
+    """``name``, or the path of the config that it names beside the file of a sweep or study.
 
     Raises:
         ValueError: if there is no such config.
     """
-    beside = sweep.parent / name
-    return str(beside) if find_config(name, beside=sweep) == beside else name
+    beside = file.parent / name
+    return str(beside) if find_config(name, beside=file) == beside else name
 
 
 def _problems(values: SearchRange) -> list[str]:

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 from mo_deepdrive.batch import Draws, WorldBatch
 from mo_deepdrive.device.worlds import Outputs, TensorWorlds, make_streams
-from mo_deepdrive.envs.options import make_pins
+from mo_deepdrive.envs.options import checked_options, make_pins
 from mo_deepdrive.envs.vector_base import VectorBase, check_forms, needs_reset
 from mo_deepdrive.simulation import philox
 from mo_deepdrive.simulation.philox import STREAM
@@ -125,7 +125,7 @@ class DeviceVectorEnv(VectorBase):
             ResetNeeded: for a step of a world that had to be reset.
             ValueError: for invalid seeds or options (no world changes), or an action that was not allowed.
         """
-        options = dict(options or {})
+        options = checked_options(options)
         mask = self._mask(options.pop("reset_mask", None))
         pins = make_pins(options, self.config)
         listed = isinstance(seed, (list, tuple, np.ndarray))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,19 +10,15 @@ import numpy as np
 from mo_deepdrive.names import nearest
 from mo_deepdrive.params import cars_in_traffic
 from mo_deepdrive.plain_values import finite_numbers, whole_number
-from mo_deepdrive.routes import FARTHEST
+from mo_deepdrive.routes import FARTHEST, MOST_TURNED
 from mo_deepdrive.simulation.placing import pin_nothing
 from mo_deepdrive.simulation.road_traffic import ACCEPTED_GAPS
 from mo_deepdrive.simulation.state import SPAWN, with_room
 from mo_deepdrive.simulation.traffic import DESIRED_SPEEDS, HEADWAYS, YIELDINGS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from mo_deepdrive.config import EnvConfig
     from mo_deepdrive.scenarios import Scenario
-
-MOST_TURNED = 250.0  # rad; largest heading
 
 # The options with a number per oncoming car: the field of DRIVER, its range and unit.
 DRIVERS: dict[str, tuple[str, tuple[float, float], str]] = {
@@ -103,13 +100,26 @@ def _pin_queues(pins: Any, options: Mapping[str, Any], scenario: Scenario) -> No
             pins[name][: len(numbers)] = numbers
 
 
+def checked_options(options: Any) -> dict[str, Any]:
+    """The reset options as a dict; empty for None.
+
+    Raises:
+        ValueError: unless they are a mapping with names as keys, or None.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
+        raise ValueError(f"options = {options!r} must be a dict of reset options by name, or None")
+    return dict(options)
+
+
 def make_pins(options: Mapping[str, Any] | None, config: EnvConfig) -> np.ndarray | None:
     """The reset options as an array (1,) of SPAWN, with NaN for what is drawn; None for no options.
 
     Raises:
         ValueError: for unknown options, wrong shapes, or numbers that are not finite or out of range.
     """
-    if not options:
+    if not (options := checked_options(options)):
         return None
     scenario = config.row
     known = option_names(scenario)

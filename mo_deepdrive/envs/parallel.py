@@ -16,7 +16,7 @@ from pettingzoo.utils.wrappers import BaseWrapper
 
 from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.envs import spaces as env_spaces
-from mo_deepdrive.envs.options import option_names
+from mo_deepdrive.envs.options import checked_options, option_names
 from mo_deepdrive.envs.streams import checked_seed
 from mo_deepdrive.envs.world import RENDER_MODES, World
 from mo_deepdrive.extras import needed_for
@@ -154,14 +154,14 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
         Raises:
             ValueError: for an invalid seed, or options without a valid scenario; nothing changes.
         """
-        known = option_names(self.batch.scenario)
-        unknown = [name for name in options or {} if name not in known]
+        given, known = checked_options(options), option_names(self.batch.scenario)
+        unknown = [name for name in given if name not in known]
         if unknown:
             warnings.warn(f"unknown reset option {unknown[0]!r} is ignored; {nearest(unknown[0], known)}", stacklevel=2)
         generator = self._np_random
         if seed is not None or generator is None:
             generator, _ = seeding.np_random(checked_seed(seed))
-        self.world.place(generator, {name: value for name, value in (options or {}).items() if name in known})
+        self.world.place(generator, {name: value for name, value in given.items() if name in known})
         self._np_random = generator
         self.agents = list(self.possible_agents)
         self._driving = [True] * len(self.agents)

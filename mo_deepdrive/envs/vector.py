@@ -10,7 +10,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from mo_deepdrive.batch import WorldBatch
-from mo_deepdrive.envs.options import make_pins
+from mo_deepdrive.envs.options import checked_options, make_pins
 from mo_deepdrive.envs.streams import Streams
 from mo_deepdrive.envs.vector_base import VectorBase, check_forms, needs_reset, positive
 from mo_deepdrive.extras import needed_for
@@ -148,7 +148,7 @@ class DrivingVectorEnv(VectorBase):
         Raises:
             ValueError: for invalid seeds or options; no world changes.
         """
-        options = dict(options or {})
+        options = checked_options(options)
         mask = self._mask(options.pop("reset_mask", None))
         pins = make_pins(options, self.config)
         seeds = self._seeds(seed)

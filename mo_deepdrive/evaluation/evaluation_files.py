@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import yaml
 
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes, write_json
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes, own_path, write_json
 from mo_deepdrive.evaluation.metrics import (
     GREEDY,
     LENGTH,
@@ -98,6 +98,7 @@ def write_evaluation(directory: Path, evaluations: Mapping[str, Episodes], about
         about: how the policies were evaluated: seed, gamma, step and so on.
 
     Raises:
+        ValueError: if one of these files is a link.
         OSError: if a file cannot be written; each file is complete or unchanged.
     """
     columns = {policy: evaluation.estimates() for policy, evaluation in evaluations.items()}
@@ -105,12 +106,12 @@ def write_evaluation(directory: Path, evaluations: Mapping[str, Episodes], about
         policy: {name: asdict(estimate) for name, estimate in estimates.items()}
         for policy, estimates in columns.items()
     }
-    write_json(directory / EVALUATION_FILE, {**about, "policies": policies})
+    write_json(own_path(directory, EVALUATION_FILE), {**about, "policies": policies})
     rows: list[list[Any]] = [["policy", "metric", "value", "low", "high"]]
     for policy, estimates in columns.items():
         rows += [[policy, name, each.value, each.low, each.high] for name, each in estimates.items()]
-    atomic_write(directory / "evaluation.csv", csv_bytes(rows))
-    atomic_write(directory / "episodes.csv", csv_bytes(_episode_rows(evaluations, int(about["seed"]))))
+    atomic_write(own_path(directory, "evaluation.csv"), csv_bytes(rows))
+    atomic_write(own_path(directory, "episodes.csv"), csv_bytes(_episode_rows(evaluations, int(about["seed"]))))
 
 
 def _episode_rows(evaluations: Mapping[str, Episodes], seed: int) -> list[list[Any]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes, write_json
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes, own_path, write_json
 from mo_deepdrive.evaluation.evaluation_files import EVALUATION_FILE as EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import (
     ADDITIVE_EPSILON,
@@ -222,12 +222,14 @@ class Front:
             about: anything else for ``evaluation.json``.
 
         Raises:
+            ValueError: if one of these files is a link.
             OSError: if a file cannot be written; each file is complete or unchanged.
         """
         rows: list[list[Any]] = [self._columns(), *([int(row[0]), *row[1:]] for row in self._table().tolist())]
-        atomic_write(Path(directory) / FRONT_FILE, csv_bytes(rows))
+        directory = Path(directory)
+        atomic_write(own_path(directory, FRONT_FILE), csv_bytes(rows))
         own = {"gamma": self.gamma, "episodes": self.episodes, "seed": self.seed}
-        write_json(Path(directory) / EVALUATION_FILE, {**about, **own, "objectives": list(self.objectives)})
+        write_json(own_path(directory, EVALUATION_FILE), {**about, **own, "objectives": list(self.objectives)})
 
     @classmethod
     def read(cls, directory: str | Path) -> Front:

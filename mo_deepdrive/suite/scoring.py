@@ -43,6 +43,8 @@ class Row:
         state: of the training.
         cpu_seconds: of the training; None where it is not known.
         version: of the suite.
+        steps: environment steps of the training; None where they are not known.
+        environment: in which it was trained: its id, and arguments that are not the default.
     """
 
     task: str
@@ -57,6 +59,8 @@ class Row:
     state: str = "finished"
     cpu_seconds: float | None = None
     version: int = 0
+    steps: int | None = None
+    environment: str = ""
 
     @property
     def normalised(self) -> float | None:
@@ -199,7 +203,15 @@ def read_rows(path: str | Path) -> list[Row]:
     Raises:
         ValueError: if it is another file.
     """
-    numbers = {"value": float, "low": float, "high": float, "cpu_seconds": float, "seed": int, "version": int}
+    numbers = {
+        "value": float,
+        "low": float,
+        "high": float,
+        "cpu_seconds": float,
+        "seed": int,
+        "version": int,
+        "steps": int,
+    }
 
     def cell(name: str, text: str) -> Any:
         return numbers.get(name, str)(text) if text or name not in numbers else None

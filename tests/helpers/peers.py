@@ -27,7 +27,7 @@ def make_task(env_id: str = ONE_WAYPOINT, arguments: dict[str, Any] | None = Non
         config=PeerConfig(),
         utility=None,
         steps=50,
-        num_envs=2,
+        num_envs=1,
         seed=5,
         device="cpu",
         reference_point=None,

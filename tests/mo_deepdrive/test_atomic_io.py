@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes, expand_home, lock, own_path, read_json_object
+from mo_deepdrive.evaluation.evaluation_files import write_evaluation
 
 if os.name == "posix":
     import fcntl
@@ -58,14 +59,27 @@ def test_a_full_disk_leaves_the_old_file(
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_write_replaces_a_link_and_not_its_target(tmp_path: Path) -> None:
-    target, link = tmp_path / "target", tmp_path / "link"
-    target.write_text("mine")
-    link.symlink_to(target)
+@pytest.mark.parametrize("exists", [True, False])
+def test_a_write_through_a_link_replaces_its_target(tmp_path: Path, exists: bool) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    target, link = tmp_path / "elsewhere" / "target", tmp_path / "link"
+    if exists:
+        target.write_text("old")
+        target.chmod(0o640)
+    link.symlink_to(Path("elsewhere") / "target")
     atomic_write(link, b"new")
-    assert target.read_text() == "mine"
-    assert not link.is_symlink()
-    assert link.read_bytes() == b"new"
+    assert link.is_symlink()
+    assert target.read_bytes() == b"new"
+    assert not exists or target.stat().st_mode & 0o777 == 0o640
+    assert list(target.parent.iterdir()) == [target]
+
+
+def test_the_files_of_an_evaluation_are_not_written_through_a_link_in_its_directory(tmp_path: Path) -> None:
+    link, target = tmp_path / "evaluation.json", tmp_path / "mine"
+    link.symlink_to(target)
+    with pytest.raises(ValueError, match=r"evaluation.json' leads to .*mine'; nothing is written or deleted through"):
+        write_evaluation(tmp_path, {}, {})
+    assert not target.exists()
 
 
 REFUSALS = [PermissionError(), OSError(errno.EPERM, ""), OSError(errno.ENOTSUP, ""), OSError(errno.ENOSYS, "")]

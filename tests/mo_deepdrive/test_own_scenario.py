@@ -370,6 +370,10 @@ def test_a_span_widens_only_what_is_drawn_with_it(registries: None) -> None:
         ),
         ({"routes": (lane(), *row().routes)}, "route 1 has waypoints; where routes have segments, none may"),
         ({"routes": (lane(segments=(Segment(40.0, 0.4),)),)}, "must have a radius above the width of the lane"),
+        (
+            {"routes": (lane(segments=(Segment(40.0, 1e-160),)),)},
+            "and of at most 1e+09 m, and turn by less than a circ",
+        ),
         ({"routes": (lane(segments=(Segment(-1.0),)),)}, "segment 0 of route 0"),
         ({"routes": (lane(segments=(Segment(300.0),)),)}, "route 0 leaves [-250, 250] m"),
         (
@@ -377,6 +381,16 @@ def test_a_span_widens_only_what_is_drawn_with_it(registries: None) -> None:
             "start_span = 36.0 of route 0 must be at least 0 and leave 5.18 m",
         ),
         ({"routes": (lane(priority=(9.0, 3.0)),)}, "priority = (9.0, 3.0) of route 0 must be (from, to) in m"),
+        ({"routes": (lane(priority=(1e6, 1e7)),)}, "0 <= from < to, and from within its length of 40 m"),
+        ({"routes": (lane(start=(25.0, 0.0, 1e9)),)}, "must have a heading in [-250, 250] rad"),
+        (
+            {"routes": (replace(row().routes[0], priority=(0.0, 9.0)),)},
+            "priority = (0.0, 9.0) of route 0 has no effect without segments; omit it",
+        ),
+        ({"number": 2}, "number = 2 has no effect without roads of segments; omit it"),
+        ({"conflict_time": math.nan}, "conflict_time = nan must be a finite number of seconds above 0"),
+        ({"conflict_time": -1}, "conflict_time = -1 must be a finite number of seconds above 0"),
+        ({"lanes": "no"}, "lanes = 'no' must be True or False"),
         ({"routes": (lane(lane_width=2.0),)}, "lane_width = 2.0 of route 0 must be more than a car's 2.30 m"),
         (
             {"routes": (lane(), lane(start_span=1.0))},

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -41,6 +43,33 @@ def test_a_process_draws_without_a_display_unless_the_user_chose_one_for_renderi
     assert environment == PROCESS_DEFAULTS | {"SDL_VIDEODRIVER": "x11", "MPLBACKEND": "agg"}
     assert environment["SDL_AUDIODRIVER"] == "dummy"
     assert path == ["first", str(tmp_path)]
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "message"),
+    [
+        ("peers", ["--list", "--output", "x"], "--output has no effect beside --list"),
+        ("peers", ["--list", "--seed", "3"], "--seed=3 has no effect beside --list"),
+        ("evaluate", ["--zoo", "--episodes", "3"], "--episodes has no effect beside --zoo"),
+        ("evaluate", ["one_waypoint_nonlinear-mo_ppo", "--stochastic"], "--stochastic has no effect beside no --video"),
+        ("sweep", ["--output", "x", "--status", "--workers", "2"], "--workers has no effect beside --status"),
+        ("study", ["--config", "studies/suite", "--tables", "--on", "ray"], "--on has no effect beside --tables"),
+        ("study", ["--config", "studies/suite", "--verify", "--tasks", "K1"], "--tasks has no effect beside --verify"),
+        ("explore", ["best-known/x", "--output", "x.html", "--seed", "3"], "no effect on best-known fronts"),
+        ("suite", ["list", "--algorithm.gamma=1"], "unrecognized arguments: --algorithm.gamma=1"),
+    ],
+)
+def test_an_option_without_effect_beside_another_one_is_refused(
+    command: str, arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = import_module(f"algorithms.commands.{command}").main(arguments)
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_short_forms_become_overrides_and_come_last() -> None:

@@ -81,6 +81,40 @@ def test_the_resolved_experiment_reloads_equal(write: Write, tmp_path: Path) -> 
     assert make_experiment(experiment.to_dict()) == experiment
 
 
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ([], None),
+        (
+            ["--training.total_timesteps=3_000_001"],
+            "training.total_timesteps = 3,000,001: evaluation.task = 'K1' allows",
+        ),
+        (
+            ["--environment.id=mo-deepdrive-static-obstacle-v0"],
+            "environment.id = 'mo-deepdrive-static-obstacle-v0': eval",
+        ),
+        (
+            ["--environment.arguments.action_delay=1"],
+            "environment.arguments.action_delay = 1: evaluation.task = 'K1' needs 0",
+        ),
+        (["--evaluation.task=K9"], "evaluation.task: task 'K9' is unknown"),
+    ],
+)
+def test_a_task_of_the_suite_is_trained_in_its_environment_and_within_its_budget(
+    write: Write, overrides: list[str], message: str | None
+) -> None:
+    task = [
+        "--environment={id: mo-deepdrive-static-obstacle-v1, arguments: {}}",
+        "--utility.name=static_obstacle_linear",
+    ]
+    given = [*task, "--evaluation.task=K1", *overrides]
+    if message is None:
+        assert load_experiment(write(TEXT), given).evaluation.task == "K1"
+    else:
+        with pytest.raises(ValueError, match=message):
+            load_experiment(write(TEXT), given)
+
+
 def test_the_committed_configs_are_valid(repository: Path) -> None:
     found = sorted((repository / "configs").rglob("*.yaml"))
     # The plan of the reproduction is another kind of file; test_reproduction.py reads it.
@@ -151,7 +185,12 @@ def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
         ("--training.seed=true", ["training.seed", "True", "integer"]),
         ("--training.device=abacus", ["training.device", "abacus", "cpu, cuda"]),
         ("--training.device=cuda:99", ["training.device", "cuda:99", "does not exist"]),
+        ("--training.device=cpu:5", ["training.device = 'cpu:5' is not supported; write cpu"]),
         ("--evaluation.gamma=1.1", ["evaluation.gamma", "less than or equal to 1"]),
+        (
+            "--evaluation.reference_point=[0, 0, 0, 0]",
+            ["evaluation.reference_point = [0.0, 0.0, 0.0, 0.0] has no effect"],
+        ),
         ("--utility=linear", ["utility", "'linear'"]),
         ("--logging.wandb.projct=x", ["projct", "did you mean 'project'"]),
         ("--utility.vehicles.vehicle_1.nam=x", ["utility.vehicles.vehicle_1.nam", "did you mean 'name'"]),

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from algorithms.commands.peers import load_peer_experiment
 from algorithms.peers import PEERS, Peer
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.peers import fake_adapter, make_task
@@ -28,6 +29,7 @@ def test_every_peer_is_described_consistently() -> None:
         ("morl_baselines.envelope", {"arguments": {"action_type": "continuous"}}, "supports discrete actions"),
         ("morl_baselines.pgmorl", {"arguments": {"action_type": "continuous"}}, "2 to 3 objectives; the environment"),
         ("stable_baselines3.ppo", {}, "needs a known utility"),
+        ("morl_baselines.pcn", {"num_envs": 2}, "training.num_envs = 2 must be 1: algorithm"),
         ("morl_baselines.pcn", {"env_id": "mo-deepdrive-intersection-v0", "arguments": {}}, "supports one vehicle"),
     ],
 )
@@ -50,6 +52,22 @@ def test_a_missing_peer_is_unavailable_with_the_error_of_its_import() -> None:
         == "AttributeError: module 'json' has no attribute 'Class'"
     )
     assert replace(peer, path="json:loads").unavailable_reason() is None
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        (
+            "--evaluation.interval=7",
+            "evaluation.interval = 7 has no effect: algorithm 'stable_baselines3.ppo' is trained",
+        ),
+        ("--training.seeds=[0, 1]", r"training.seeds = \[0, 1\] has no effect"),
+        ("--logging.checkpoint_interval=100", "logging.checkpoint_interval = 100 has no effect"),
+    ],
+)
+def test_what_another_library_does_not_do_cannot_be_set(override: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_peer_experiment("peers/ppo", [override])
 
 
 @pytest.mark.slow

@@ -54,6 +54,25 @@ def test_the_run_of_a_peer_has_the_same_files_as_other_runs(
     assert Run.open(run.path).experiment == run.experiment
 
 
+@pytest.mark.slow
+def test_a_peer_is_scored_as_the_task_of_the_suite_that_its_experiment_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = "stable_baselines3.ppo"
+    still = replace(PEERS[name], path="json:loads", package="numpy", adapter=lambda task: constant_policies(task, [0]))
+    monkeypatch.setitem(PEERS, name, still)
+    task = ["--environment={id: mo-deepdrive-static-obstacle-v1, arguments: {fixed_destination: false}}"]
+    task += ["--utility.name=static_obstacle_linear", "--evaluation={task: K1, final_episodes: 1}"]
+    run = Run.create(load_experiment("peers/ppo", [*task, "--logging.save_figures=false"]), tmp_path / "run")
+    run_peer(run, make_console())
+    stochastic = json.loads((run.path / "evaluation.json").read_text())["policies"]["stochastic"]
+    assert {name for name in stochastic if name.startswith("suite/")} == {
+        "suite/score",
+        "suite/yaw_friction",
+        "suite/action_delay",
+    }
+
+
 def test_a_front_is_evaluated_in_the_split_of_the_experiment(front_config: Path) -> None:
     experiment = load_experiment(front_config, ["--evaluation.final_episodes=2", "--evaluation.split=validation"])
     front = evaluate_front(constant_policies(make_task(), [0, 2, 3, 3]), experiment)

@@ -30,7 +30,9 @@ def call(
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments: str) -> tuple[int, str, str]:
-        code = load_script("reproduce").main(["--plan", "plan.yaml", "--workers", "2", *arguments])
+        code = load_script("reproduce").main(
+            ["--plan", "plan.yaml", *([] if "--redraw" in arguments else ["--workers", "2"]), *arguments]
+        )
         captured = capsys.readouterr()
         return code, captured.out, captured.err
 

@@ -23,7 +23,7 @@ from algorithms.studies.settings import load_study
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.runner import Backend
 from mo_deepdrive.suite import read_rows
-from tests.helpers.short_runs import VALUES, quiet
+from tests.helpers.short_runs import VALUES, printed, quiet
 from tests.helpers.sweep_files import broken_utility, forked_workers, status
 
 RATE = "algorithm.learning_rate"
@@ -92,6 +92,9 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
         assert row.seed in ([100] if tuned else [0, 1])
         assert tuned or row.config["algorithm"]["learning_rate"] == 0.003
     results = read_rows(tmp_path / "study" / "results.csv")
+    assert {(each.steps, each.environment) for each in results} == {
+        (960, "mo-deepdrive-one-waypoint-v0 time_limit=1.0")
+    }
     assert [(each.learner, each.seed, each.value) for each in results] == [
         (learner, seed, 0.003) for learner in ("mo", "plain") for seed in (0, 1)
     ]
@@ -177,7 +180,41 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
         ({"learners": {}}, "task 'short' has no learners"),
         ({"learners": {"a": {}}}, "learner 'a' on task 'short' has no algorithm"),
         ({"learners": {"a": {"config": "nowhere"}}}, "config file 'nowhere' does not exist"),
-        ({"tasks": ["K9"]}, "task 'K9' is unknown"),
+        ({"tasks": ["K9"], "metric": None}, "task 'K9' is unknown"),
+        ({"tasks": ["K1", "K1"], "metric": None}, "a list must have the ids of tasks of the suite, each of them once"),
+        ({"tasks": [{"task": "K1"}]}, "a list must have the ids of tasks of the suite"),
+        ({"tasks": ["K1"]}, "metric has no effect: every task has its own"),
+        (
+            {"tasks": {"K1": {"task": "K1", "environment": {"id": "x"}}}, "metric": None},
+            "tasks.K1.environment: the suite's task 'K1' has an environment of its own",
+        ),
+        (
+            {"tasks": {"K1": {"task": "K1", "steps": 10**8}}, "metric": None},
+            r"training.total_timesteps = 100,000,000: evaluation.task = 'K1' allows 3,000,000 environment steps",
+        ),
+        (
+            {"tasks": ["K1"], "metric": None, "overrides": {"environment.arguments.time_limit": 10}},
+            "environment.arguments.time_limit = 10.0: evaluation.task = 'K1' needs 60.0",
+        ),
+        ({"overrides": {"training": {"seed": 3}}}, "'training.seed' in overrides: set seeds with the key 'seeds'"),
+        ({"tuning": {"values": {"training.seed": [1, 2]}}}, "'training.seed' in tuning.values: set seeds with"),
+        ({"help": {"evaluation.split": "test"}}, "'evaluation.split' in help: a study scores its tuning on the valid"),
+        (
+            {"learners": {"mo": {"config": "base.yaml", "overrides": {"evaluation": {"task": "K3"}}}}},
+            "'evaluation.task' in learners.mo.overrides: name the task of the suite as 'task' of a task",
+        ),
+        ({"overrides": {RATE: 0.1, "algorithm": {"learning_rate": 0.2}}}, f"'{RATE}' is in overrides twice"),
+        ({"tuning": {"values": {RATE: [0.001, 1e-3]}}}, "have the same run"),
+        (
+            {"tuning": None, "learners": {"mo": {"config": "base.yaml", "tuning": {RATE: [0.1]}}}},
+            "learners.mo.tuning has no effect in a study without tuning",
+        ),
+        (
+            {"tuning": {"values": {"algorithm.accrued_gamma": [1.0]}}},
+            "'plain' on task 'short': the study tunes 'algorithm.accrued_gamma', a setting that it does not have",
+        ),
+        ({"metric": "stochastic/utility_ers"}, "metric 'stochastic/utility_ers' is unknown; the nearest ones: stoch"),
+        ({"columns": ["success", "arrivals"]}, "columns has 'arrivals', which no run has; the nearest ones: "),
         ({"metric": None}, "task 'short' has no metric"),
         ({"metric": "utility_esr"}, "metric = 'utility_esr' must begin with a policy"),
         ({"help": {"algorithm.gama": 0.9}}, "no learner has the setting 'algorithm.gama'"),
@@ -201,8 +238,19 @@ def test_arms_that_are_not_selected_are_not_trained_and_keep_their_results(tmp_p
         assert runner.run() == 0
         assert runner.batches == [2, 2]
         assert {each.learner for each in read_rows(tmp_path / "study" / "results.csv")} == trained
+        assert {row.cell["learner"] for row in read_manifest(tmp_path / "study")} == trained
     with pytest.raises(ValueError, match="--learners nobody: the study has no such learner"):
         StudyPlan(study, None, ["nobody"])
+
+
+def test_all_runs_are_announced_before_the_first_with_what_the_study_replaces(tmp_path: Path) -> None:
+    runner = made_up(tmp_path, write_study(tmp_path))
+    (tmp_path / "base.yaml").write_text("algorithm: {name: mo_a2c}\ntraining: {num_envs: 4, seed: 7}\n")
+    runner.run()
+    lines = printed(runner._console).splitlines()
+    base = tmp_path / "base.yaml"
+    assert lines[0] == f"{base}: training.seed is not used; set seeds with the key 'seeds'"
+    assert lines[1] == "4 runs of tuning, then 4 that count: mo, plain on short"
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import pytest
 from algorithms.commands.suite import main
 from algorithms.commands.suite_results import plan_of
 from algorithms.studies.suite_tables import Scoreboard
+from algorithms.sweeps.manifest import read_manifest
 from mo_deepdrive import suite
 from mo_deepdrive.suite import Row, write_rows
 
@@ -86,13 +87,61 @@ def test_an_own_learner_gets_the_help_of_all_and_no_tuning() -> None:
     assert [len(arm.points) for arm in tuned.arms if arm.key in tuned.selected] == [12]
 
 
+def test_an_own_learner_beside_one_of_the_reference_is_tuned_by_the_same_rule_and_takes_overrides(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = "class Config(PPO.Config):\n        kappa: float = 0.1"
+    (tmp_path / "own_ppo.py").write_text(f"from algorithms.ppo import PPO\n\n\nclass OwnPPO(PPO):\n    {config}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    plan = plan_of(["mo_ppo", "own_ppo:OwnPPO"], ["K1"], 3, {"algorithm.kappa": 0.2})
+    arms = {arm.learner: arm for arm in plan.arms if arm.key in plan.selected}
+    assert arms.keys() == {"mo_ppo", "OwnPPO"}
+    assert arms["OwnPPO"].points == arms["mo_ppo"].points
+    assert arms["OwnPPO"].values["algorithm"]["kappa"] == 0.2
+    assert "kappa" not in arms["mo_ppo"].values["algorithm"]
+    assert plan.announcement() == "24 runs of tuning, then 6 that count: mo_ppo, OwnPPO on K1"
+    for overrides, message in (
+        ({"algorithm.kapa": 0.2}, "no learner has the setting 'algorithm.kapa'; did you mean 'algorithm.kappa'"),
+        ({"algorithm.learning_rate": 0.2}, "learning_rate = 0.2: the study tunes it for learner 'mo_ppo'"),
+        ({"training.seed": 2}, "'training.seed' in the options: set seeds with"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            plan_of(["mo_ppo", "own_ppo:OwnPPO"], ["K1"], 3, overrides)
+
+
+def test_the_manifest_of_suite_run_holds_what_was_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder, name in (("a", "ppo"), ("b", "mo_ppo")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "mine.yaml").write_text(f"algorithm: {{name: {name}}}\n")
+    command = ["run", "--learner", "a/mine.yaml", "--learner", "b/mine.yaml", "--seeds", "2", "--on", "manifest"]
+    assert main([*command, "--tasks", "K1", "--algorithm.gamma=0.9"]) == 0
+    assert capsys.readouterr().out.startswith("4 runs, without tuning, that count: a/mine.yaml, b/mine.yaml on K1\n")
+    (directory,) = (tmp_path / "runs" / "studies").iterdir()
+    rows = read_manifest(directory)
+    assert {(row.cell["task"], row.config["algorithm"]["name"], row.seed) for row in rows} == {
+        ("K1", name, seed) for name in ("ppo", "mo_ppo") for seed in (0, 1)
+    }
+    assert {row.config["algorithm"]["gamma"] for row in rows} == {0.9}
+
+
 @pytest.mark.parametrize(
     ("learners", "tasks", "seeds", "message"),
     [
         (["suite/ppo"], ["K99"], 1, "task 'K99' is unknown"),
         (["suite/ppo"], ["U1"], 1, "--tasks U1: no learner of the study is trained on it"),
         (["nowhere"], ["K1"], 1, "config file 'nowhere' does not exist"),
-        (["ppo", "suite/ppo"], ["K1"], 1, "ppo is tuned, the others are not"),
+        (["ppo", "suite/ppo"], ["K1"], 101, "seeds has 100, a seed of the tuning"),
+        (["ppo", "ppo"], ["K1"], 1, "--learner ppo is given twice"),
+        (["ppo", "conditioned_mo_ppo"], ["K1"], 1, "learner 'conditioned_mo_ppo' fits none of the tasks K1"),
+        (
+            ["ppo", "suite/pcn"],
+            ["U1", "K1"],
+            1,
+            "the study tunes 'algorithm.entropy_start', a setting that it does not",
+        ),
         (["suite/ppo"], ["K1"], 0, "--seeds 0 must be at least 1"),
     ],
 )

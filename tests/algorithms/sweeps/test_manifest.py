@@ -437,6 +437,8 @@ def test_a_search_is_scored_on_the_validation_split(tmp_path: Path) -> None:
         assert row.config["evaluation"]["split"] == "validation"
     said = refused_cells(tmp_path, search=search, overrides={"evaluation.split": "test"})
     assert "evaluation.split = 'test': settings are chosen by the final scores, which needs 'validation'" in said
+    said = refused_cells(tmp_path, search={**search, "metric": "greedy/utility_ers"})
+    assert "metric 'greedy/utility_ers' is unknown; the nearest ones: greedy/utility_ser, greedy/utility_esr, " in said
     misspelt = {**search, "space": {"algorithm.step": [8]}}
     assert "did you mean 'steps'?" in refused_cells(tmp_path, search=misspelt)
     assert expanded(tmp_path)[0].config["evaluation"]["split"] == "test"

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
 import numpy as np
 import pytest
 
+import mo_deepdrive
 from mo_deepdrive.scenarios import SCENARIOS
 from tests.helpers.interfaces import (
     ACTION_TYPES,
@@ -71,6 +76,24 @@ def test_every_interface_delays_actions_and_charges_the_time_that_remains(end_to
         assert charged == pytest.approx(driven if reports[-1].end == "arrived" else 60.0, rel=1e-5)
         ends.add(reports[-1].end)
     assert ends >= {"arrived", "collision", "other_vehicle" if end_together else "time_limit"}
+
+
+@pytest.mark.parametrize("options", [5, [], "starts", {1: 2}, np.zeros(2)], ids=repr)
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: gymnasium.make("mo-deepdrive-one-waypoint-v0").unwrapped,
+        lambda: gymnasium.make("mo-deepdrive-intersection-v0").unwrapped,
+        lambda: gymnasium.make_vec("mo-deepdrive-one-waypoint-v0", num_envs=2),
+        lambda: gymnasium.make_vec("mo-deepdrive-one-waypoint-v0", num_envs=2, device="cpu"),
+        mo_deepdrive.parallel_env,
+        mo_deepdrive.env,
+    ],
+    ids=["single", "turn-based", "vector", "tensor", "parallel", "AEC"],
+)
+def test_every_interface_refuses_reset_options_that_are_not_a_dict(make: Callable[[], Any], options: Any) -> None:
+    with pytest.raises(ValueError, match=r"options = .* must be a dict of reset options by name, or None"):
+        make().reset(options=options)
 
 
 def test_the_trajectories_vary() -> None:
