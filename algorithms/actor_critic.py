@@ -76,14 +76,14 @@ class PolicyLearner(Learner):
 
     Attributes:
         noise: (S, T, N, k, n) random numbers of the actions of a rollout.
-        keys: (S, epochs, T N k) random numbers by whose order the samples of an epoch are shuffled.
+        order: (S, epochs, T N k) in which the samples of an epoch are learnt from; no epochs where all are at once.
         prepare: makes samples of a rollout.
         expected_return: (S, d) E[R], running mean of the accrued rewards of episodes.
         episodes: (S,) their number.
     """
 
     noise: torch.Tensor
-    keys: torch.Tensor
+    order: torch.Tensor
     prepare: Callable[..., dict[str, torch.Tensor]]
 
     def __init__(
@@ -289,24 +289,25 @@ class ActorCritic(Agent):
         others = (self.env.vehicles - 1) * self.env.observation_size if self.config.centralised_critic else 0
         return self.input_size + others
 
-    def states(self, storage: RolloutStorage, vehicles: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
-        """What the critic of some vehicles sees before each step, and after it: (S, T + 1, N k, c), (S, T, N k, c).
+    def states(self, storage: RolloutStorage, vehicles: tuple[int, ...]) -> dict[str, torch.Tensor]:
+        """What the critic of some vehicles sees, where that is not what the actor sees.
 
-        That is what the actor sees, and with a centralised critic what the other vehicles observe.
+        Returns:
+            ``states`` (S, T + 1, N k, c) before each step and ``final_states`` (S, T, N k, c) after it; or nothing.
+            With a centralised critic what the actor sees, and what the other vehicles observe.
         """
+        if not self.config.centralised_critic:
+            return {}
 
         def seen(inputs: torch.Tensor) -> torch.Tensor:
-            own = storage.of_vehicles(inputs, vehicles)
-            if not self.config.centralised_critic:
-                return own
             observed = inputs[..., : self.env.observation_size]
             others = [
                 torch.cat([observed[:, :, :, v] for v in range(self.env.vehicles) if v != vehicle], dim=-1)
                 for vehicle in vehicles
             ]
-            return torch.cat([own, torch.stack(others, dim=3).flatten(2, 3)], dim=-1)
+            return torch.cat([storage.of_vehicles(inputs, vehicles), torch.stack(others, dim=3).flatten(2, 3)], dim=-1)
 
-        return seen(storage.inputs), seen(storage.final_inputs)
+        return {"states": seen(storage.inputs), "final_states": seen(storage.final_inputs)}
 
     @property
     def value_scales(self) -> torch.Tensor:
@@ -430,7 +431,13 @@ class ActorCritic(Agent):
         for learner in self.learners:
             generator.manual_seed(self.seed_of(LEARNING + learner.vehicles[0], seed))
             learner.actor.draw(learner.noise[seed], generator)
-            learner.keys[seed].uniform_(generator=generator)
+            epochs, rows = learner.order.shape[1:]
+            if self.device.type == "cpu":
+                for epoch in range(epochs):
+                    torch.randperm(rows, generator=generator, out=learner.order[seed, epoch])
+            elif epochs:  # one launch for all
+                keys = torch.rand(epochs, rows, generator=generator, device=self.device)
+                learner.order[seed] = keys.argsort(dim=-1)
 
     def _run(self) -> None:
         """The part of an update that is the same every time; on a GPU one CUDA graph where only learners drive."""
@@ -467,19 +474,24 @@ class ActorCritic(Agent):
         samples = learner.compute(learner.prepare, rollout)
         steps = [
             learner.minimise(self._loss, samples, rows, self._learning_rate, self._entropy_coefficient)
-            for rows in self._minibatches(samples, learner.keys)
+            for rows in self._minibatches(learner.order)
         ]
         return {name: torch.stack([step[name] for step in steps]).mean(0) for name in steps[0]}
 
     def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
-        """The fields of :class:`Rollout` of a policy, with the axis of seeds."""
-        states, final_states = self.states(storage, learner.vehicles)
-        own = {each.name for each in fields(storage)} & {each.name for each in fields(Rollout)}
+        """The fields of :class:`Rollout` of a policy, with the axis of seeds.
+
+        Without ``states`` and ``final_states`` those are ``inputs`` and ``final_inputs``.
+        """
+        own = {"final_inputs", *(each.name for each in fields(Rollout))}
         ideal = learner.expected_return if self.preferences_now is None else self.preferences_now.ideal
         return {
-            **{name: storage.of_vehicles(getattr(storage, name), learner.vehicles) for name in own},
-            "states": states,
-            "final_states": final_states,
+            **{
+                each.name: storage.of_vehicles(getattr(storage, each.name), learner.vehicles)
+                for each in fields(storage)
+                if each.name in own
+            },
+            **self.states(storage, learner.vehicles),
             "expected_return": learner.expected_return,
             "ideal": ideal,
         }
@@ -488,9 +500,14 @@ class ActorCritic(Agent):
         self, utility: Utility | None, always: bool, networks: Networks, tensors: dict[str, torch.Tensor]
     ) -> dict[str, torch.Tensor]:
         """What one seed learns from its rollout, (T N, ...), by the fields of Samples."""
-        samples = self.samples(networks, Rollout(**tensors, utility=utility))
+        seen = {"states": tensors["inputs"], "final_states": tensors["final_inputs"]}
+        names = {each.name for each in fields(Rollout)}
+        rollout = Rollout(**{name: each for name, each in {**seen, **tensors}.items() if name in names}, utility=utility)
+        samples = self.samples(networks, rollout)
         if always:
             samples = samples._replace(weights=None)
+        if "states" not in tensors:
+            samples = samples._replace(states=None)
         return {name: each.flatten(0, 1) for name, each in samples._asdict().items() if each is not None}
 
     def samples(self, networks: Networks, rollout: Rollout) -> Samples:
@@ -516,24 +533,14 @@ class ActorCritic(Agent):
         return bootstrapped(values[1:], final, rollout.terminated, rollout.truncated)
 
     def _loss(self, networks: Networks, tensors: dict[str, torch.Tensor], entropy_coefficient: torch.Tensor) -> Loss:
-        return self.loss(networks, self.Samples(**tensors), entropy_coefficient)
+        return self.loss(networks, self.Samples(**{"states": tensors["inputs"], **tensors}), entropy_coefficient)
 
-    def _minibatches(self, samples: Mapping[str, torch.Tensor], keys: torch.Tensor) -> Iterator[list[torch.Tensor]]:
-        """The samples of every gradient step: [(S, m)] indices, or [] for all.
-
-        In the order of random keys, in parts that have, but for one, as many of weight 1.
-        """
-        parts = min(getattr(self.config, "minibatches", 1), keys.shape[2])
-        for epoch in range(keys.shape[1]):
-            if parts == 1:
-                yield []
-                continue
-            order = keys[:, epoch]
-            if "weights" in samples:
-                order = order + (samples["weights"] == 0.0)
-            order = order.argsort(dim=-1)
-            for part in range(parts):
-                yield [order[:, part::parts].contiguous()]
+    def _minibatches(self, order: torch.Tensor) -> Iterator[list[torch.Tensor]]:
+        """The samples of every gradient step: [(S, m)] indices, or [] for all."""
+        for epoch in order.unbind(1):
+            yield from ([rows.contiguous()] for rows in epoch.tensor_split(self.config.minibatches, dim=-1))
+        if order.shape[1] == 0:
+            yield []
 
     # ------------------------------------------------------------------------------------------------------ collecting
 
@@ -562,7 +569,8 @@ class ActorCritic(Agent):
                 rows = env.num_envs * len(learner.vehicles)
                 noise = (seeds, config.steps, env.num_envs, len(learner.vehicles), learner.actor.noise)
                 learner.noise = torch.zeros(noise, device=self.device)
-                learner.keys = torch.zeros(seeds, getattr(config, "epochs", 1), config.steps * rows, device=self.device)
+                order = seeds, getattr(config, "epochs", 0), config.steps * rows
+                learner.order = torch.zeros(order, dtype=torch.int64, device=self.device)
         return self._collector
 
     def training_preferences(self, shape: tuple[int, int, int]) -> TrainingPreferences | None:

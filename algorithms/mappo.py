@@ -194,11 +194,6 @@ class MAPPO(PPO):
         team = {name: each.repeat_interleave(vehicles, dim=2) for name, each in self._team.items()}
         return {**super().rollout_of(learner, storage), **team}
 
-    def states(self, storage: RolloutStorage, vehicles: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
-        """S_0 to S_T, and the true final states."""
-        del storage, vehicles  # all vehicles' critics see the same
-        return self._team["states"], self._team["final_states"]
-
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:

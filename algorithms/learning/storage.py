@@ -116,7 +116,7 @@ class Samples(NamedTuple):
 
     Attributes:
         inputs: (M, i) what the actor saw.
-        states: (M, c) what the critic saw.
+        states: (M, c) what the critic saw; None for what the actor saw, until a loss is calculated.
         actions: (M,) or (M, k).
         advantages: (M,) A_t.
         targets: (M, K) y_t, in the units of the critic's outputs.
@@ -125,7 +125,7 @@ class Samples(NamedTuple):
     """
 
     inputs: torch.Tensor
-    states: torch.Tensor
+    states: Any
     actions: torch.Tensor
     advantages: torch.Tensor
     targets: torch.Tensor
