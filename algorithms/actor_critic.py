@@ -204,6 +204,7 @@ class ActorCritic(Agent):
         self.scales = self.env.chosen_objective_scales(config.objective_scales)
         self.observation_scales = torch.tensor(self.env.observation_scales, device=self.device)
         self.objective_scales = torch.tensor(self.scales, device=self.device)
+        self._costs = torch.from_numpy(self.env.costs).to(self.device)
         self.prepare()
         generators = [self.initial_generator(index) for index in range(len(self.seeds))]
         self.learners = [
@@ -420,10 +421,9 @@ class ActorCritic(Agent):
 
     def grow_costs(self, share: float) -> None:
         """Multiply the costs among the rewards that are learnt from by a share."""
-        costs = torch.from_numpy(self.env.costs).to(self.device)
         for learner in self.learners:
             for v in learner.vehicles:
-                self.collector.shares[v] = torch.where(costs, share, 1.0)
+                self.collector.shares[v].fill_(1.0).masked_fill_(self._costs, share)
 
     def _draw(self, seed: int) -> None:
         """Draw the random numbers of an update of the seed with this index."""

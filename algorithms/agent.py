@@ -479,14 +479,15 @@ class Agent(ABC):
             ValueError: if they are to be, and there is no compiler.
         """
         device, compiled = self.device.type, self.compiled
-        if compiled == "auto":
-            compiled = self.gradient_steps(total_timesteps) >= WORTHWHILE[device] and has_compiler(device)
-        elif compiled and not has_compiler(device):
+        if compiled is True and not has_compiler(device):
             needed = "a C++ compiler such as g++" if device == "cpu" else "Triton"
             raise ValueError(f"training.compiled = True needs {needed}, which is not installed; take auto or false")
+        if compiled == "auto":
+            pays = self.gradient_steps(total_timesteps) >= WORTHWHILE[device]
+            compiled = "auto" if pays and has_compiler(device) else False
         for learner in self.learners:
             learner.compiled = compiled
-            learner.computes_compiled = compiled and device != "cpu"  # there it pays for gradient steps alone
+            learner.computes_compiled = False if device == "cpu" else compiled  # there it pays for gradient steps alone
 
     def _log_evaluations(
         self, plan: EvaluationPlan | None, logs: Sequence[Log], log_fronts: Sequence[LogFront]

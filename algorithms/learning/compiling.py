@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch.utils import _pytree as pytree
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 BACKEND = "inductor"
 # Gradient steps in a training from which on compiling saves more time than it takes.
-WORTHWHILE = {"cpu": 8_000, "cuda": 100_000}
+WORTHWHILE = {"cpu": 6_000, "cuda": 100_000}
 
 
 def has_compiler(device: str) -> bool:
@@ -33,10 +33,10 @@ class Compiled:
 
     Args:
         function: gives a tree of tensors, and may change its arguments in place.
-        enabled: whether it is compiled; else it is called as it is.
+        enabled: whether it is compiled; else it is called as it is. "auto" calls it as it is, too, if it cannot be.
     """
 
-    def __init__(self, function: Callable[..., Any], *, enabled: bool):
+    def __init__(self, function: Callable[..., Any], *, enabled: bool | Literal["auto"]):
         self._function, self._enabled = function, enabled
         self._compiled: dict[Any, tuple[Callable[..., Any], pytree.TreeSpec]] = {}
 
@@ -52,7 +52,13 @@ class Compiled:
         leaves, form = pytree.tree_flatten(arguments)
         key = (str(form), *((tuple(each.shape), each.stride()) for each in leaves))
         if key not in self._compiled:
-            self._compiled[key] = self._compile(leaves, form)
+            try:
+                self._compiled[key] = self._compile(leaves, form)
+            except ValueError:
+                if self._enabled != "auto":
+                    raise
+                self._enabled = False
+                return self._function(*arguments)
         compiled, form = self._compiled[key]
         return pytree.tree_unflatten(compiled(*leaves), form)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import nn
@@ -56,7 +56,7 @@ class Learner:
         vector: (S, P) the parameters.
         count: (S, 1) steps of Adam; the rest of its state is ``mean`` and ``mean_square``, as ``vector``.
         compiled, computes_compiled: whether gradient steps, and what :meth:`compute` computes, go through
-            ``torch.compile``.
+            ``torch.compile``; "auto" where that is possible.
     """
 
     def __init__(self, networks: Sequence[Networks], max_grad_norm: float, name: str):
@@ -79,7 +79,8 @@ class Learner:
             parameter.data = data
         self.count = torch.zeros(self.seeds, 1, device=first.device)
         self._rows = torch.arange(self.seeds, device=first.device).unsqueeze(1)
-        self.compiled = self.computes_compiled = False
+        self.compiled: bool | Literal["auto"] = False
+        self.computes_compiled: bool | Literal["auto"] = False
         self._functions: dict[Any, Compiled] = {}
 
     @property
@@ -103,7 +104,7 @@ class Learner:
             return tree_map(_with_axis, found)
         return self._function(self.call, function, self.computes_compiled)(self.vector, arguments, *shared)
 
-    def _function(self, method: Callable[..., Any], function: Callable[..., Any], compiled: bool) -> Compiled:
+    def _function(self, method: Callable[..., Any], function: Callable[..., Any], compiled: bool | Literal["auto"]) -> Compiled:
         key = method.__name__, function, compiled
         if key not in self._functions:
             self._functions[key] = Compiled(partial(method, function), enabled=compiled)
