@@ -177,7 +177,8 @@ class Learner:
         count += moves
         mean.lerp_(gradient, 1.0 - BETA1)
         mean_square.lerp_(gradient.square(), 1.0 - BETA2)
-        correction1, correction2 = 1.0 - BETA1**count, 1.0 - BETA2**count
+        # In double precision: 1 - 0.999 would lose five digits in single.
+        correction1, correction2 = ((1.0 - beta ** count.double()).to(vector.dtype) for beta in (BETA1, BETA2))
         update = learning_rate / correction1 * mean / ((mean_square / correction2).sqrt() + EPSILON)
         vector -= torch.where(moves, update, 0.0)
         return {**{name: part.detach() for name, part in parts.items()}, NORM: norms.squeeze(1)}
