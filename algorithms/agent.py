@@ -57,7 +57,6 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import ArrayLike, NDArray
 
-    from algorithms.learning.learner import Learner
     from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.episodes import UtilityLike
     from mo_deepdrive.evaluation.evaluation import Evaluation
@@ -140,7 +139,7 @@ class Agent(ABC):
             ``set_state`` and ``set_policy`` check them.
         config: the hyperparameters.
         env: the training environment in the trainers' shapes.
-        learners: what learns by gradient steps.
+        learners: what learns by gradient steps, each an :class:`algorithms.learning.learner.Learner`.
         scales: (d,) nominal size of each objective's return.
         utilities: one per vehicle; empty where none is known.
         device: of the networks.
@@ -190,7 +189,7 @@ class Agent(ABC):
         self.scales = self.env.objective_scales
         self.seeds = (seed,) if isinstance(seed, int) else tuple(seed)
         self.device, self.compiled = torch.device(device), compiled
-        self.learners: Sequence[Learner] = ()
+        self.learners: Sequence[Any] = ()
         on_gpu = self.device.type != "cpu"
         if not self.seeds or ((len(self.seeds) > 1 or on_gpu) and not (self.trains_on_devices and self.env.native)):
             raise ValueError(
@@ -204,9 +203,7 @@ class Agent(ABC):
         self.updates = 0
         self.failed: dict[int, str] = {}
         unchecked = [each.unchecked() for each in self.utilities]
-        self.episodes = EpisodeSums(
-            len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device
-        )
+        self.episodes = EpisodeSums(len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device)
         self._seed_actions()
 
     @property
@@ -550,7 +547,7 @@ class Agent(ABC):
         """Of every seed: means over the episodes that ended since the last call, and the losses."""
         rows = []
         for seed, vehicles in enumerate(self.episodes.take()):
-            row = {}
+            row: dict[str, float] = {}
             for v, means in enumerate(vehicles):
                 prefix = TRAIN + vehicle_prefix(v, self.env.vehicles)
                 row |= {prefix + name: value for name, value in means.items()}

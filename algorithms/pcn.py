@@ -55,11 +55,11 @@ from algorithms.hyperparameters import (
     schedules,
 )
 from algorithms.learning.actors import check_outputs
+from algorithms.learning.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.learning.learner import NORM, Learner, Networks
 from algorithms.learning.losses import Loss
 from algorithms.learning.networks import CommandNetwork
 from algorithms.learning.optimiser import linear_schedule
-from algorithms.learning.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from mo_deepdrive.config import Settings
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward

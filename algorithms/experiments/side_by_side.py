@@ -71,7 +71,7 @@ def check_resident(experiment: Experiment) -> None:
 
 
 def train_apart(runs: Sequence[Run], console: Console) -> int | None:
-    """Train runs whose locks are held, each in a process of its own, as many at a time as there are cores for their threads.
+    """Train runs whose locks are held, each in a process of its own, as many at a time as there are cores for them.
 
     Returns:
         The number of the signal that stopped training, 1 if a run failed, or None if all are finished.

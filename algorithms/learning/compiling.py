@@ -62,9 +62,7 @@ class Compiled:
         compiled, form = self._compiled[key]
         return pytree.tree_unflatten(compiled(*leaves), form)
 
-    def _compile(
-        self, leaves: list[torch.Tensor], form: pytree.TreeSpec
-    ) -> tuple[Callable[..., Any], pytree.TreeSpec]:
+    def _compile(self, leaves: list[torch.Tensor], form: pytree.TreeSpec) -> tuple[Callable[..., Any], pytree.TreeSpec]:
         from torch.fx.experimental.proxy_tensor import make_fx  # not earlier: it takes a second
 
         forms: list[pytree.TreeSpec] = []

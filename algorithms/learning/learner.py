@@ -29,6 +29,11 @@ ROWS, PARTS = 128, 256
 class Networks(nn.Module):
     """All networks of a policy by name, so that whatever is done with them can be done with other parameters."""
 
+    actor: Any
+    critic: Any
+    target_critic: Any
+    network: Any
+
     def __init__(self, **networks: nn.Module):
         super().__init__()
         for name, network in networks.items():
@@ -91,7 +96,9 @@ class Learner:
     def _views(self, vector: torch.Tensor) -> dict[str, torch.Tensor]:
         """The parameters by name, (...) of a vector (P,) or (S, ...) of a matrix."""
         parts = vector[..., : sum(self._sizes)].split(self._sizes, dim=-1)
-        return {name: part.unflatten(-1, shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)}
+        return {
+            name: part.unflatten(-1, shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)
+        }
 
     def parameters(self, network: str) -> dict[str, torch.Tensor]:
         """Those of one network of all seeds by name, (S, ...), as views."""
@@ -104,7 +111,9 @@ class Learner:
             return tree_map(_with_axis, found)
         return self._function(self.call, function, self.computes_compiled)(self.vector, arguments, *shared)
 
-    def _function(self, method: Callable[..., Any], function: Callable[..., Any], compiled: bool | Literal["auto"]) -> Compiled:
+    def _function(
+        self, method: Callable[..., Any], function: Callable[..., Any], compiled: bool | Literal["auto"]
+    ) -> Compiled:
         key = method.__name__, function, compiled
         if key not in self._functions:
             self._functions[key] = Compiled(partial(method, function), enabled=compiled)

@@ -67,9 +67,7 @@ def with_outputs(actor: Actor, outputs: list[float]) -> Actor:
     "probabilities",
     [[0.5, 0.5], [0.1, 0.2, 0.3, 0.4], [0.97, 0.01, 0.01, 0.01], [1 / 22] * 22, [0.9] + [0.1 / 21] * 21],
 )
-def test_actions_are_drawn_as_often_as_their_probabilities_say(
-    probabilities: list[float], seed: int
-) -> None:
+def test_actions_are_drawn_as_often_as_their_probabilities_say(probabilities: list[float], seed: int) -> None:
     actor = categorical(3, [4], len(probabilities), seeded(0))
     with_outputs(actor, [math.log(p) + 5.0 for p in probabilities])
     draws = 50_000
@@ -100,9 +98,7 @@ def test_an_action_without_probability_is_never_drawn(never: int) -> None:
 
 @GAUSSIAN
 @pytest.mark.parametrize("seed", range(3))
-def test_continuous_actions_are_drawn_from_the_normal_distribution(
-    kind: Callable[..., Any], seed: int
-) -> None:
+def test_continuous_actions_are_drawn_from_the_normal_distribution(kind: Callable[..., Any], seed: int) -> None:
     actor = kind(3, [4], 2, seeded(0))
     if kind is gaussian:
         with_outputs(actor, [0.3, -2.0])
