@@ -184,8 +184,8 @@ class Learner:
         gradient = torch.where(moves, gradient * (self._max_grad_norm / (norms + TINY)).clamp(max=1.0), 0.0)
         # Adam (Kingma and Ba 2015, algorithm 1).
         count += moves
-        mean.lerp_(gradient, 1.0 - BETA1)
-        mean_square.lerp_(gradient.square(), 1.0 - BETA2)
+        mean.lerp_(gradient, (1.0 - BETA1) * moves)
+        mean_square.lerp_(gradient.square(), (1.0 - BETA2) * moves)
         # In double precision: 1 - 0.999 would lose five digits in single.
         correction1, correction2 = ((1.0 - beta ** count.double()).to(vector.dtype) for beta in (BETA1, BETA2))
         update = learning_rate / correction1 * mean / ((mean_square / correction2).sqrt() + EPSILON)

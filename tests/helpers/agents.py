@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,9 +11,10 @@ import pytest
 import torch
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
-from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.actor_critic import ActorCritic
 from algorithms.agent import Agent
-from algorithms.rollouts.buffers import VehicleRollout
+from algorithms.learning.learner import NORM
+from algorithms.learning.storage import Rollout
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import Utility, make_utility
 
@@ -76,7 +79,7 @@ def experienced(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[ActorCr
     """An agent far from its initial weights, in which an episode has ended, and its learner."""
     agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **hyperparameters)
     exaggerate(agent)
-    agent.learners[0].on_episodes_end(np.array([[12.0, 0.9, -4.0, -30.0]]))
+    agent.learners[0].expected_return[0] = torch.tensor(EXPECTED_RETURN)
     return agent, agent.learners[0]
 
 
@@ -103,12 +106,30 @@ def recorded(agent: ActorCritic, total: int, **arguments: Any) -> list[tuple[int
     return lines
 
 
-def parameters_of(learner: Any) -> list[torch.nn.Parameter]:
-    """Those of actor and critic."""
-    return [*learner.actor.parameters(), *learner.critic.parameters()]
+def samples_of(agent: ActorCritic, rollout: Rollout) -> Any:
+    """What is learnt from a rollout, (T N, ...)."""
+    samples = agent.samples(agent.learners[0].networks, rollout)
+    return samples._make(each if each is None else each.flatten(0, 1) for each in samples)
 
 
-def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: int = 0) -> VehicleRollout:
+def learn_from(agent: ActorCritic, rollout: Rollout, rate: float, entropy: float) -> dict[str, float]:
+    """Let the only policy learn from a rollout made by hand; the parts of the loss."""
+    (learner,) = agent.learners
+    storage = agent.collector.storage
+    learner.prepare = partial(agent._samples, learner.utility, False)
+    learner.order = torch.zeros(1, learner.order.shape[1], rollout.acted.numel(), dtype=torch.int64)
+    agent._learning_rate.fill_(rate)
+    agent._entropy_coefficient.fill_(entropy)
+    agent._draw(0)
+    names = [each.name for each in fields(Rollout) if each.name != "utility"]
+    tensors = {name: getattr(rollout, name).unsqueeze(0) for name in names}
+    tensors["final_inputs"] = tensors["final_states"]
+    agent.rollout_of = lambda *_: tensors  # type: ignore[method-assign]
+    parts = agent.learn_once(learner, storage)
+    return {name: float(part) for name, part in parts.items() if name != NORM}
+
+
+def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: int = 0) -> Any:
     """A rollout of one vehicle with random content and ends of every kind.
 
     With ``masked`` a few samples follow every end that do not count, as of a vehicle that has left the road.
@@ -149,14 +170,31 @@ def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: 
         "discounts": discounts,
     }
     flags = {"terminated": terminated, "truncated": truncated, "acted": acted}
-    nobody = np.zeros((steps + 1, n, 0), dtype=np.float32)
-    return VehicleRollout(
-        others=torch.from_numpy(nobody),
-        final_others=torch.from_numpy(nobody[1:]),
+    tensors = {name: torch.tensor(array, dtype=torch.float32) for name, array in arrays.items()}
+    observed, final = tensors.pop("observations"), tensors.pop("final")
+    nothing = torch.zeros(())
+    found: Any = Rollout(
+        inputs=nothing,
+        states=nothing,
+        final_states=nothing,
         actions=actions,
-        **{name: torch.tensor(array, dtype=torch.float32) for name, array in arrays.items()},
+        **tensors,
         **{name: torch.tensor(array) for name, array in flags.items()},
+        preferences=torch.zeros(steps, n, 0),
+        expected_return=agent.learners[0].expected_return[0],
+        ideal=torch.zeros(d),
+        utility=agent.learners[0].utility,
     )
+    found.observations, found.final = observed, final
+    return look(agent, found)
+
+
+def look(agent: ActorCritic, rollout: Any) -> Any:
+    """The rollout, in which networks see its observations and what has been accrued."""
+    rollout.inputs = rollout.states = agent.inputs(rollout.observations, rollout.accrued, rollout.discounts)
+    after = agent.accrued_discount * rollout.discounts[:-1]
+    rollout.final_states = agent.inputs(rollout.final, rollout.next_accrued, after)
+    return rollout
 
 
 NONLINEAR = make_utility("one_waypoint_nonlinear", ("distance", "destination", "g_force", "jerk"))
@@ -169,27 +207,26 @@ def learner_of(form: str, **hyperparameters: Any) -> tuple[ActorCritic, Any]:
     agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **{"gamma": 0.9, **settings, **hyperparameters})
     exaggerate(agent)
     learner = agent.learners[0]
-    learner.on_episodes_end(np.array([EXPECTED_RETURN]))
+    learner.expected_return[0] = torch.tensor(EXPECTED_RETURN)
     return agent, learner
 
 
-def seen_by(learner: Learner, form: str, observation: Any, accrued: Any, discount: Any) -> torch.Tensor:
+def seen_by(agent: ActorCritic, form: str, observation: Any, accrued: Any, discount: Any) -> torch.Tensor:
     """What the networks see, written out."""
-    parts = [observation / learner.observation_scales]
+    parts = [observation / agent.observation_scales]
     if form != "a2c":
-        parts.append(accrued / learner.objective_scales)
+        parts.append(accrued / agent.objective_scales)
         if form != "without discount":
             parts.append(torch.as_tensor(discount).reshape(1))
     return torch.cat(parts)
 
 
-def value_scale(learner: Any, form: str) -> Any:
-    return 10.0 if form == "a2c" or form.startswith("expected_utility") else learner.objective_scales
+def value_scale(agent: Any, form: str) -> Any:
+    return 10.0 if form == "a2c" or form.startswith("expected_utility") else agent.objective_scales
 
 
-def value_of(learner: Any, form: str, *what: Any) -> torch.Tensor:
-    scale = value_scale(learner, form)
-    value = (scale * learner.critic(seen_by(learner, form, *what))).detach()
+def value_of(agent: Any, form: str, *what: Any) -> torch.Tensor:
+    value = (value_scale(agent, form) * agent.learners[0].critic(seen_by(agent, form, *what))).detach()
     return value.squeeze(-1) if form == "a2c" else value
 
 
