@@ -7,12 +7,12 @@ S_t = (s_t, sum_{i<t} g^i r_i). An update is one episode of every environment; t
 
 import torch
 
-from algorithms import Agent
-from algorithms.files.checkpoints import strip_prefix
-from algorithms.hyperparameters import Count, Fraction, LearningRate, NetworkSettings
-from algorithms.networks.actors import make_actor
-from algorithms.networks.optimiser import Adam
-from algorithms.rollouts.collector import Collector
+from mo_deepdrive.learners import Agent
+from mo_deepdrive.learners.files.checkpoints import strip_prefix
+from mo_deepdrive.learners.hyperparameters import Count, Fraction, LearningRate, NetworkSettings
+from mo_deepdrive.learners.networks.actors import make_actor
+from mo_deepdrive.learners.networks.optimiser import Adam
+from mo_deepdrive.learners.rollouts.collector import Collector
 
 
 class REINFORCE(Agent):
