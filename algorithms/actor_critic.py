@@ -502,7 +502,9 @@ class ActorCritic(Agent):
         """What one seed learns from its rollout, (T N, ...), by the fields of Samples."""
         seen = {"states": tensors["inputs"], "final_states": tensors["final_inputs"]}
         names = {each.name for each in fields(Rollout)}
-        rollout = Rollout(**{name: each for name, each in {**seen, **tensors}.items() if name in names}, utility=utility)
+        rollout = Rollout(
+            **{name: each for name, each in {**seen, **tensors}.items() if name in names}, utility=utility
+        )
         samples = self.samples(networks, rollout)
         if always:
             samples = samples._replace(weights=None)
@@ -625,8 +627,10 @@ class ActorCritic(Agent):
                 for learner in self.learners:
                     self.diagnose(learner, seed)
                 prefix = name.removesuffix(NORM)
-                parts = {part: float(each[seed]) for part, each in self._losses.items() if part.startswith(prefix)}
-                named = ", ".join(f"{part} = {value:g}" for part, value in parts.items() if not part.endswith(NORM))
+                mine = {
+                    part: each[seed] for part, each in self._losses.items() if part.startswith(prefix) and part != name
+                }
+                named = ", ".join(f"{part.removeprefix(prefix)} = {float(each):g}" for part, each in mine.items())
                 raise NotFinite(f"{name} = {float(loss[seed])} in single precision ({named})")
 
     # ----------------------------------------------------------------------------------------------------------- seeds

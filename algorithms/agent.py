@@ -258,7 +258,7 @@ class Agent(ABC):
         if config is None:
             return parse(cls.Config, hyperparameters, f"hyperparameters of {cls.name}")
         if not isinstance(config, cls.Config):
-            raise ValueError(f"config = {config!r} must be an instance of {cls.Config.__name__}")
+            raise ValueError(f"config of class {type(config).__qualname__} must be an instance of {cls.Config.__qualname__}")
         if hyperparameters:
             raise ValueError(f"{', '.join(hyperparameters)}: give either config or single hyperparameters")
         return config
