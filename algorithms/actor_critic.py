@@ -630,8 +630,10 @@ class ActorCritic(Agent):
                 for learner in self.learners:
                     self.diagnose(learner, seed)
                 prefix = name.removesuffix(NORM)
-                parts = {part: float(each[seed]) for part, each in self._losses.items() if part.startswith(prefix)}
-                named = ", ".join(f"{part} = {value:g}" for part, value in parts.items() if not part.endswith(NORM))
+                mine = {
+                    part: each[seed] for part, each in self._losses.items() if part.startswith(prefix) and part != name
+                }
+                named = ", ".join(f"{part.removeprefix(prefix)} = {float(each):g}" for part, each in mine.items())
                 raise NotFinite(f"{name} = {float(loss[seed])} in single precision ({named})")
 
     # ----------------------------------------------------------------------------------------------------------- seeds

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import ArrayLike, NDArray
 
+    from algorithms.learning.learner import Learner
     from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.episodes import UtilityLike
     from mo_deepdrive.evaluation.evaluation import Evaluation
@@ -139,7 +140,7 @@ class Agent(ABC):
             ``set_state`` and ``set_policy`` check them.
         config: the hyperparameters.
         env: the training environment in the trainers' shapes.
-        learners: what learns by gradient steps, each an :class:`algorithms.learning.learner.Learner`.
+        learners: what learns by gradient steps.
         scales: (d,) nominal size of each objective's return.
         utilities: one per vehicle; empty where none is known.
         device: of the networks.
@@ -189,7 +190,7 @@ class Agent(ABC):
         self.scales = self.env.objective_scales
         self.seeds = (seed,) if isinstance(seed, int) else tuple(seed)
         self.device, self.compiled = torch.device(device), compiled
-        self.learners: Sequence[Any] = ()
+        self.learners: Sequence[Learner] = ()
         on_gpu = self.device.type != "cpu"
         if not self.seeds or ((len(self.seeds) > 1 or on_gpu) and not (self.trains_on_devices and self.env.native)):
             raise ValueError(
@@ -205,7 +206,9 @@ class Agent(ABC):
         self.updates = 0
         self.failed: dict[int, str] = {}
         unchecked = [each.unchecked() for each in self.utilities]
-        self.episodes = EpisodeSums(len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device)
+        self.episodes = EpisodeSums(
+            len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device
+        )
         self._seed_actions()
 
     def _check_utilities(self) -> None:
@@ -269,7 +272,9 @@ class Agent(ABC):
         if config is None:
             return parse(cls.Config, hyperparameters, f"hyperparameters of {cls.name}")
         if not isinstance(config, cls.Config):
-            raise ValueError(f"config = {config!r} must be an instance of {cls.Config.__qualname__}")
+            raise ValueError(
+                f"config of class {type(config).__qualname__} must be an instance of {cls.Config.__qualname__}"
+            )
         if hyperparameters:
             raise ValueError(f"{', '.join(hyperparameters)}: give either config or single hyperparameters")
         return config
@@ -561,7 +566,7 @@ class Agent(ABC):
         """Of every seed: means over the episodes that ended since the last call, and the losses."""
         rows = []
         for seed, vehicles in enumerate(self.episodes.take()):
-            row: dict[str, float] = {}
+            row = {}
             for v, means in enumerate(vehicles):
                 prefix = TRAIN + vehicle_prefix(v, self.env.vehicles)
                 row |= {prefix + name: value for name, value in means.items()}

@@ -97,6 +97,7 @@ class MOCAC(ActorCritic):
 
     name = "mocac"
     samples_class = MOCACSamples
+    compiled_saves = 0.05  # the distances between particles
     observes_accrued = True
 
     class Config(ActorCriticSettings):

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
 BACKEND = "inductor"
-# Gradient steps in a training from which on compiling saves more time than it takes.
-WORTHWHILE = {"cpu": 6_000, "cuda": 100_000}
+# Seconds of a CPU that compiled gradient steps must save in a training to make up for the time that compiling takes.
+WORTHWHILE = {"cpu": 8.0, "cuda": 140.0}
 
 
 def has_compiler(device: str) -> bool:

@@ -7,7 +7,8 @@ import torch
 
 from algorithms import A2C
 from mo_deepdrive.utilities import make_utility
-from tests.helpers.agents import handmade, make_agent
+from tests.helpers.agents import make_agent
+from tests.helpers.handmade import handmade
 
 
 def test_advantages_and_targets_of_three_steps_by_hand() -> None:

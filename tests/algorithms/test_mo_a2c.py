@@ -15,20 +15,8 @@ from algorithms.actor_critic import ActorCritic
 from algorithms.learning.advantages import generalised_advantages
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections, crooked
-from tests.helpers.agents import (
-    ALL_FORMS,
-    CONTINUOUS,
-    exaggerate,
-    handmade,
-    learn_from,
-    learner_of,
-    look,
-    make_agent,
-    samples_of,
-    seen_by,
-    value_of,
-    value_scale,
-)
+from tests.helpers.agents import ALL_FORMS, CONTINUOUS, exaggerate, make_agent
+from tests.helpers.handmade import handmade, learn_from, learner_of, look, samples_of, seen_by, value_of, value_scale
 
 
 def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:
@@ -151,7 +139,8 @@ def plain_losses(agent: Any, form: str, r: Any, entropy_coefficient: float) -> d
                     after = r.accrued[k, i] + factor * reward
                     following = value_of(agent, form, r.final[k, i], after, g * factor)
                 else:
-                    following = value_of(agent, form, r.observations[k + 1, i], r.accrued[k + 1, i], r.discounts[k + 1, i]
+                    following = value_of(
+                        agent, form, r.observations[k + 1, i], r.accrued[k + 1, i], r.discounts[k + 1, i]
                     )
                 gained = u(reward) if form == "a2c" else reward
                 vector = vector + (gamma * decay) ** (k - t) * (gained + gamma * following - value)

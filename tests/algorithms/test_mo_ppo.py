@@ -8,12 +8,8 @@ import pytest
 import torch
 
 from algorithms import MOA2C, MOPPO
-from tests.helpers.agents import (
-    CONTINUOUS,
-    experienced,
-    handmade,
-    learn_from,
-)
+from tests.helpers.agents import CONTINUOUS
+from tests.helpers.handmade import experienced, handmade, learn_from
 
 ADVANTAGES = pytest.mark.parametrize(
     "advantage", ["utility_difference", "as_printed", "utility_gradient", "expected_utility"]

@@ -388,6 +388,15 @@ def test_inputs_from_another_library_are_standardised_after_the_warm_up() -> Non
     assert torch.equal(agent.get_state()["inputs"], before)
 
 
+def test_scales_that_are_given_are_not_replaced_by_those_of_random_episodes() -> None:
+    agent = small_pcn("deep-sea-treasure", objective_scales=[3.0, 7.0], horizon_scale=40.0)
+    agent.begin()
+    observations, wanted, left = inputs(agent, 5)
+    seen, asked = agent._scaled(observations, wanted, left)
+    np.testing.assert_allclose(seen, observations / agent.env.observation_scales, rtol=1e-6)
+    np.testing.assert_allclose(asked, np.column_stack([wanted / [3.0, 7.0], left / 40.0]), rtol=1e-6)
+
+
 # Episodes.
 
 

@@ -10,15 +10,8 @@ import torch
 
 from algorithms import A2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
-from tests.helpers.agents import (
-    CONTINUOUS,
-    experienced,
-    handmade,
-    learn_from,
-    look,
-    make_agent,
-    samples_of,
-)
+from tests.helpers.agents import CONTINUOUS, make_agent
+from tests.helpers.handmade import experienced, handmade, learn_from, look, samples_of
 
 CLIPPED = pytest.mark.parametrize("cls", [PPO, MOPPO])
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ import torch
 from algorithms import A2C, MOA2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
 from algorithms.agent import Agent
-from algorithms.learning.learner import NORM
 from algorithms.learning.storage import Rollout
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import Utility, make_utility
@@ -75,12 +73,17 @@ def state(agent: ActorCritic) -> dict[str, torch.Tensor]:
     }
 
 
-def experienced(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[ActorCritic, Any]:
+def experienced(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[Any, Any]:
     """An agent far from its initial weights, in which an episode has ended, and its learner."""
     agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **hyperparameters)
     exaggerate(agent)
-    agent.learners[0].expected_return[0] = torch.tensor(EXPECTED_RETURN)
+    expect(agent)
     return agent, agent.learners[0]
+
+
+def expect(agent: Any) -> None:
+    """Set the running mean of returns."""
+    agent.learners[0].expected_return[:], agent.learners[0].episodes[:] = torch.tensor(EXPECTED_RETURN), 1
 
 
 def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
@@ -106,31 +109,52 @@ def recorded(agent: ActorCritic, total: int, **arguments: Any) -> list[tuple[int
     return lines
 
 
-def samples_of(agent: ActorCritic, rollout: Rollout) -> Any:
-    """What is learnt from a rollout, (T N, ...)."""
-    samples = agent.samples(agent.learners[0].networks, rollout)
-    return samples._make(each if each is None else each.flatten(0, 1) for each in samples)
+def parameters_of(learner: Any) -> list[torch.nn.Parameter]:
+    """Those of actor and critic."""
+    return [*learner.actor.parameters(), *learner.critic.parameters()]
 
 
-def learn_from(agent: ActorCritic, rollout: Rollout, rate: float, entropy: float) -> dict[str, float]:
-    """Let the only policy learn from a rollout made by hand; the parts of the loss."""
-    (learner,) = agent.learners
-    storage = agent.collector.storage
-    learner.prepare = partial(agent._samples, learner.utility, False)
-    learner.order = torch.zeros(1, learner.order.shape[1], rollout.acted.numel(), dtype=torch.int64)
-    agent._learning_rate.fill_(rate)
-    agent._entropy_coefficient.fill_(entropy)
-    agent._draw(0)
-    names = [each.name for each in fields(Rollout) if each.name != "utility"]
-    tensors = {name: getattr(rollout, name).unsqueeze(0) for name in names}
-    tensors["final_inputs"] = tensors["final_states"]
-    agent.rollout_of = lambda *_: tensors  # type: ignore[method-assign]
-    parts = agent.learn_once(learner, storage)
-    return {name: float(part) for name, part in parts.items() if name != NORM}
+@dataclass
+class Handmade:
+    """What one vehicle did and met, as environments hand it over: T steps of N environments.
+
+    Attributes:
+        observations: (T + 1, N, o).
+        final: (T, N, o) after each step.
+        accrued, discounts: (T + 1, N, ...); the others are (T, N, ...).
+    """
+
+    observations: torch.Tensor
+    final: torch.Tensor
+    rewards: torch.Tensor
+    accrued: torch.Tensor
+    discounts: torch.Tensor
+    terminated: torch.Tensor
+    truncated: torch.Tensor
+    acted: torch.Tensor
+    actions: torch.Tensor
+
+    def rollout(self, agent: Any) -> Rollout:
+        """As the agent's first policy learns from it."""
+        before = self.accrued[:-1], self.discounts[:-1]
+        after = before[0] + before[1].unsqueeze(-1) * self.rewards, agent.accrued_discount * before[1]
+        inputs, final = agent.inputs(self.observations, self.accrued, self.discounts), agent.inputs(self.final, *after)
+        expected = agent.learners[0].expected_return[0]
+        names = ("rewards", "accrued", "discounts", "terminated", "truncated", "acted", "actions")
+        return Rollout(
+            inputs=inputs,
+            states=inputs,
+            final_states=final,
+            **{name: getattr(self, name) for name in names},
+            preferences=self.rewards[..., :0],
+            expected_return=expected,
+            ideal=expected,
+            utility=agent.utilities[0].unchecked(),
+        )
 
 
-def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: int = 0) -> Any:
-    """A rollout of one vehicle with random content and ends of every kind.
+def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: int = 0) -> Handmade:
+    """Random content and ends of every kind.
 
     With ``masked`` a few samples follow every end that do not count, as of a vehicle that has left the road.
     """
@@ -170,48 +194,51 @@ def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: 
         "discounts": discounts,
     }
     flags = {"terminated": terminated, "truncated": truncated, "acted": acted}
-    tensors = {name: torch.tensor(array, dtype=torch.float32) for name, array in arrays.items()}
-    observed, final = tensors.pop("observations"), tensors.pop("final")
-    nothing = torch.zeros(())
-    found: Any = Rollout(
-        inputs=nothing,
-        states=nothing,
-        final_states=nothing,
+    return Handmade(
         actions=actions,
-        **tensors,
+        **{name: torch.tensor(array, dtype=torch.float32) for name, array in arrays.items()},
         **{name: torch.tensor(array) for name, array in flags.items()},
-        preferences=torch.zeros(steps, n, 0),
-        expected_return=agent.learners[0].expected_return[0],
-        ideal=torch.zeros(d),
-        utility=agent.learners[0].utility,
     )
-    found.observations, found.final = observed, final
-    return look(agent, found)
 
 
-def look(agent: ActorCritic, rollout: Any) -> Any:
-    """The rollout, in which networks see its observations and what has been accrued."""
-    rollout.inputs = rollout.states = agent.inputs(rollout.observations, rollout.accrued, rollout.discounts)
-    after = agent.accrued_discount * rollout.discounts[:-1]
-    rollout.final_states = agent.inputs(rollout.final, rollout.next_accrued, after)
-    return rollout
+@torch.no_grad()
+def samples_of(agent: Any, made: Handmade) -> Any:
+    """The samples (M, ...) that the first policy learns from."""
+    samples = agent.samples(agent.learners[0].networks, made.rollout(agent))
+    return type(samples)(*(each if each is None else each.flatten(0, 1) for each in samples))
+
+
+def loss_of(agent: Any, samples: Any, entropy_coefficient: float = 0.05) -> Any:
+    """The loss of the first policy."""
+    return agent.loss(agent.learners[0].networks, samples, torch.tensor(entropy_coefficient))
+
+
+def gradients_of(agent: Any, samples: Any, entropy_coefficient: float = 0.05) -> list[torch.Tensor]:
+    """Those of the loss by the parameters of actor and critic."""
+    return [*torch.autograd.grad(loss_of(agent, samples, entropy_coefficient).total, parameters_of(agent.learners[0]))]
+
+
+def step_of(agent: Any, samples: Any, learning_rate: float = 0.003, entropy_coefficient: float = 0.05) -> Any:
+    """Take one gradient step of the first policy on all samples; the parts of the loss."""
+    tensors = {name: each.unsqueeze(0) for name, each in samples._asdict().items() if each is not None}
+    numbers = torch.tensor(learning_rate), torch.tensor(entropy_coefficient)
+    return agent.learners[0].minimise(agent._loss, tensors, [], *numbers)
 
 
 NONLINEAR = make_utility("one_waypoint_nonlinear", ("distance", "destination", "g_force", "jerk"))
 EXPECTED_RETURN = [12.0, 0.9, -4.0, -30.0]
 
 
-def learner_of(form: str, **hyperparameters: Any) -> tuple[ActorCritic, Any]:
+def learner_of(form: str, **hyperparameters: Any) -> tuple[Any, Any]:
     """An agent on OneWaypoint with a non-linear utility, and its learner with larger weights in the actor."""
     cls, settings = FORMS[form]
     agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **{"gamma": 0.9, **settings, **hyperparameters})
     exaggerate(agent)
-    learner = agent.learners[0]
-    learner.expected_return[0] = torch.tensor(EXPECTED_RETURN)
-    return agent, learner
+    expect(agent)
+    return agent, agent.learners[0]
 
 
-def seen_by(agent: ActorCritic, form: str, observation: Any, accrued: Any, discount: Any) -> torch.Tensor:
+def seen_by(agent: Any, form: str, observation: Any, accrued: Any, discount: Any) -> torch.Tensor:
     """What the networks see, written out."""
     parts = [observation / agent.observation_scales]
     if form != "a2c":
@@ -226,7 +253,8 @@ def value_scale(agent: Any, form: str) -> Any:
 
 
 def value_of(agent: Any, form: str, *what: Any) -> torch.Tensor:
-    value = (value_scale(agent, form) * agent.learners[0].critic(seen_by(agent, form, *what))).detach()
+    scale = value_scale(agent, form)
+    value = (scale * agent.learners[0].critic(seen_by(agent, form, *what))).detach()
     return value.squeeze(-1) if form == "a2c" else value
 
 
