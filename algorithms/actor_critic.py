@@ -33,6 +33,7 @@ from algorithms.hyperparameters import schedules
 from algorithms.learning.actors import make_actor
 from algorithms.learning.advantages import bootstrapped, normalise
 from algorithms.learning.collector import Collector
+from algorithms.learning.compiling import pure
 from algorithms.learning.guides import Guides
 from algorithms.learning.learner import NORM, Learner, Networks
 from algorithms.learning.networks import make_network
@@ -472,7 +473,8 @@ class ActorCritic(Agent):
     def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
         """Epochs of minibatch steps on a rollout; the means over them of the parts of the loss, (S,)."""
         rollout = self.rollout_of(learner, storage)
-        samples = learner.compute(learner.prepare, rollout)
+        with pure("an advantage", rollout):
+            samples = learner.compute(learner.prepare, rollout)
         steps = [
             learner.minimise(self._loss, samples, rows, self._learning_rate, self._entropy_coefficient)
             for rows in self._minibatches(learner.order)

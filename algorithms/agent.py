@@ -29,7 +29,7 @@ from algorithms.files.checkpoints import (
     write_checkpoint,
 )
 from algorithms.hyperparameters import a_twentieth
-from algorithms.learning.compiling import WORTHWHILE, has_compiler
+from algorithms.learning.compiling import WORTHWHILE, depends_on_values, has_compiler
 from algorithms.learning.storage import EpisodeSums
 from algorithms.learning.threads import limited_threads
 from mo_deepdrive.config import Settings, parse
@@ -199,6 +199,8 @@ class Agent(ABC):
                 "the CPU"
             )
         self.utilities: list[Utility] = list(vehicle_utilities(utility, self.env))
+        if self.resident:
+            self._check_utilities()
         self.initial = self.initial_generator(0)
         self.generator = torch.Generator(self.device)
         self.step = 0
@@ -207,6 +209,18 @@ class Agent(ABC):
         unchecked = [each.unchecked() for each in self.utilities]
         self.episodes = EpisodeSums(len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device)
         self._seed_actions()
+
+    def _check_utilities(self) -> None:
+        """Refuse utilities that cannot be called for all seeds at once."""
+        for utility in self.utilities:
+            try:
+                torch.func.vmap(utility.unchecked())(torch.zeros(2, 3, len(self.env.objectives), device=self.device))
+            except Exception as error:
+                reason = depends_on_values(error) or f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+                raise ValueError(
+                    f"utility {utility.name!r} cannot be called by torch.func.vmap, as for several seeds and on a GPU: "
+                    f"{reason}"
+                ) from error
 
     @property
     def seed(self) -> int:

@@ -11,7 +11,7 @@ from torch.func import functional_call, vmap
 from torch.utils._pytree import tree_map
 
 from algorithms.files.checkpoints import strip_prefix
-from algorithms.learning.compiling import Compiled
+from algorithms.learning.compiling import Compiled, NotPureError, depends_on_values, pure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -133,9 +133,15 @@ class Learner:
             own = tree_map(_only, (parameters, arguments))
             found = functional_call(self.networks, own[0], (function, own[1], *shared))
             return tree_map(_with_axis, found)
-        return vmap(lambda own, part: functional_call(self.networks, own, (function, part, *shared)))(
-            parameters, arguments
-        )
+        try:
+            return vmap(lambda own, part: functional_call(self.networks, own, (function, part, *shared)))(
+                parameters, arguments
+            )
+        except RuntimeError as error:
+            reason = depends_on_values(error)
+            if reason is None:
+                raise
+            raise NotPureError(f"{reason}, or train one seed at a time") from error
 
     def minimise(
         self,
@@ -158,6 +164,9 @@ class Learner:
 
         Returns:
             The parts of the loss and the norm of the gradient, (S,).
+
+        Raises:
+            ValueError: if the loss is no pure function of tensors, or cannot be compiled.
         """
         step = self._function(self._step, loss, self.compiled)
         found: dict[str, torch.Tensor] = step(self.state, dict(samples), list(rows), learning_rate, *shared)
@@ -177,7 +186,8 @@ class Learner:
             samples = {name: self._at(each, chosen) for name, each in samples.items()}
         with torch.enable_grad():
             leaf = vector.detach().requires_grad_()
-            totals, parts = self.call(loss, leaf, samples, *shared)
+            with pure("a loss", samples):
+                totals, parts = self.call(loss, leaf, samples, *shared)
             (gradient,) = torch.autograd.grad(totals.sum(), leaf)
         norms = torch.linalg.vector_norm(gradient, dim=1, keepdim=True)
         moves = norms.isfinite() & (norms > 0.0)
