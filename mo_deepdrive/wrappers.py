@@ -1,4 +1,4 @@
-"""Wrappers for libraries that need a scalar reward, for networks that need observations of like magnitude, and records."""
+"""Wrappers: scalar rewards for other libraries, observations of like magnitude for networks, and records."""
 
 from __future__ import annotations
 
