@@ -28,7 +28,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # not installed with the types t
         envs = gymnasium.make_vec("mo-deepdrive-static-obstacle-v1", num_envs=64, autoreset_mode="SameStep")
         envs = SB3VecEnv(VectorScaledObservation(VectorUtilityReward(envs, "static_obstacle_linear")))
 
-    Row i is what Stable-Baselines3's ``DummyVecEnv`` returns for environment i. The infos of an episode's last step have
+    Row i is what Stable-Baselines3's ``DummyVecEnv`` returns for environment i. The info of an episode's last step has
     ``"terminal_observation"``, and ``"TimeLimit.truncated"``, which is True where only the time was over.
 
     Args:

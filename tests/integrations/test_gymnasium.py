@@ -219,7 +219,7 @@ def test_a_vector_wrapper_of_scalar_rewards_needs_the_utility(name: str) -> None
 
 @row(
     "vector `NormalizeReward`: which steps count",
-    how="every decision, and no reset; `SAME_STEP` begins every episode anew, `NEXT_STEP` adds those after a time limit "
+    how="every decision, and no reset; `SAME_STEP` begins every episode anew, `NEXT_STEP` adds one after a time limit "
     "to the episode before",
 )
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])

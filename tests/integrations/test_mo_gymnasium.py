@@ -117,8 +117,9 @@ FIRST, ALL = [True, False, False], [True] * 3
 
 @row(
     "vector `MORecordEpisodeStatistics`",
-    how="`NEXT_STEP`: returns and lengths; `SAME_STEP`: those of the first episode; discounted returns: of the first "
-    "episode; all of them in all modes: `mo_deepdrive.wrappers.VectorEpisodeStatistics`",
+    how="right are, in `NEXT_STEP`, returns and lengths, and discounted returns of the first episode; in `SAME_STEP`, "
+    "the first episode; in `DISABLED`, all, if all are reset together. `VectorEpisodeStatistics` of this package is "
+    "right in all modes",
 )
 @pytest.mark.parametrize(
     ("make", "mode", "right"),
