@@ -1,6 +1,6 @@
 """The update of A2C, MO-A2C, PPO, MO-PPO, MOCAC, MAPPO and conditioned MO-PPO, but for their equations.
 
-An :class:`ActorCritic` has one policy per vehicle, or one for all of them, and an update is the same for all algorithms:
+An :class:`ActorCritic` has one policy per vehicle, or one for all of them, and every algorithm has the same update:
 
     collect     T steps of N environments, in which all policies act;
     values      v(S_t) and v(S_{t+1}) of the critic as it is;
@@ -10,8 +10,8 @@ An :class:`ActorCritic` has one policy per vehicle, or one for all of them, and 
     step        of Adam, down the gradient of L.
 
 The file of an algorithm defines ``Config``, :meth:`ActorCritic.advantages` and :meth:`ActorCritic.loss`. Both are pure
-functions of tensors, so that the same lines run for one seed and for several side by side (``torch.func.vmap``), as they
-stand and through ``torch.compile``, on a CPU and, as one CUDA graph an update, on a GPU.
+functions of tensors, so that the same lines run for one seed and for several side by side (``torch.func.vmap``), as
+they are and through ``torch.compile``, on a CPU and, as one CUDA graph an update, on a GPU.
 
 Vehicles that do not learn are driven by partners, and guides may begin the episodes of those that do; the weights of
 both are no part of the agent.
@@ -33,6 +33,7 @@ from algorithms.hyperparameters import schedules
 from algorithms.learning.actors import make_actor
 from algorithms.learning.advantages import bootstrapped, normalise
 from algorithms.learning.collector import Collector
+from algorithms.learning.compiling import pure
 from algorithms.learning.guides import Guides
 from algorithms.learning.learner import NORM, Learner, Networks
 from algorithms.learning.networks import make_network
@@ -155,7 +156,7 @@ class ActorCritic(Agent):
         **options: ``seed``, ``device``, ``compiled`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
 
     Attributes:
-        Samples: what :meth:`samples` gives and :meth:`loss` takes.
+        samples_class: what :meth:`samples` gives and :meth:`loss` takes.
         compares_policies: whether the loss needs the log-probability under the policy that collected the rollout.
         observes_accrued, observes_discount: whether actors see R_t and g^t.
         learners: one per vehicle that learns, in the order of the vehicles; or a single one.
@@ -166,14 +167,14 @@ class ActorCritic(Agent):
             here, or a policy that cannot be shared.
     """
 
-    Samples: ClassVar[type[Any]] = Samples
+    samples_class: ClassVar[type[Any]] = Samples
     trains_with_partners = True
     trains_with_guides = True
     shares_policies = True
     trains_on_devices = True
     compares_policies: ClassVar[bool] = True
-    observes_accrued: ClassVar[bool] | bool = False
-    observes_discount: ClassVar[bool] | bool = False
+    observes_accrued: bool = False
+    observes_discount: bool = False
 
     def __init__(
         self,
@@ -204,6 +205,7 @@ class ActorCritic(Agent):
         self.scales = self.env.chosen_objective_scales(config.objective_scales)
         self.observation_scales = torch.tensor(self.env.observation_scales, device=self.device)
         self.objective_scales = torch.tensor(self.scales, device=self.device)
+        self._costs = torch.from_numpy(self.env.costs).to(self.device)
         self.prepare()
         generators = [self.initial_generator(index) for index in range(len(self.seeds))]
         self.learners = [
@@ -256,7 +258,7 @@ class ActorCritic(Agent):
         """
 
     @abstractmethod
-    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Any, entropy_coefficient: torch.Tensor) -> Loss:
         """The loss of one seed's samples, a pure function of tensors; ``networks`` has an actor and a critic."""
 
     @property
@@ -367,7 +369,8 @@ class ActorCritic(Agent):
     ) -> NDArray[Any]:
         chosen = {v: each.act(observations, accrued_reward, generator) for v, each in self.partners.items()}
         arrays = (observations, accrued_reward.value, accrued_reward.discounts)
-        inputs = self.inputs(*(torch.from_numpy(each).to(self.device) for each in arrays), preference)
+        seen, accrued, discounts = (torch.from_numpy(each).to(self.device) for each in arrays)
+        inputs = self.inputs(seen, accrued, discounts, preference)
         for learner in self.learners:
             actions = learner.actor.act(inputs[:, learner.vehicles], generator).cpu().numpy()
             chosen |= {v: actions[:, j] for j, v in enumerate(learner.vehicles)}
@@ -420,10 +423,9 @@ class ActorCritic(Agent):
 
     def grow_costs(self, share: float) -> None:
         """Multiply the costs among the rewards that are learnt from by a share."""
-        costs = torch.from_numpy(self.env.costs).to(self.device)
         for learner in self.learners:
             for v in learner.vehicles:
-                self.collector.shares[v] = torch.where(costs, share, 1.0)
+                self.collector.shares[v].fill_(1.0).masked_fill_(self._costs, share)
 
     def _draw(self, seed: int) -> None:
         """Draw the random numbers of an update of the seed with this index."""
@@ -471,7 +473,8 @@ class ActorCritic(Agent):
     def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
         """Epochs of minibatch steps on a rollout; the means over them of the parts of the loss, (S,)."""
         rollout = self.rollout_of(learner, storage)
-        samples = learner.compute(learner.prepare, rollout)
+        with pure("an advantage", rollout):
+            samples = learner.compute(learner.prepare, rollout)
         steps = [
             learner.minimise(self._loss, samples, rows, self._learning_rate, self._entropy_coefficient)
             for rows in self._minibatches(learner.order)
@@ -502,7 +505,9 @@ class ActorCritic(Agent):
         """What one seed learns from its rollout, (T N, ...), by the fields of Samples."""
         seen = {"states": tensors["inputs"], "final_states": tensors["final_inputs"]}
         names = {each.name for each in fields(Rollout)}
-        rollout = Rollout(**{name: each for name, each in {**seen, **tensors}.items() if name in names}, utility=utility)
+        rollout = Rollout(
+            **{name: each for name, each in {**seen, **tensors}.items() if name in names}, utility=utility
+        )
         samples = self.samples(networks, rollout)
         if always:
             samples = samples._replace(weights=None)
@@ -510,7 +515,7 @@ class ActorCritic(Agent):
             samples = samples._replace(states=None)
         return {name: each.flatten(0, 1) for name, each in samples._asdict().items() if each is not None}
 
-    def samples(self, networks: Networks, rollout: Rollout) -> Samples:
+    def samples(self, networks: Networks, rollout: Rollout) -> Any:
         """What one seed learns from its rollout, (T, N, ...): A_t, y_t and log pi_old of the networks as they are."""
         scales = self.value_scales
         values = scales * networks.critic(rollout.states)
@@ -533,7 +538,7 @@ class ActorCritic(Agent):
         return bootstrapped(values[1:], final, rollout.terminated, rollout.truncated)
 
     def _loss(self, networks: Networks, tensors: dict[str, torch.Tensor], entropy_coefficient: torch.Tensor) -> Loss:
-        return self.loss(networks, self.Samples(**{"states": tensors["inputs"], **tensors}), entropy_coefficient)
+        return self.loss(networks, self.samples_class(**{"states": tensors["inputs"], **tensors}), entropy_coefficient)
 
     def _minibatches(self, order: torch.Tensor) -> Iterator[list[torch.Tensor]]:
         """The samples of every gradient step: [(S, m)] indices, or [] for all."""
@@ -625,8 +630,10 @@ class ActorCritic(Agent):
                 for learner in self.learners:
                     self.diagnose(learner, seed)
                 prefix = name.removesuffix(NORM)
-                parts = {part: float(each[seed]) for part, each in self._losses.items() if part.startswith(prefix)}
-                named = ", ".join(f"{part} = {value:g}" for part, value in parts.items() if not part.endswith(NORM))
+                mine = {
+                    part: each[seed] for part, each in self._losses.items() if part.startswith(prefix) and part != name
+                }
+                named = ", ".join(f"{part.removeprefix(prefix)} = {float(each):g}" for part, each in mine.items())
                 raise NotFinite(f"{name} = {float(loss[seed])} in single precision ({named})")
 
     # ----------------------------------------------------------------------------------------------------------- seeds

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING, Any
+import traceback
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch.utils import _pytree as pytree
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Mapping
 
 BACKEND = "inductor"
-# Gradient steps in a training from which on compiling saves more time than it takes.
-WORTHWHILE = {"cpu": 8_000, "cuda": 100_000}
+# Seconds of a CPU that compiled gradient steps must save in a training to make up for the time that compiling takes.
+WORTHWHILE = {"cpu": 8.0, "cuda": 140.0}
 
 
 def has_compiler(device: str) -> bool:
@@ -25,6 +28,40 @@ def has_compiler(device: str) -> bool:
     return any(name and shutil.which(name) for name in config.cpp.cxx)
 
 
+class NotPureError(ValueError):
+    """A function that is to be one of tensors alone changes them, or depends on their values otherwise."""
+
+
+@contextmanager
+def pure(what: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
+    """Refuse that tensors are changed in place.
+
+    Args:
+        what: is calculated.
+        tensors: by name.
+
+    Raises:
+        NotPureError: naming the tensor.
+    """
+    versions = [each._version for each in tensors.values()]
+    yield
+    for (name, each), version in zip(tensors.items(), versions, strict=True):
+        if each._version != version:
+            raise NotPureError(
+                f"{what} must not change its tensors in place, as it does {name!r}; write x = x + y in place of x += y"
+            )
+
+
+def depends_on_values(error: Exception) -> str | None:
+    """What to mend where torch refuses to look at the values of tensors, on one line; None for another error."""
+    if not any(each in str(error) for each in ("vmap: It looks like", "value out of a tracing tensor")):
+        return None
+    frames = traceback.extract_tb(error.__traceback__)
+    caller = [each for each in frames if not Path(each.filename).is_relative_to(Path(torch.__file__).parent)][-1]
+    where = f"{caller.name} ({Path(caller.filename).name}, line {caller.lineno})"
+    return f"{where} depends on the values of tensors, as an if does; write torch.where in place of it"
+
+
 class Compiled:
     """A function of trees of tensors, compiled at its first call with arguments of these shapes.
 
@@ -33,10 +70,10 @@ class Compiled:
 
     Args:
         function: gives a tree of tensors, and may change its arguments in place.
-        enabled: whether it is compiled; else it is called as it is.
+        enabled: whether it is compiled; else it is called as it is. "auto" calls it as it is, too, if it cannot be.
     """
 
-    def __init__(self, function: Callable[..., Any], *, enabled: bool):
+    def __init__(self, function: Callable[..., Any], *, enabled: bool | Literal["auto"]):
         self._function, self._enabled = function, enabled
         self._compiled: dict[Any, tuple[Callable[..., Any], pytree.TreeSpec]] = {}
 
@@ -52,13 +89,17 @@ class Compiled:
         leaves, form = pytree.tree_flatten(arguments)
         key = (str(form), *((tuple(each.shape), each.stride()) for each in leaves))
         if key not in self._compiled:
-            self._compiled[key] = self._compile(leaves, form)
+            try:
+                self._compiled[key] = self._compile(leaves, form)
+            except ValueError:
+                if self._enabled != "auto":
+                    raise
+                self._enabled = False
+                return self._function(*arguments)
         compiled, form = self._compiled[key]
         return pytree.tree_unflatten(compiled(*leaves), form)
 
-    def _compile(
-        self, leaves: list[torch.Tensor], form: pytree.TreeSpec
-    ) -> tuple[Callable[..., Any], pytree.TreeSpec]:
+    def _compile(self, leaves: list[torch.Tensor], form: pytree.TreeSpec) -> tuple[Callable[..., Any], pytree.TreeSpec]:
         from torch.fx.experimental.proxy_tensor import make_fx  # not earlier: it takes a second
 
         forms: list[pytree.TreeSpec] = []
@@ -72,11 +113,12 @@ class Compiled:
             traced = make_fx(flat)(*map(_copy, leaves))
             compiled = torch.compile(traced, backend=BACKEND, fullgraph=True, dynamic=False)
             compiled(*map(_copy, leaves))
+        except NotPureError:
+            raise
         except Exception as error:
-            reason = " ".join(str(error).split())[:300]
+            reason = depends_on_values(error) or f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
             raise ValueError(
-                f"training.compiled = True: this update cannot be compiled; take false, or mend what torch.compile "
-                f"refuses ({type(error).__name__}: {reason})"
+                f"training.compiled = True: this update cannot be compiled; take false, or mend it: {reason}"
             ) from error
         return compiled, forms[0]
 

@@ -1,9 +1,9 @@
 """MO-PPO with a penalty in place of the clip: an example of an own loss."""
 
-from algorithms import MOPPO
-from algorithms.hyperparameters import NonNegative
-from algorithms.learning.losses import Loss, mean
 from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
+from mo_deepdrive.learners import MOPPO
+from mo_deepdrive.learners.hyperparameters import NonNegative
+from mo_deepdrive.learners.learning.losses import Loss, mean
 
 
 class KLPenalty(MOPPO):

@@ -10,13 +10,13 @@ import math
 import numpy as np
 import torch
 
-from algorithms import Agent
-from algorithms.hyperparameters import LearningRate, NetworkSettings
-from algorithms.learning.actors import make_actor
-from algorithms.learning.learner import Learner, Networks
-from algorithms.learning.losses import Loss
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.metrics import POLICY_LOSS
+from mo_deepdrive.learners import Agent
+from mo_deepdrive.learners.hyperparameters import LearningRate, NetworkSettings
+from mo_deepdrive.learners.learning.actors import make_actor
+from mo_deepdrive.learners.learning.learner import Learner, Networks
+from mo_deepdrive.learners.learning.losses import Loss
 
 
 class REINFORCE(Agent):

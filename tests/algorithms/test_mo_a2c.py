@@ -11,23 +11,12 @@ import torch
 from hypothesis import given
 
 from algorithms import A2C, MOA2C, MOCAC, MOPPO, PPO
-from algorithms.actor_critic import ActorCritic, Learner
-from algorithms.rollouts.advantages import generalised_advantages, utility_advantages
-from algorithms.rollouts.buffers import VehicleRollout
+from algorithms.actor_critic import ActorCritic
+from algorithms.learning.advantages import generalised_advantages
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections, crooked
-from tests.helpers.agents import (
-    ALL_FORMS,
-    CONTINUOUS,
-    exaggerate,
-    handmade,
-    learner_of,
-    make_agent,
-    parameters_of,
-    seen_by,
-    value_of,
-    value_scale,
-)
+from tests.helpers.agents import ALL_FORMS, CONTINUOUS, exaggerate, make_agent
+from tests.helpers.handmade import handmade, learn_from, learner_of, look, samples_of, seen_by, value_of, value_scale
 
 
 def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:
@@ -44,9 +33,8 @@ def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:
 def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_state_after_truncation(form: str) -> None:
     agent, learner = learner_of(form)
     r = handmade(agent)
-    inputs = learner.inputs(r.observations, r.accrued, r.discounts)
     with torch.no_grad():
-        found = learner.next_values(r, learner.values(inputs))
+        found = agent.next_values(learner.networks, r, agent.value_scales * learner.critic(r.states))
     kinds = set()
     for t in range(len(r.rewards)):
         for i in range(r.rewards.shape[1]):
@@ -56,9 +44,9 @@ def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_sta
                 expected = torch.zeros_like(found[t, i])
             elif truncated:
                 accrued = r.accrued[t, i] + r.discounts[t, i] * r.rewards[t, i]
-                expected = value_of(learner, form, r.final[t, i], accrued, agent.accrued_discount * r.discounts[t, i])
+                expected = value_of(agent, form, r.final[t, i], accrued, agent.accrued_discount * r.discounts[t, i])
             else:
-                expected = value_of(learner, form, r.observations[t + 1, i], r.accrued[t + 1, i], r.discounts[t + 1, i])
+                expected = value_of(agent, form, r.observations[t + 1, i], r.accrued[t + 1, i], r.discounts[t + 1, i])
             torch.testing.assert_close(found[t, i], expected.reshape(-1), rtol=1e-4, atol=1e-4)
     assert len(kinds) == 4
 
@@ -67,11 +55,11 @@ def test_with_accrued_gamma_1_a_linear_utility_gives_the_advantages_of_a2c() -> 
     weights = torch.tensor([0.5, 1.0, 0.03, 0.001])
     utility = make_utility("linear", ("distance", "destination", "g_force", "jerk"), weights=weights.tolist())
     agent = make_agent(MOA2C, num_envs=3, utility=utility, gamma=0.9, gae_lambda=0.8, accrued_gamma=1.0)
-    learner, r = agent.learners[0], handmade(agent)
+    r = handmade(agent)
     assert (r.discounts == 1.0).all()
     rng = np.random.default_rng(2)
     values, following = (torch.tensor(rng.normal(size=r.rewards.shape), dtype=torch.float32) for _ in range(2))
-    advantages, targets = learner.advantages(r, values, following)
+    advantages, targets = agent.advantages(r, values, following)
     deltas = (r.rewards + 0.9 * following - values) @ weights
     over = r.terminated | r.truncated
     steps, n = deltas.shape
@@ -91,9 +79,8 @@ def test_the_accrued_reward_can_have_its_own_discount(cls: type[ActorCritic]) ->
     assert (usual.gamma, full.gamma) == (0.9, 1.0)
     for agent in (usual, full):
         agent.train(64)
-    expected = 1.0 if full.collector.accrued_reward.discounts.size else None
-    assert (full.collector.accrued_reward.discounts == expected).all()
-    assert usual.collector.accrued_reward.discounts.max() < 1.0
+    assert (full.collector.now.discounts == 1.0).all()
+    assert usual.collector.now.discounts.max() < 1.0
     with pytest.raises(ValueError, match="accrued_gamma"):
         make_agent(cls, accrued_gamma=0.0)
 
@@ -104,8 +91,8 @@ def test_the_next_episode_does_not_enter_the_next_value(form: str) -> None:
     r = handmade(agent)
 
     def next_values() -> torch.Tensor:
-        inputs = learner.inputs(r.observations, r.accrued, r.discounts)
-        return learner.next_values(r, learner.values(inputs))
+        look(agent, r)
+        return agent.next_values(learner.networks, r, agent.value_scales * learner.critic(r.states))
 
     over = r.terminated | r.truncated
     before = next_values()
@@ -125,12 +112,12 @@ def u(returns: torch.Tensor) -> float:
     return 0.5 * d + r - (0.1 * g) ** 2 - (0.1 * j) ** 2
 
 
-def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient: float) -> dict[str, float]:
+def plain_losses(agent: Any, form: str, r: Any, entropy_coefficient: float) -> dict[str, float]:
     """The losses by loops over single samples."""
     gamma, decay, g = (
-        learner.config.gamma,
-        learner.config.gae_lambda,
-        getattr(learner.config, "accrued_discount", learner.config.gamma),
+        agent.config.gamma,
+        agent.config.gae_lambda,
+        getattr(agent.config, "accrued_discount", agent.config.gamma),
     )
     steps, n = r.acted.shape
     policy, critic, entropies, advantages = [], [], [], []
@@ -144,16 +131,16 @@ def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient
             vector: Any = 0.0
             for k in range(t, steps):
                 now = r.observations[k, i], r.accrued[k, i], r.discounts[k, i]
-                value = value_of(learner, form, *now)
+                value = value_of(agent, form, *now)
                 factor, reward = r.discounts[k, i], r.rewards[k, i]
                 if r.terminated[k, i]:
                     following = torch.zeros_like(value)
                 elif r.truncated[k, i]:
                     after = r.accrued[k, i] + factor * reward
-                    following = value_of(learner, form, r.final[k, i], after, g * factor)
+                    following = value_of(agent, form, r.final[k, i], after, g * factor)
                 else:
                     following = value_of(
-                        learner, form, r.observations[k + 1, i], r.accrued[k + 1, i], r.discounts[k + 1, i]
+                        agent, form, r.observations[k + 1, i], r.accrued[k + 1, i], r.discounts[k + 1, i]
                     )
                 gained = u(reward) if form == "a2c" else reward
                 vector = vector + (gamma * decay) ** (k - t) * (gained + gamma * following - value)
@@ -171,23 +158,23 @@ def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient
                     advantage = advantage + decay ** (k - t) * difference
                 if r.terminated[k, i] or r.truncated[k, i]:
                     break
-            scale = value_scale(learner, form)
+            scale = value_scale(agent, form)
             # The critic is at the value itself, so that its error is the advantage.
             critic.append(float(((vector / scale) ** 2).mean()))
-            x = seen_by(learner, form, r.observations[t, i], r.accrued[t, i], r.discounts[t, i])
-            distribution = torch.distributions.Categorical(logits=learner.actor.body(x).detach())
+            x = seen_by(agent, form, r.observations[t, i], r.accrued[t, i], r.discounts[t, i])
+            distribution = torch.distributions.Categorical(logits=agent.learners[0].actor.body(x).detach())
             policy.append(float(distribution.log_prob(r.actions[t, i])))
             entropies.append(float(distribution.entropy()))
             advantages.append(float(advantage))
     used = np.array(advantages)
-    if learner.config.normalise_advantages:
+    if agent.config.normalise_advantages:
         used = (used - used.mean()) / used.std()
     losses = {
         "loss/policy": -float(np.mean(used * np.array(policy))),
         "loss/value": float(np.mean(critic)),
         "policy/entropy": float(np.mean(entropies)),
     }
-    total = losses["loss/policy"] + learner.config.value_coefficient * losses["loss/value"]
+    total = losses["loss/policy"] + agent.config.value_coefficient * losses["loss/value"]
     return {"total": total - entropy_coefficient * losses["policy/entropy"], **losses}
 
 
@@ -196,7 +183,7 @@ def test_discounted_increases_sum_to_the_expected_utility_of_an_episode_cut_shor
     gamma: float, accrued_gamma: float
 ) -> None:
     discounts = {"gamma": gamma, "accrued_gamma": accrued_gamma}
-    agent, learner = learner_of("expected_utility", gae_lambda=1.0, **discounts)
+    agent, _ = learner_of("expected_utility", gae_lambda=1.0, **discounts)
     rollout = handmade(agent, seed=3)
     first_end = int(rollout.terminated[:, 0].int().argmax())
     rollout.terminated[:, 0] = rollout.truncated[:, 0] = False
@@ -205,7 +192,7 @@ def test_discounted_increases_sum_to_the_expected_utility_of_an_episode_cut_shor
         rollout.discounts[t + 1, 0] = accrued_gamma * rollout.discounts[t, 0]
     rollout.terminated[-1, 0] = True
     values = torch.zeros(*rollout.acted.shape, 1)
-    found = float(learner.advantages(rollout, values, values)[0][0, 0])
+    found = float(agent.advantages(rollout, values, values)[0][0, 0])
     c, steps = gamma / accrued_gamma, len(rollout.rewards)
     ends = [c ** (t - 1) * (1.0 - c) for t in range(1, steps)] + [c ** (steps - 1)]  # after t decisions
     expected = sum(p * u(rollout.accrued[t, 0]) for t, p in enumerate(ends, start=1)) - u(rollout.accrued[0, 0])
@@ -219,51 +206,55 @@ def test_the_losses_equal_a_plain_loop_over_single_samples(form: str, normalised
     agent, learner = learner_of(form, normalise_advantages=normalised, value_coefficient=0.3, gae_lambda=0.8)
     rollout = handmade(agent, masked=masked, seed=3)
     assert bool(rollout.acted.all()) is not masked
-    losses = learner.loss(learner.samples(rollout), 0.05)
-    found = {"total": float(losses.total), **losses.parts()}
-    expected = plain_losses(learner, form, rollout, 0.05)
+    with torch.no_grad():
+        loss = agent.loss(learner.networks, samples_of(agent, rollout), torch.tensor(0.05))
+    found = {"total": float(loss.total), **{name: float(part) for name, part in loss.parts.items()}}
+    expected = plain_losses(agent, form, rollout, 0.05)
     assert found.keys() == expected.keys()
     for name, value in expected.items():
         assert found[name] == pytest.approx(value, rel=1e-3, abs=1e-4), name
 
 
-def gradients(learner: Learner, rollout: VehicleRollout) -> list[torch.Tensor]:
-    learner.optimiser.zero_grad()
-    learner.loss(learner.samples(rollout), 0.05).total.backward()
-    return [parameter.grad.clone() for parameter in parameters_of(learner)]
+def gradients(agent: Any, rollout: Any) -> list[torch.Tensor]:
+    networks = agent.learners[0].networks
+    with torch.no_grad():
+        samples = samples_of(agent, look(agent, rollout))
+    loss = agent.loss(networks, samples, torch.tensor(0.05)).total
+    return list(torch.autograd.grad(loss, list(networks.parameters())))
 
 
 @ALL_FORMS
 @pytest.mark.parametrize("continuous", [False, True])
 def test_samples_that_did_not_act_have_no_influence_on_the_gradient(form: str, continuous: bool) -> None:
-    agent, learner = learner_of(form, env=CONTINUOUS if continuous else {})
+    agent, _ = learner_of(form, env=CONTINUOUS if continuous else {})
     rollout = handmade(agent, masked=True)
     masked = ~rollout.acted
     assert 0 < masked.sum() < masked.numel() / 2
-    before = gradients(learner, rollout)
+    before = gradients(agent, rollout)
     generator = torch.Generator().manual_seed(1)
     rollout.rewards[masked] = torch.randn(rollout.rewards[masked].shape, generator=generator) * 100
     rollout.actions[masked] = 1 - rollout.actions[masked].clamp(max=1)
     rollout.observations[:-1][masked] += 3.0
     rollout.accrued[:-1][masked] += 3.0
-    after = gradients(learner, rollout)
+    after = gradients(agent, rollout)
     for one, other in zip(before, after, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-7)
     rollout.rewards[rollout.acted] += 1.0 + torch.randn(rollout.rewards[rollout.acted].shape, generator=generator)
-    assert not all(torch.equal(one, other) for one, other in zip(after, gradients(learner, rollout), strict=True))
+    assert not all(torch.equal(one, other) for one, other in zip(after, gradients(agent, rollout), strict=True))
 
 
 @pytest.mark.parametrize("cls", [A2C, MOA2C, MOCAC])
 def test_a_rollout_without_acting_vehicles_changes_nothing(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, num_envs=3)
     learner = agent.learners[0]
-    learner.update(handmade(agent), 0.003, 0.05, torch.Generator())
+    learn_from(agent, handmade(agent), 0.003, 0.05)
     before = {name: tensor.clone() for name, tensor in learner.get_state().items()}
     rollout = handmade(agent, seed=1)
     rollout.acted[:] = False
-    assert learner.update(rollout, 0.003, 0.05, torch.Generator()) == {}
+    learn_from(agent, rollout, 0.003, 0.05)
     after = learner.get_state()
-    assert all(torch.equal(tensor, after[name]) for name, tensor in before.items())
+    learnt = {name: tensor for name, tensor in before.items() if not name.startswith("target_critic.")}
+    assert all(torch.equal(tensor, after[name]) for name, tensor in learnt.items())
 
 
 @pytest.mark.parametrize("cls", [A2C, MOA2C])
@@ -271,29 +262,17 @@ def test_an_update_takes_one_clipped_step_of_adam(cls: type[ActorCritic]) -> Non
     agent = make_agent(cls, num_envs=3, max_grad_norm=0.01)
     learner = agent.learners[0]
     rollout = handmade(agent)
-    raw = gradients(learner, rollout)
+    raw = gradients(agent, rollout)
     norm = torch.cat([gradient.flatten() for gradient in raw]).norm()
     assert norm > 0.01
-    before = [parameter.detach().clone() for parameter in parameters_of(learner)]
-    metrics = learner.update(rollout, 0.003, 0.05, torch.Generator())
+    before = [parameter.detach().clone() for parameter in learner.networks.parameters()]
+    metrics = learn_from(agent, rollout, 0.003, 0.05)
     assert metrics.keys() == {"loss/policy", "loss/value", "policy/entropy"}
-    for parameter, old, gradient in zip(parameters_of(learner), before, raw, strict=True):
+    for parameter, old, gradient in zip(learner.networks.parameters(), before, raw, strict=True):
         clipped = gradient * 0.01 / norm
         # Adam's first step: its running means are corrected to the gradient itself.
         expected = old - 0.003 * clipped / (clipped.abs() + 1e-8)
         torch.testing.assert_close(parameter.detach(), expected, rtol=1e-4, atol=1e-5)
-
-
-def test_the_expected_return_is_a_running_mean_over_episodes() -> None:
-    learner = make_agent(MOA2C, num_envs=1).learners[0]
-    learner.on_episodes_end(np.zeros((0, 4)))
-    assert learner.get_state()["expected_return"].tolist() == [0.0] * 4
-    learner.on_episodes_end(np.array([[1.0, 2.0, 3.0, 4.0], [3.0, 2.0, 1.0, 0.0]]))
-    assert learner.get_state()["expected_return"].tolist() == [2.0] * 4
-    learner.on_episodes_end(np.array([[12.0] * 4, [2.0] * 4]))
-    expected = 0.99**2 * 2.0 + (1 - 0.99**2) * 7.0
-    assert learner.get_state()["expected_return"].tolist() == pytest.approx([expected] * 4)
-    assert int(learner.get_state()["episodes"]) == 4
 
 
 # Equation 4, alone: with lambda = 0 the advantages are the differences U_t.
@@ -310,21 +289,22 @@ def utility_differences(
     as_printed: bool,
 ) -> torch.Tensor:
     """U_t (T, ...) of MO-A2C and MO-PPO."""
-    config = SimpleNamespace(
+    agent: Any = MOA2C.__new__(MOA2C)
+    agent.config = SimpleNamespace(
         gamma=gamma,
         accrued_discount=gamma,
         gae_lambda=0.0,
         advantage="as_printed" if as_printed else "utility_difference",
     )
-    never = torch.zeros(discounts.shape, dtype=torch.bool)
     rollout: Any = SimpleNamespace(
+        utility=utility,
         accrued=torch.cat([accrued, accrued[-1:]]),
         discounts=torch.cat([discounts, discounts[-1:]]),
         rewards=rewards,
-        terminated=never,
-        truncated=never,
+        next_accrued=accrued + discounts.unsqueeze(-1) * rewards,
+        ended=torch.zeros(discounts.shape, dtype=torch.bool),
     )
-    return utility_advantages(rollout, values, next_values, utility, config, torch.zeros(3))[0]
+    return MOA2C.advantages(agent, rollout, values, next_values)[0]
 
 
 def differences(c: dict[str, torch.Tensor], utility: Utility, as_printed: bool) -> torch.Tensor:

@@ -8,12 +8,8 @@ import pytest
 import torch
 
 from algorithms import MOA2C, MOPPO
-from tests.helpers.agents import (
-    CONTINUOUS,
-    experienced,
-    handmade,
-    parameters_of,
-)
+from tests.helpers.agents import CONTINUOUS
+from tests.helpers.handmade import experienced, handmade, learn_from
 
 ADVANTAGES = pytest.mark.parametrize(
     "advantage", ["utility_difference", "as_printed", "utility_gradient", "expected_utility"]
@@ -30,8 +26,6 @@ def test_one_epoch_of_one_minibatch_is_the_step_of_mo_a2c(
     settings = {"advantage": advantage, "env": env, "normalise_advantages": normalised, "accrued_gamma": accrued_gamma}
     one, clipped = experienced(MOPPO, epochs=1, minibatches=1, **settings)
     other, plain = experienced(MOA2C, **settings)
-    for agent, learner in ((one, clipped), (other, plain)):
-        metrics = learner.update(handmade(agent, masked=True), learner.config.learning_rate, 0.05, torch.Generator())
-        assert metrics["policy/entropy"] > 0.0
-    for mine, theirs in zip(parameters_of(clipped), parameters_of(plain), strict=True):
-        torch.testing.assert_close(mine, theirs, rtol=1e-4, atol=1e-5)
+    for agent in (one, other):
+        assert learn_from(agent, handmade(agent, masked=True), 1e-3, 0.05)["policy/entropy"] > 0.0
+    torch.testing.assert_close(clipped.vector, plain.vector, rtol=1e-4, atol=1e-5)

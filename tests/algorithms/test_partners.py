@@ -13,7 +13,7 @@ from algorithms.experiments.build import build, load_policy, open_driver
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.files.checkpoints import read_checkpoint
-from algorithms.networks.threads import set_threads, wanted_threads
+from algorithms.learning.threads import set_threads, wanted_threads
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate

@@ -10,15 +10,8 @@ import torch
 
 from algorithms import A2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
-from tests.helpers.agents import (
-    CONTINUOUS,
-    experienced,
-    handmade,
-    make_agent,
-    parameters_of,
-    same,
-    state,
-)
+from tests.helpers.agents import CONTINUOUS, make_agent
+from tests.helpers.handmade import experienced, handmade, learn_from, look, samples_of
 
 CLIPPED = pytest.mark.parametrize("cls", [PPO, MOPPO])
 
@@ -30,58 +23,52 @@ def test_one_epoch_of_one_minibatch_is_the_step_of_a2c(env: dict[str, Any], norm
     settings = {"env": env, "normalise_advantages": normalised}
     one, clipped = experienced(PPO, epochs=1, minibatches=1, **settings)
     other, plain = experienced(A2C, **settings)
-    for agent, learner in ((one, clipped), (other, plain)):
-        metrics = learner.update(handmade(agent, masked=True), learner.config.learning_rate, 0.05, torch.Generator())
-        assert metrics["policy/entropy"] > 0.0
-    for mine, theirs in zip(parameters_of(clipped), parameters_of(plain), strict=True):
-        torch.testing.assert_close(mine, theirs, rtol=1e-4, atol=1e-5)
+    for agent in (one, other):
+        assert learn_from(agent, handmade(agent, masked=True), 1e-3, 0.05)["policy/entropy"] > 0.0
+    torch.testing.assert_close(clipped.vector, plain.vector, rtol=1e-4, atol=1e-5)
 
 
-def recorded_steps(learner: Any, rollout: Any, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The samples of every gradient step while learning from ``rollout``."""
+def recorded_steps(agent: Any, rollout: Any, rate: float = 1e-3) -> tuple[list[Any], dict[str, float]]:
+    """The samples of every gradient step while learning from a rollout, and the parts of the loss."""
     taken: list[Any] = []
-    inner = learner.loss
+    inner = agent.loss
 
-    def spy(samples: Any, *coefficients: float) -> Any:
-        taken.append(samples)
-        return inner(samples, *coefficients)
+    def spy(networks: Any, samples: Any, entropy_coefficient: Any) -> Any:
+        with torch.no_grad():
+            now = networks.actor(samples.inputs, samples.actions)[0]
+        taken.append((samples, (now - samples.log_prob).exp()))
+        return inner(networks, samples, entropy_coefficient)
 
-    monkeypatch.setattr(learner, "loss", spy)
-    learner.update(rollout, learner.config.learning_rate, 0.05, torch.Generator())
-    return taken
+    agent.loss = spy
+    return taken, learn_from(agent, rollout, rate, 0.05)
 
 
 @CLIPPED
 @pytest.mark.parametrize(("epochs", "minibatches"), [(1, 1), (3, 4), (2, 5), (1, 1000)])
-def test_every_epoch_uses_every_acting_sample_once(
-    cls: type[ActorCritic], epochs: int, minibatches: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    agent, learner = experienced(cls, epochs=epochs, minibatches=minibatches)
+def test_every_epoch_uses_every_sample_once(cls: type[ActorCritic], epochs: int, minibatches: int) -> None:
+    agent, _ = experienced(cls, epochs=epochs, minibatches=minibatches)
     rollout = handmade(agent, steps=12, masked=True)
-    count = int(rollout.acted.sum())
-    assert 10 < count < rollout.acted.numel()
-    mine = sorted(float(reward) for reward in rollout.observations[:-1][rollout.acted][:, 0] / 1.0)
-    steps = recorded_steps(learner, rollout, monkeypatch)
+    count = rollout.acted.numel()
+    steps = [samples for samples, _ in recorded_steps(agent, rollout)[0]]
+    sizes = [len(samples.actions) for samples in steps if len(samples.actions)]
     per_epoch = min(minibatches, count)
-    assert len(steps) == epochs * per_epoch
-    for first in range(0, len(steps), per_epoch):
-        batch = steps[first : first + per_epoch]
-        sizes = [len(samples.actions) for samples in batch]
-        assert sum(sizes) == count
-        assert max(sizes) - min(sizes) <= 1
-        seen = torch.cat([samples.inputs[:, 0] * learner.observation_scales[0] for samples in batch])
-        assert sorted(seen.tolist()) == pytest.approx(mine)
+    assert len(sizes) == epochs * per_epoch
+    assert max(sizes) - min(sizes) <= 1
+    mine = sorted(rollout.inputs[:-1, :, 0].flatten().tolist())
+    kept = [samples for samples in steps if len(samples.actions)]
+    for first in range(0, len(kept), per_epoch):
+        batch = kept[first : first + per_epoch]
+        assert sorted(torch.cat([samples.inputs[:, 0] for samples in batch]).tolist()) == mine
+        weights = torch.cat([samples.weights for samples in batch])
+        assert int(weights.sum()) == int(rollout.acted.sum()) < count
     if epochs > 1:
-        assert not torch.equal(steps[0].inputs, steps[per_epoch].inputs)  # in another order
+        assert not torch.equal(kept[0].inputs, kept[per_epoch].inputs)  # in another order
 
 
 @CLIPPED
-def test_the_old_policy_and_the_advantages_are_fixed_during_the_epochs(
-    cls: type[ActorCritic], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    agent, learner = experienced(cls, epochs=3, minibatches=1, learning_rate=0.01)
-    rollout = handmade(agent)
-    steps = recorded_steps(learner, rollout, monkeypatch)
+def test_the_old_policy_and_the_advantages_are_fixed_during_the_epochs(cls: type[ActorCritic]) -> None:
+    agent, _ = experienced(cls, epochs=3, minibatches=1)
+    steps = [samples for samples, _ in recorded_steps(agent, handmade(agent), 0.01)[0]]
 
     def ordered(samples: Any, values: torch.Tensor) -> torch.Tensor:
         return values[samples.inputs[:, 0].argsort()]
@@ -96,50 +83,38 @@ def test_the_old_policy_and_the_advantages_are_fixed_during_the_epochs(
 def test_the_loss_is_the_clipped_surrogate_written_out_and_clipped_samples_have_no_gradient(
     cls: type[ActorCritic],
 ) -> None:
-    agent, learner = experienced(cls, clip=0.2, value_coefficient=1e-9, max_grad_norm=1e9)
-    samples = learner.samples(handmade(agent, steps=20))
+    agent, learner = experienced(cls, clip=0.2, value_coefficient=1e-9)
+    with torch.no_grad():
+        samples = samples_of(agent, handmade(agent, steps=20))
     # As if the policy had moved since: ratios on both sides of the clip.
     shift = torch.linspace(-0.6, 0.6, len(samples.actions))
-    samples = samples._replace(log_prob=samples.log_prob + shift)
+    samples = samples._replace(log_prob=samples.log_prob + shift, weights=None)
     terms, counts = [], []
     for row in range(len(shift)):
         ratio, advantage = float(torch.exp(-shift[row])), float(samples.advantages[row])
         terms.append(min(ratio * advantage, min(max(ratio, 0.8), 1.2) * advantage))
         counts.append(not ((ratio > 1.2 and advantage > 0) or (ratio < 0.8 and advantage < 0)))
     assert 0 < sum(counts) < len(counts)
-    losses = learner.loss(samples, 0.0)
-    losses.total.backward()
-    assert float(losses.policy) == pytest.approx(-np.mean(terms), rel=1e-4)
-    torch.testing.assert_close(losses.log_ratio, -shift, rtol=1e-4, atol=1e-5)
-    gradient = [parameter.grad.clone() for parameter in learner.actor.parameters()]
+    parameters = list(learner.actor.parameters())
+    loss = agent.loss(learner.networks, samples, torch.tensor(0.0))
+    assert float(loss.parts["loss/policy"].detach()) == pytest.approx(-np.mean(terms), rel=1e-4)
+    gradient = torch.autograd.grad(loss.total, parameters)
     # The same gradient from the samples that count alone, at their share of the mean.
-    learner.optimiser.zero_grad()
-    learner.loss(samples.at(torch.tensor(counts).nonzero().squeeze(1)), 0.0).total.backward()
-    share = sum(counts) / len(counts)
-    for mine, parameter in zip(gradient, learner.actor.parameters(), strict=True):
-        torch.testing.assert_close(mine, share * parameter.grad, rtol=1e-3, atol=1e-6)
+    chosen = torch.tensor(counts)
+    counted = samples._make(each if each is None else each[chosen] for each in samples)
+    apart = torch.autograd.grad(agent.loss(learner.networks, counted, torch.tensor(0.0)).total, parameters)
+    for mine, other in zip(gradient, apart, strict=True):
+        torch.testing.assert_close(mine, chosen.float().mean() * other, rtol=1e-3, atol=1e-6)
 
 
 @CLIPPED
-def test_clip_fraction_and_kl_are_those_of_all_gradient_steps(
-    cls: type[ActorCritic], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    agent, learner = experienced(cls, epochs=3, minibatches=2, learning_rate=0.02, clip=0.1)
-    ratios: list[torch.Tensor] = []
-    inner = learner.loss
-
-    def spy(samples: Any, *coefficients: float) -> Any:
-        with torch.no_grad():
-            log_prob, _ = learner.actor(samples.inputs, samples.actions)
-        ratios.append((log_prob - samples.log_prob).exp())
-        return inner(samples, *coefficients)
-
-    monkeypatch.setattr(learner, "loss", spy)
-    found = learner.update(handmade(agent, steps=20), 0.02, 0.05, torch.Generator())
-    ratio = torch.cat(ratios)
+def test_clip_fraction_and_kl_are_those_of_all_gradient_steps(cls: type[ActorCritic]) -> None:
+    agent, _ = experienced(cls, epochs=3, minibatches=2, clip=0.1)
+    steps, found = recorded_steps(agent, handmade(agent, steps=20), 0.02)
+    ratio = torch.cat([ratio for _, ratio in steps])
     clipped = ((ratio - 1.0).abs() > 0.1).float().mean()
     assert 0.0 < clipped < 1.0
-    assert found["policy/clip_fraction"] == pytest.approx(float(clipped))
+    assert found["policy/clip_fraction"] == pytest.approx(float(clipped), rel=1e-4)
     assert found["policy/approx_kl"] == pytest.approx(float((ratio - 1.0 - ratio.log()).mean()), rel=1e-3, abs=1e-6)
 
 
@@ -153,9 +128,9 @@ def test_samples_that_did_not_act_change_nothing(cls: type[ActorCritic]) -> None
         rollout.rewards[masked] += noise
         rollout.observations[:-1][masked] += noise
         rollout.accrued[:-1][masked] += noise
-        learner.update(rollout, learner.config.learning_rate, 0.05, torch.Generator())
-        results.append(state(agent))
-    assert same(*results)
+        learn_from(agent, look(agent, rollout), 1e-3, 0.05)
+        results.append(learner.vector.clone())
+    torch.testing.assert_close(*results, rtol=1e-6, atol=1e-7)
 
 
 @CLIPPED
