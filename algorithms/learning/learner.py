@@ -175,8 +175,8 @@ class Learner:
         gradient = torch.where(moves, gradient * (self._max_grad_norm / (norms + TINY)).clamp(max=1.0), 0.0)
         # Adam (Kingma and Ba 2015, algorithm 1).
         count += moves
-        mean.lerp_(gradient, 1.0 - BETA1)
-        mean_square.lerp_(gradient.square(), 1.0 - BETA2)
+        mean.lerp_(gradient, moves * (1.0 - BETA1))
+        mean_square.lerp_(gradient.square(), moves * (1.0 - BETA2))
         correction1, correction2 = 1.0 - BETA1**count, 1.0 - BETA2**count
         update = learning_rate / correction1 * mean / ((mean_square / correction2).sqrt() + EPSILON)
         vector -= torch.where(moves, update, 0.0)
