@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
+from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
@@ -62,9 +64,7 @@ class Compiled:
         compiled, form = self._compiled[key]
         return pytree.tree_unflatten(compiled(*leaves), form)
 
-    def _compile(
-        self, leaves: list[torch.Tensor], form: pytree.TreeSpec
-    ) -> tuple[Callable[..., Any], pytree.TreeSpec]:
+    def _compile(self, leaves: list[torch.Tensor], form: pytree.TreeSpec) -> tuple[Callable[..., Any], pytree.TreeSpec]:
         from torch.fx.experimental.proxy_tensor import make_fx  # not earlier: it takes a second
 
         forms: list[pytree.TreeSpec] = []
@@ -79,12 +79,21 @@ class Compiled:
             compiled = torch.compile(traced, backend=BACKEND, fullgraph=True, dynamic=False)
             compiled(*map(_copy, leaves))
         except Exception as error:
-            reason = " ".join(str(error).split())[:300]
             raise ValueError(
-                f"training.compiled = True: this update cannot be compiled; take false, or mend what torch.compile "
-                f"refuses ({type(error).__name__}: {reason})"
+                f"training.compiled = True: this update cannot be compiled, because of {origin(error)}; take false, or "
+                "operations of torch on whole tensors, such as torch.where instead of if"
             ) from error
         return compiled, forms[0]
+
+
+def origin(error: Exception) -> str:
+    """The last line outside of torch in which an error arose, and what it says, as one line."""
+    inside = str(Path(torch.__file__).parent)
+    frames = [each for each in extract_tb(error.__traceback__) if not each.filename.startswith(inside)]
+    reason = " ".join(str(error).split())[:300]
+    return (
+        f"{Path(frames[-1].filename).name}:{frames[-1].lineno} `{frames[-1].line}` ({type(error).__name__}: {reason})"
+    )
 
 
 def _copy(tensor: torch.Tensor) -> torch.Tensor:

@@ -184,6 +184,7 @@ def energy_score(particles: torch.Tensor, targets: torch.Tensor) -> torch.Tensor
         particles: (M, K, d) X, equally likely.
         targets: (M, J, d) Y, equally likely, without a gradient.
     """
+
     def distance(others: torch.Tensor) -> torch.Tensor:
         squares = (particles.unsqueeze(-2) - others.unsqueeze(-3)).square().sum(-1)
         return (squares + SMOOTHING**2).sqrt().mean((-2, -1))
