@@ -108,17 +108,17 @@ REFUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
     "a loss that changes its samples": (
         ChangesSamples,
         {},
-        "the loss changes its samples' advantages in place; it must make a new tensor instead",
+        "a loss must not change its tensors in place, as it does 'advantages'; write x = x + y in place of x += y",
     ),
     "a loss that changes its samples, of several seeds": (
         ChangesSamples,
         {"seed": [3, 4]},
-        "the loss changes its samples' advantages in place; it must make a new tensor instead",
+        "a loss must not change its tensors in place, as it does 'advantages'; write x = x + y in place of x += y",
     ),
     "a loss that changes its samples, compiled": (
         ChangesSamples,
         {"compiled": True},
-        "the loss changes its samples' advantages in place; it must make a new tensor instead",
+        "a loss must not change its tensors in place, as it does 'advantages'; write x = x + y in place of x += y",
     ),
     "a utility that depends on values, of several seeds": (
         MOPPO,
