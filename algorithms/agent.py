@@ -414,7 +414,7 @@ class Agent(ABC):
     ) -> None:
         """Learn until ``total_timesteps`` environment steps have been taken, over all parallel environments together.
 
-        On one thread, unless :func:`algorithms.networks.threads.set_threads` has been called with more.
+        On one thread, unless :func:`algorithms.learning.threads.set_threads` has been called with more.
 
         Args:
             total_timesteps: also the length of schedules; a resumed run passes the same number.
