@@ -13,7 +13,6 @@ import mo_gymnasium
 import numpy as np
 import pytest
 import torch
-from algorithms.rollouts.episode_buffer import Episode
 from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
@@ -22,6 +21,7 @@ from safetensors.torch import load_file
 from algorithms import PCN
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
+from algorithms.learning.episode_buffer import Episode
 from algorithms.pcn import CommandPolicy
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env

@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 import scipy.stats
 import torch
-from torch import distributions, nn
-
 from algorithms.networks.actors import Actor, CategoricalActor, GaussianActor, StateGaussianActor
 from algorithms.networks.compiled import plain_torch
 from algorithms.networks.compiled.distributions import (
@@ -23,6 +21,7 @@ from algorithms.networks.compiled.distributions import (
     LOWEST_LOG_STD,
 )
 from algorithms.networks.modules import mlp
+from torch import distributions, nn
 
 # A test that samples with a fixed seed passes or fails for good; a correct sampler fails one seed in ten thousand.
 SIGNIFICANCE = 1e-4

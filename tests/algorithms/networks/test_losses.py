@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 import torch
-
 from algorithms.networks.compiled import plain_torch
 from algorithms.networks.losses import (
     Losses,
@@ -21,6 +20,7 @@ from algorithms.networks.losses import (
     squared_error,
 )
 from algorithms.rollouts.buffers import Samples
+
 from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:

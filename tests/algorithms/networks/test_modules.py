@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from algorithms.networks.modules import CommandNetwork, make_network, mlp
 from torch import nn
 
 from algorithms.hyperparameters import NetworkSettings
-from algorithms.networks.modules import CommandNetwork, make_network, mlp
 
 
 def seeded(seed: int) -> torch.Generator:

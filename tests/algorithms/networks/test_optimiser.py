@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 import torch
-
 from algorithms.networks.compiled import plain_torch
 from algorithms.networks.modules import mlp
 from algorithms.networks.optimiser import Adam, geometric_schedule, linear_schedule
+
 from mo_deepdrive.faults import NotFinite
 
 

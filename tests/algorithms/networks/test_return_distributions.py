@@ -9,10 +9,10 @@ import math
 import numpy as np
 import pytest
 import torch
-
 from algorithms.networks import return_distributions
 from algorithms.networks.compiled import plain_torch
 from algorithms.networks.return_distributions import CategoricalGrid, Particles, energy_score, project
+
 from mo_deepdrive.utilities import Utility
 
 LOW, HIGH, ATOMS = (-1.0, 0.0, 2.0), (1.0, 4.0, 3.0), 4

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 import numba
 import pytest
 import torch
-from threadpoolctl import ThreadpoolController, threadpool_limits
-
-from algorithms.a2c import A2C
 from algorithms.networks.compiled import perceptron
 from algorithms.networks.modules import Perceptron
 from algorithms.networks.threads import limited_threads, one_blas_thread, set_threads, threads, wanted_threads
+from threadpoolctl import ThreadpoolController, threadpool_limits
+
+from algorithms.a2c import A2C
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility

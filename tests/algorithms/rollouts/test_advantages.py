@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 import torch
+from algorithms.rollouts.advantages import generalised_advantages, normalise, utility_gradient
 from hypothesis import given
 from hypothesis import strategies as st
 
-from algorithms.rollouts.advantages import generalised_advantages, normalise, utility_gradient
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections
 
 

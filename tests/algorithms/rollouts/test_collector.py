@@ -12,11 +12,11 @@ import mo_gymnasium
 import numpy as np
 import pytest
 import torch
+from algorithms.rollouts.buffers import Episodes, Rollout, Samples
+from algorithms.rollouts.collector import Act, Collector
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from algorithms.rollouts.buffers import Episodes, Rollout, Samples
-from algorithms.rollouts.collector import Act, Collector
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from tests.helpers.toy_env import toy_worlds

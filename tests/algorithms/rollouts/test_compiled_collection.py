@@ -9,16 +9,16 @@ import numba
 import numpy as np
 import pytest
 import torch
+from algorithms.networks.actors import CategoricalActor
+from algorithms.networks.compiled.perceptron import KeptPasses
+from algorithms.networks.threads import set_threads
+from algorithms.rollouts.compiled_collection import CompiledCollection
 from gymnasium.error import ResetNeeded
 
 from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PPO, ConditionedMOPPO
 from algorithms.actor_critic import ActorCritic
 from algorithms.agent import Agent
 from algorithms.mo_a2c import MOA2CLearner
-from algorithms.networks.actors import CategoricalActor
-from algorithms.networks.compiled.perceptron import KeptPasses
-from algorithms.networks.threads import set_threads
-from algorithms.rollouts.compiled_collection import CompiledCollection
 from tests.helpers.agents import (
     CONTINUOUS,
     INTERSECTION,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from algorithms.rollouts.guides import Guide
 from safetensors.torch import load_file
 
 from algorithms import A2C, MOPPO
@@ -15,7 +16,6 @@ from algorithms.experiments.build import build, load_policy, open_population
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.hyperparameters import GuideSettings
-from algorithms.rollouts.guides import Guide
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.team import Population

@@ -7,10 +7,9 @@ from itertools import pairwise
 import numba
 import pytest
 import torch
-from torch import nn
-
 from algorithms.networks.compiled.perceptron import Perceptron, forward_pass
 from algorithms.networks.threads import set_threads
+from torch import nn
 
 SIZES = [(5, 8, 4, 3), (5, 4, 8, 1), (3, 16, 16, 16, 6), (22, 64, 32, 22), (22, 128, 64, 4)]
 ROWS = [0, 1, 7, 256, 300, 1024]

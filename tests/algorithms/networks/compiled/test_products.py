@@ -8,9 +8,8 @@ import sys
 import numba
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-
 from algorithms.networks.compiled import products
+from numpy.typing import NDArray
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 
