@@ -139,8 +139,8 @@ class Learner:
             if function in self._mapped or isinstance(error, torch.OutOfMemoryError):
                 raise
             raise ValueError(
-                f"an update cannot be calculated for several seeds at once, because of {origin(error)}; take operations "
-                "of torch on whole tensors, such as torch.where instead of if, or train each seed alone"
+                f"an update cannot be calculated for several seeds at once, because of {origin(error)}; take "
+                "operations of torch on whole tensors, such as torch.where instead of if, or train each seed alone"
             ) from error
         self._mapped.add(function)
         return found
