@@ -79,8 +79,7 @@ def test_a_changed_loss_and_changed_advantages_are_learnt_from_in_every_mode(mod
 
 @pytest.mark.slow
 @COMPILER
-@pytest.mark.parametrize(("cls", "where"), [(MOPPO, None), (MAPPO, INTERSECTION)])
-@pytest.mark.parametrize("seed", [3, [3, 4]])
+@pytest.mark.parametrize(("cls", "where", "seed"), [(MOPPO, None, 3), (MAPPO, INTERSECTION, [3, 4])])
 def test_a_compiled_update_is_the_one_that_is_not_compiled_but_for_rounding(cls: Any, where: Any, seed: Any) -> None:
     (one, losses), (other, others) = (learnt(cls, where, seed=seed, compiled=each) for each in (True, False))
     for name, each in losses.items():
