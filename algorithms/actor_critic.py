@@ -1,6 +1,6 @@
 """The update of A2C, MO-A2C, PPO, MO-PPO, MOCAC, MAPPO and conditioned MO-PPO, but for their equations.
 
-An :class:`ActorCritic` has one policy per vehicle, or one for all of them, and an update is the same for all algorithms:
+An :class:`ActorCritic` has one policy per vehicle, or one for all of them. An update is the same for all algorithms:
 
     collect     T steps of N environments, in which all policies act;
     values      v(S_t) and v(S_{t+1}) of the critic as it is;
