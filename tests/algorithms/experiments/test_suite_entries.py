@@ -180,7 +180,8 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
         ("def policy(observations):\n    pass\n", r"cannot be called as policy\(observations, accrued, discounts\)"),
         (
             "def policy(observations, *_):\n    return observations[:, :, 0]\n",
-            r"failed for observations \(2, 19\), accrued rewards \(2, 6\) and discounts \(2,\) at mine.py:2: IndexError: too many indices",
+            r"failed for observations \(2, 19\), accrued rewards \(2, 6\) and discounts \(2,\) at "
+            r"mine.py:2: IndexError: too many indices",
         ),
         ("import sys\ndef policy(*_):\n    sys.exit()\n", "at mine.py:3: SystemExit"),
         (
