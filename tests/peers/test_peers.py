@@ -99,7 +99,7 @@ def make_task(name: str, env_id: str = ONE_WAYPOINT, *, kind: str | None = None,
         arguments = {"fixed_destination": True, "time_limit": 6.0, "action_type": kind or peer.actions[0]}
         if peer.objectives is not None:
             arguments["objectives"] = ("distance", "jerk")
-    env = EnvAdapter(make_env(env_id, 2, arguments))
+    env = EnvAdapter(make_env(env_id, 2 if peer.parallel else 1, arguments))
     d = len(env.objectives)
     utility = None
     if peer.known_utility:
