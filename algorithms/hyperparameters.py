@@ -45,7 +45,7 @@ def a_twentieth(total_timesteps: int) -> int:
 
 
 class NetworkSettings(Settings):
-    """Hyperparameters of networks, the base of every Config of algorithms with networks of :mod:`algorithms.learning`."""
+    """Hyperparameters of networks, the base of every Config with networks of :mod:`algorithms.learning`."""
 
     hidden: HiddenSizes = [64, 32]
     """Sizes of the hidden layers."""

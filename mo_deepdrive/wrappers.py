@@ -1,4 +1,4 @@
-"""Wrappers for libraries that need a scalar reward, for networks that need observations of like magnitude, and records."""
+"""Wrappers: scalar rewards for libraries that need them, observations of like magnitude, and records of episodes."""
 
 from __future__ import annotations
 
@@ -222,7 +222,7 @@ class VectorEpisodeStatistics(VectorWrapper):  # not generic in Gymnasium 1.2
         self._returns += rewards  # zeros where an environment is only reset
         self._discounted += discounts * rewards
         self._lengths += ~self._only_reset
-        over = np.asarray(terminated | truncated).reshape(self.num_envs, -1).all(axis=1)
+        over: Any = (terminated | truncated).reshape(self.num_envs, -1).all(axis=1)
         if over.any():
             found = {"r": self._returns.copy(), "dr": self._discounted.copy(), "l": self._lengths.copy()}
             infos = {**infos, "episode": found, "_episode": over}

@@ -130,6 +130,11 @@ def suite_table(options: Namespace) -> int:
     check_file("--output", options.output, ".md")
     path = options.results or PUBLISHED
     results = suite.read_rows(path) if path.is_file() else []
+    for row in results:
+        try:
+            suite.check_of_suite(row)
+        except ValueError as error:
+            raise ValueError(f"{str(path)!r} has {error}") from None
     if not results:
         raise ValueError(f"there are no results in {str(path)!r}; mo-deepdrive suite run writes a results.csv")
     for task in {row.task: None for row in results}:

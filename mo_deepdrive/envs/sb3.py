@@ -28,8 +28,8 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # not installed with the types t
         envs = gymnasium.make_vec("mo-deepdrive-static-obstacle-v1", num_envs=64, autoreset_mode="SameStep")
         envs = SB3VecEnv(VectorScaledObservation(VectorUtilityReward(envs, "static_obstacle_linear")))
 
-    Row i is what :class:`stable_baselines3.common.vec_env.DummyVecEnv` returns for environment i. The infos of an episode's
-    last step have ``"terminal_observation"``, and ``"TimeLimit.truncated"``, which is True where only the time was over.
+    Row i is what Stable-Baselines3's ``DummyVecEnv`` returns for environment i. The info of an episode's last step has
+    ``"terminal_observation"``, and ``"TimeLimit.truncated"``, which is True where only the time was over.
 
     Args:
         envs: a vector environment with rewards (N,) that resets itself in the step in which an episode ends.
@@ -44,7 +44,9 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # not installed with the types t
     def __init__(self, envs: VectorEnv[Any, Any, Any]):
         mode = envs.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
-            raise ValueError(f"autoreset_mode = {mode} must be SAME_STEP: gymnasium.make_vec(autoreset_mode='SameStep')")
+            raise ValueError(
+                f"autoreset_mode = {mode} must be SAME_STEP: gymnasium.make_vec(autoreset_mode='SameStep')"
+            )
         self.envs = envs
         self._listed = DictInfoToList(envs)
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
@@ -68,9 +70,8 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # not installed with the types t
         """Act for one decision: observations, rewards (N,), whether episodes ended, and an info per environment."""
         observations, rewards, terminated, truncated, infos = self._listed.step(self._actions)
         if rewards.shape != (self.num_envs,):
-            raise ValueError(
-                f"rewards of shape {rewards.shape} must be ({self.num_envs},): wrap the environment in VectorUtilityReward"
-            )
+            expected = f"({self.num_envs},): VectorUtilityReward makes them scalar, for one vehicle"
+            raise ValueError(f"rewards of shape {rewards.shape} must be {expected}")
         over = terminated | truncated
         for row in np.flatnonzero(over):
             info = infos[row]
@@ -92,7 +93,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # not installed with the types t
         owner = self.envs if hasattr(self.envs, attr_name) else self.envs.unwrapped
         return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
 
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+    def set_attr(self, attr_name: str, *_: Any, **__: Any) -> None:
         """Not for parts of a vector environment."""
         raise AttributeError(f"{attr_name!r} of single environments cannot be set in {self.envs}")
 

@@ -219,8 +219,8 @@ def test_a_vector_wrapper_of_scalar_rewards_needs_the_utility(name: str) -> None
 
 @row(
     "vector `NormalizeReward`: which steps count",
-    how="every decision, and no reset; `SAME_STEP` begins every episode anew, `NEXT_STEP` adds those after a time limit to "
-    "the episode before",
+    how="every decision, and no reset; `SAME_STEP` begins every episode anew, `NEXT_STEP` adds one after a time limit "
+    "to the episode before",
 )
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_rewards_are_normalised_by_the_returns_of_decisions_alone(mode: str) -> None:

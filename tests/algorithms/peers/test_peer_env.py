@@ -102,7 +102,9 @@ def test_a_vector_environment_is_recorded_like_single_ones() -> None:
     lines: list[list[tuple[int, dict[str, float]]]] = [[], []]
     tasks = []
     for log in lines:
-        recorder = Recorder(("distance", "destination", "g_force", "jerk"), None, 40, lambda *line, log=log: log.append(line))
+        recorder = Recorder(
+            ("distance", "destination", "g_force", "jerk"), None, 40, lambda *line, log=log: log.append(line)
+        )
         tasks.append(make_task(recorder=recorder))
     envs = RecordedEpisodes(tasks[0].env, tasks[0].recorder)
     envs.reset(seed=5)
