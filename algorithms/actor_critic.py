@@ -543,7 +543,8 @@ class ActorCritic(Agent):
     def _minibatches(self, order: torch.Tensor) -> Iterator[list[torch.Tensor]]:
         """The samples of every gradient step: [(S, m)] indices, or [] for all."""
         for epoch in order.unbind(1):
-            yield from ([rows.contiguous()] for rows in epoch.tensor_split(self.config.minibatches, dim=-1))
+            parts = min(self.config.minibatches, epoch.shape[-1])
+            yield from ([rows.contiguous()] for rows in epoch.tensor_split(parts, dim=-1))
         if order.shape[1] == 0:
             yield []
 

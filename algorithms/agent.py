@@ -29,7 +29,7 @@ from algorithms.files.checkpoints import (
     write_checkpoint,
 )
 from algorithms.hyperparameters import a_twentieth
-from algorithms.learning.compiling import WORTHWHILE, depends_on_values, has_compiler
+from algorithms.learning.compiling import WORTHWHILE, has_compiler, origin
 from algorithms.learning.storage import EpisodeSums
 from algorithms.learning.threads import limited_threads
 from mo_deepdrive.config import Settings, parse
@@ -216,10 +216,9 @@ class Agent(ABC):
             try:
                 torch.func.vmap(utility.unchecked())(torch.zeros(2, 3, len(self.env.objectives), device=self.device))
             except Exception as error:
-                reason = depends_on_values(error) or f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
                 raise ValueError(
-                    f"utility {utility.name!r} cannot be called by torch.func.vmap, as for several seeds and on a GPU: "
-                    f"{reason}"
+                    f"utility {utility.name!r} cannot be calculated for several seeds at once, because of "
+                    f"{origin(error)}; take operations of torch on whole tensors, such as torch.where instead of if"
                 ) from error
 
     @property
@@ -415,7 +414,7 @@ class Agent(ABC):
     ) -> None:
         """Learn until ``total_timesteps`` environment steps have been taken, over all parallel environments together.
 
-        On one thread, unless :func:`algorithms.networks.threads.set_threads` has been called with more.
+        On one thread, unless :func:`algorithms.learning.threads.set_threads` has been called with more.
 
         Args:
             total_timesteps: also the length of schedules; a resumed run passes the same number.

@@ -147,6 +147,12 @@ class AccruedSettings(Settings):
         gamma: float = self.gamma  # type: ignore[attr-defined]  # of the settings that this is mixed into
         return gamma if self.accrued_gamma is None else self.accrued_gamma
 
+    @property
+    def accrued_ratio(self) -> float:
+        """``gamma / g``, which is 1 where both are 0."""
+        gamma: float = self.gamma  # type: ignore[attr-defined]
+        return 1.0 if gamma == self.accrued_discount else gamma / self.accrued_discount
+
     @model_validator(mode="after")
     def _discounts(self) -> Self:
         gamma: float = self.gamma  # type: ignore[attr-defined]

@@ -60,8 +60,7 @@ class MOPPO(MOA2C):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5, or 8 and 9, from v(S_t) and v(S_{t+1}), as y_t."""
         config, u, ended = self.config, rollout.utility, rollout.ended
-        gamma, g, decay = config.gamma, config.accrued_discount, config.gae_lambda
-        c = 1.0 if g == gamma else gamma / g
+        gamma, c, decay = config.gamma, config.accrued_ratio, config.gae_lambda
         accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)  # R_t and g^t
         if config.advantage == "expected_utility":
             increases = u(rollout.next_accrued) - u(accrued)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import shutil
-import traceback
 from contextlib import contextmanager
 from pathlib import Path
+from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
@@ -28,10 +28,6 @@ def has_compiler(device: str) -> bool:
     return any(name and shutil.which(name) for name in config.cpp.cxx)
 
 
-class NotPureError(ValueError):
-    """A function that is to be one of tensors alone changes them, or depends on their values otherwise."""
-
-
 @contextmanager
 def pure(what: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
     """Refuse that tensors are changed in place.
@@ -41,25 +37,15 @@ def pure(what: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
         tensors: by name.
 
     Raises:
-        NotPureError: naming the tensor.
+        ValueError: naming the tensor.
     """
     versions = [each._version for each in tensors.values()]
     yield
     for (name, each), version in zip(tensors.items(), versions, strict=True):
         if each._version != version:
-            raise NotPureError(
+            raise ValueError(
                 f"{what} must not change its tensors in place, as it does {name!r}; write x = x + y in place of x += y"
             )
-
-
-def depends_on_values(error: Exception) -> str | None:
-    """What to mend where torch refuses to look at the values of tensors, on one line; None for another error."""
-    if not any(each in str(error) for each in ("vmap: It looks like", "value out of a tracing tensor")):
-        return None
-    frames = traceback.extract_tb(error.__traceback__)
-    caller = [each for each in frames if not Path(each.filename).is_relative_to(Path(torch.__file__).parent)][-1]
-    where = f"{caller.name} ({Path(caller.filename).name}, line {caller.lineno})"
-    return f"{where} depends on the values of tensors, as an if does; write torch.where in place of it"
 
 
 class Compiled:
@@ -113,14 +99,22 @@ class Compiled:
             traced = make_fx(flat)(*map(_copy, leaves))
             compiled = torch.compile(traced, backend=BACKEND, fullgraph=True, dynamic=False)
             compiled(*map(_copy, leaves))
-        except NotPureError:
-            raise
         except Exception as error:
-            reason = depends_on_values(error) or f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
             raise ValueError(
-                f"training.compiled = True: this update cannot be compiled; take false, or mend it: {reason}"
+                f"training.compiled = True: this update cannot be compiled, because of {origin(error)}; take false, or "
+                "operations of torch on whole tensors, such as torch.where instead of if"
             ) from error
         return compiled, forms[0]
+
+
+def origin(error: Exception) -> str:
+    """The last line outside of torch in which an error arose, and what it says, as one line."""
+    inside = str(Path(torch.__file__).parent)
+    frames = [each for each in extract_tb(error.__traceback__) if not each.filename.startswith(inside)]
+    reason = " ".join(str(error).split())[:300]
+    return (
+        f"{Path(frames[-1].filename).name}:{frames[-1].lineno} `{frames[-1].line}` ({type(error).__name__}: {reason})"
+    )
 
 
 def _copy(tensor: torch.Tensor) -> torch.Tensor:

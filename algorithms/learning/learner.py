@@ -11,7 +11,7 @@ from torch.func import functional_call, vmap
 from torch.utils._pytree import tree_map
 
 from algorithms.files.checkpoints import strip_prefix
-from algorithms.learning.compiling import Compiled, NotPureError, depends_on_values, pure
+from algorithms.learning.compiling import Compiled, origin, pure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -87,6 +87,7 @@ class Learner:
         self.compiled: bool | Literal["auto"] = False
         self.computes_compiled: bool | Literal["auto"] = False
         self._functions: dict[Any, Compiled] = {}
+        self._mapped: set[Any] = set()  # functions that have been called for several seeds
 
     @property
     def state(self) -> tuple[torch.Tensor, ...]:
@@ -127,21 +128,27 @@ class Learner:
             vector: (S, P), as :attr:`vector`.
             arguments: a tree of tensors (S, ...), of which every seed gets its part.
             *shared: tensors that all seeds get.
+
+        Raises:
+            ValueError: at its first call, if there are several seeds and ``torch.func.vmap`` cannot call it.
         """
         parameters = self._views(vector)
         if self.seeds == 1:
             own = tree_map(_only, (parameters, arguments))
             found = functional_call(self.networks, own[0], (function, own[1], *shared))
             return tree_map(_with_axis, found)
+        every = vmap(lambda own, part: functional_call(self.networks, own, (function, part, *shared)))
         try:
-            return vmap(lambda own, part: functional_call(self.networks, own, (function, part, *shared)))(
-                parameters, arguments
-            )
-        except RuntimeError as error:
-            reason = depends_on_values(error)
-            if reason is None:
+            found = every(parameters, arguments)
+        except (RuntimeError, TypeError) as error:
+            if function in self._mapped or isinstance(error, torch.OutOfMemoryError):
                 raise
-            raise NotPureError(f"{reason}, or train one seed at a time") from error
+            raise ValueError(
+                f"an update cannot be calculated for several seeds at once, because of {origin(error)}; take "
+                "operations of torch on whole tensors, such as torch.where instead of if, or train each seed alone"
+            ) from error
+        self._mapped.add(function)
+        return found
 
     def minimise(
         self,
@@ -166,7 +173,7 @@ class Learner:
             The parts of the loss and the norm of the gradient, (S,).
 
         Raises:
-            ValueError: if the loss is no pure function of tensors, or cannot be compiled.
+            ValueError: for a loss that changes its samples in place, or cannot be calculated for several seeds at once.
         """
         step = self._function(self._step, loss, self.compiled)
         found: dict[str, torch.Tensor] = step(self.state, dict(samples), list(rows), learning_rate, *shared)

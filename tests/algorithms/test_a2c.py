@@ -7,8 +7,7 @@ import torch
 
 from algorithms import A2C
 from mo_deepdrive.utilities import make_utility
-from tests.helpers.agents import make_agent
-from tests.helpers.handmade import handmade
+from tests.helpers.agents import handmade, make_agent
 
 
 def test_advantages_and_targets_of_three_steps_by_hand() -> None:
@@ -19,7 +18,7 @@ def test_advantages_and_targets_of_three_steps_by_hand() -> None:
     rollout.terminated[:], rollout.truncated[:] = False, False
     rollout.terminated[2] = True
     values, next_values = torch.tensor([[[4.0]], [[2.0]], [[6.0]]]), torch.tensor([[[2.0]], [[6.0]], [[0.0]]])
-    advantages, targets = agent.advantages(rollout, values, next_values)
+    advantages, targets = agent.advantages(rollout.rollout(agent), values, next_values)
     # Equation 1: 2 + 0.5 * 2 - 4, 0 + 0.5 * 6 - 2, 11 - 6; equation 2 with gamma lambda = 0.25, from the end.
     deltas = [-1.0, 1.0, 5.0]
     expected = [deltas[0] + 0.25 * (deltas[1] + 0.25 * deltas[2]), deltas[1] + 0.25 * deltas[2], deltas[2]]

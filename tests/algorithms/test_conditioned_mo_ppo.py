@@ -11,13 +11,13 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from algorithms.networks.actors import GaussianActor, StateGaussianActor
 from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors.torch import load_file
 
 from algorithms import ConditionedMOPPO
-from algorithms.networks.actors import GaussianActor, StateGaussianActor
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.pareto import non_dominated

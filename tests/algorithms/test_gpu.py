@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from algorithms.device import trainer as trainers
 
 from algorithms import FrontAgent
-from algorithms.device import trainer as trainers
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.side_by_side import build_trainee
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward

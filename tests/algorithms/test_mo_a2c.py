@@ -13,10 +13,28 @@ from hypothesis import given
 from algorithms import A2C, MOA2C, MOCAC, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
 from algorithms.learning.advantages import generalised_advantages
+from algorithms.learning.learner import NORM
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections, crooked
-from tests.helpers.agents import ALL_FORMS, CONTINUOUS, exaggerate, make_agent
-from tests.helpers.handmade import handmade, learn_from, learner_of, look, samples_of, seen_by, value_of, value_scale
+from tests.helpers.agents import (
+    ALL_FORMS,
+    CONTINUOUS,
+    Handmade,
+    exaggerate,
+    gradients_of,
+    handmade,
+    learner_of,
+    loss_of,
+    make_agent,
+    parameters_of,
+    same,
+    samples_of,
+    seen_by,
+    state,
+    step_of,
+    value_of,
+    value_scale,
+)
 
 
 def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:
@@ -29,12 +47,19 @@ def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:
         assert (len(actions) > 1) is depends
 
 
+@torch.no_grad()
+def next_values(agent: Any, made: Handmade) -> torch.Tensor:
+    """v(S_{t+1}), as the agent calculates it."""
+    rollout, networks = made.rollout(agent), agent.learners[0].networks
+    found: torch.Tensor = agent.next_values(networks, rollout, agent.value_scales * networks.critic(rollout.states))
+    return found
+
+
 @ALL_FORMS
 def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_state_after_truncation(form: str) -> None:
-    agent, learner = learner_of(form)
+    agent, _ = learner_of(form)
     r = handmade(agent)
-    with torch.no_grad():
-        found = agent.next_values(learner.networks, r, agent.value_scales * learner.critic(r.states))
+    found = next_values(agent, r)
     kinds = set()
     for t in range(len(r.rewards)):
         for i in range(r.rewards.shape[1]):
@@ -59,7 +84,7 @@ def test_with_accrued_gamma_1_a_linear_utility_gives_the_advantages_of_a2c() -> 
     assert (r.discounts == 1.0).all()
     rng = np.random.default_rng(2)
     values, following = (torch.tensor(rng.normal(size=r.rewards.shape), dtype=torch.float32) for _ in range(2))
-    advantages, targets = agent.advantages(r, values, following)
+    advantages, targets = agent.advantages(r.rollout(agent), values, following)
     deltas = (r.rewards + 0.9 * following - values) @ weights
     over = r.terminated | r.truncated
     steps, n = deltas.shape
@@ -87,20 +112,15 @@ def test_the_accrued_reward_can_have_its_own_discount(cls: type[ActorCritic]) ->
 
 @ALL_FORMS
 def test_the_next_episode_does_not_enter_the_next_value(form: str) -> None:
-    agent, learner = learner_of(form)
+    agent, _ = learner_of(form)
     r = handmade(agent)
-
-    def next_values() -> torch.Tensor:
-        look(agent, r)
-        return agent.next_values(learner.networks, r, agent.value_scales * learner.critic(r.states))
-
     over = r.terminated | r.truncated
-    before = next_values()
+    before = next_values(agent, r)
     r.observations[1:][over] += 1.0
-    after = next_values()
+    after = next_values(agent, r)
     assert torch.equal(before[over], after[over])
     r.final[r.truncated & ~r.terminated] += 1.0
-    changed = (next_values() != after).reshape(*over.shape, -1).any(-1)
+    changed = (next_values(agent, r) != after).reshape(*over.shape, -1).any(-1)
     assert torch.equal(changed, r.truncated & ~r.terminated)
 
 
@@ -112,13 +132,10 @@ def u(returns: torch.Tensor) -> float:
     return 0.5 * d + r - (0.1 * g) ** 2 - (0.1 * j) ** 2
 
 
-def plain_losses(agent: Any, form: str, r: Any, entropy_coefficient: float) -> dict[str, float]:
+def plain_losses(agent: Any, form: str, r: Handmade, entropy_coefficient: float) -> dict[str, float]:
     """The losses by loops over single samples."""
-    gamma, decay, g = (
-        agent.config.gamma,
-        agent.config.gae_lambda,
-        getattr(agent.config, "accrued_discount", agent.config.gamma),
-    )
+    config, actor = agent.config, agent.learners[0].actor
+    gamma, decay, g = config.gamma, config.gae_lambda, agent.accrued_discount
     steps, n = r.acted.shape
     policy, critic, entropies, advantages = [], [], [], []
     # The slope of u at EXPECTED_RETURN, by hand: there distance is above 2.
@@ -162,19 +179,19 @@ def plain_losses(agent: Any, form: str, r: Any, entropy_coefficient: float) -> d
             # The critic is at the value itself, so that its error is the advantage.
             critic.append(float(((vector / scale) ** 2).mean()))
             x = seen_by(agent, form, r.observations[t, i], r.accrued[t, i], r.discounts[t, i])
-            distribution = torch.distributions.Categorical(logits=agent.learners[0].actor.body(x).detach())
+            distribution = torch.distributions.Categorical(logits=actor.body(x).detach())
             policy.append(float(distribution.log_prob(r.actions[t, i])))
             entropies.append(float(distribution.entropy()))
             advantages.append(float(advantage))
     used = np.array(advantages)
-    if agent.config.normalise_advantages:
+    if config.normalise_advantages:
         used = (used - used.mean()) / used.std()
     losses = {
         "loss/policy": -float(np.mean(used * np.array(policy))),
         "loss/value": float(np.mean(critic)),
         "policy/entropy": float(np.mean(entropies)),
     }
-    total = losses["loss/policy"] + agent.config.value_coefficient * losses["loss/value"]
+    total = losses["loss/policy"] + config.value_coefficient * losses["loss/value"]
     return {"total": total - entropy_coefficient * losses["policy/entropy"], **losses}
 
 
@@ -192,7 +209,7 @@ def test_discounted_increases_sum_to_the_expected_utility_of_an_episode_cut_shor
         rollout.discounts[t + 1, 0] = accrued_gamma * rollout.discounts[t, 0]
     rollout.terminated[-1, 0] = True
     values = torch.zeros(*rollout.acted.shape, 1)
-    found = float(agent.advantages(rollout, values, values)[0][0, 0])
+    found = float(agent.advantages(rollout.rollout(agent), values, values)[0][0, 0])
     c, steps = gamma / accrued_gamma, len(rollout.rewards)
     ends = [c ** (t - 1) * (1.0 - c) for t in range(1, steps)] + [c ** (steps - 1)]  # after t decisions
     expected = sum(p * u(rollout.accrued[t, 0]) for t, p in enumerate(ends, start=1)) - u(rollout.accrued[0, 0])
@@ -203,24 +220,15 @@ def test_discounted_increases_sum_to_the_expected_utility_of_an_episode_cut_shor
 @pytest.mark.parametrize("normalised", [False, True])
 @pytest.mark.parametrize("masked", [False, True])
 def test_the_losses_equal_a_plain_loop_over_single_samples(form: str, normalised: bool, masked: bool) -> None:
-    agent, learner = learner_of(form, normalise_advantages=normalised, value_coefficient=0.3, gae_lambda=0.8)
+    agent, _ = learner_of(form, normalise_advantages=normalised, value_coefficient=0.3, gae_lambda=0.8)
     rollout = handmade(agent, masked=masked, seed=3)
     assert bool(rollout.acted.all()) is not masked
-    with torch.no_grad():
-        loss = agent.loss(learner.networks, samples_of(agent, rollout), torch.tensor(0.05))
-    found = {"total": float(loss.total), **{name: float(part) for name, part in loss.parts.items()}}
+    losses = loss_of(agent, samples_of(agent, rollout))
+    found = {"total": losses.total, **losses.parts}
     expected = plain_losses(agent, form, rollout, 0.05)
     assert found.keys() == expected.keys()
     for name, value in expected.items():
-        assert found[name] == pytest.approx(value, rel=1e-3, abs=1e-4), name
-
-
-def gradients(agent: Any, rollout: Any) -> list[torch.Tensor]:
-    networks = agent.learners[0].networks
-    with torch.no_grad():
-        samples = samples_of(agent, look(agent, rollout))
-    loss = agent.loss(networks, samples, torch.tensor(0.05)).total
-    return list(torch.autograd.grad(loss, list(networks.parameters())))
+        assert found[name].item() == pytest.approx(value, rel=1e-3, abs=1e-4), name
 
 
 @ALL_FORMS
@@ -230,49 +238,65 @@ def test_samples_that_did_not_act_have_no_influence_on_the_gradient(form: str, c
     rollout = handmade(agent, masked=True)
     masked = ~rollout.acted
     assert 0 < masked.sum() < masked.numel() / 2
-    before = gradients(agent, rollout)
+    before = gradients_of(agent, samples_of(agent, rollout))
     generator = torch.Generator().manual_seed(1)
     rollout.rewards[masked] = torch.randn(rollout.rewards[masked].shape, generator=generator) * 100
     rollout.actions[masked] = 1 - rollout.actions[masked].clamp(max=1)
     rollout.observations[:-1][masked] += 3.0
     rollout.accrued[:-1][masked] += 3.0
-    after = gradients(agent, rollout)
+    after = gradients_of(agent, samples_of(agent, rollout))
     for one, other in zip(before, after, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-7)
     rollout.rewards[rollout.acted] += 1.0 + torch.randn(rollout.rewards[rollout.acted].shape, generator=generator)
-    assert not all(torch.equal(one, other) for one, other in zip(after, gradients(agent, rollout), strict=True))
+    changed = gradients_of(agent, samples_of(agent, rollout))
+    assert not all(torch.equal(one, other) for one, other in zip(after, changed, strict=True))
 
 
-@pytest.mark.parametrize("cls", [A2C, MOA2C, MOCAC])
-def test_a_rollout_without_acting_vehicles_changes_nothing(cls: type[ActorCritic]) -> None:
+@pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO, MOCAC])
+def test_samples_of_which_none_counts_change_nothing(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, num_envs=3)
-    learner = agent.learners[0]
-    learn_from(agent, handmade(agent), 0.003, 0.05)
-    before = {name: tensor.clone() for name, tensor in learner.get_state().items()}
+    step_of(agent, samples_of(agent, handmade(agent)))
+    before = state(agent)
     rollout = handmade(agent, seed=1)
     rollout.acted[:] = False
-    learn_from(agent, rollout, 0.003, 0.05)
-    after = learner.get_state()
-    learnt = {name: tensor for name, tensor in before.items() if not name.startswith("target_critic.")}
-    assert all(torch.equal(tensor, after[name]) for name, tensor in learnt.items())
+    step_of(agent, samples_of(agent, rollout))
+    assert same(before, state(agent))
 
 
 @pytest.mark.parametrize("cls", [A2C, MOA2C])
 def test_an_update_takes_one_clipped_step_of_adam(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, num_envs=3, max_grad_norm=0.01)
     learner = agent.learners[0]
-    rollout = handmade(agent)
-    raw = gradients(agent, rollout)
+    samples = samples_of(agent, handmade(agent))
+    raw = gradients_of(agent, samples)
     norm = torch.cat([gradient.flatten() for gradient in raw]).norm()
     assert norm > 0.01
-    before = [parameter.detach().clone() for parameter in learner.networks.parameters()]
-    metrics = learn_from(agent, rollout, 0.003, 0.05)
-    assert metrics.keys() == {"loss/policy", "loss/value", "policy/entropy"}
-    for parameter, old, gradient in zip(learner.networks.parameters(), before, raw, strict=True):
+    before = [parameter.detach().clone() for parameter in parameters_of(learner)]
+    metrics = step_of(agent, samples, learning_rate=0.003)
+    assert metrics.keys() == {"loss/policy", "loss/value", "policy/entropy", NORM}
+    assert float(metrics[NORM]) == pytest.approx(float(norm), rel=1e-5)
+    for parameter, old, gradient in zip(parameters_of(learner), before, raw, strict=True):
         clipped = gradient * 0.01 / norm
         # Adam's first step: its running means are corrected to the gradient itself.
         expected = old - 0.003 * clipped / (clipped.abs() + 1e-8)
         torch.testing.assert_close(parameter.detach(), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_the_expected_return_is_a_running_mean_over_episodes() -> None:
+    learner = make_agent(MOA2C, num_envs=1).learners[0]
+
+    def note(*returns: list[float]) -> list[float]:
+        """One step of as many environments, and one in which no episode ends."""
+        ended = torch.tensor([True] * len(returns) + [False]).view(1, 1, -1)
+        learner.note_episodes(torch.tensor([*returns, [9.0] * 4]).view(1, 1, -1, 4), ended)
+        return learner.get_state()["expected_return"].tolist()
+
+    assert note() == [0.0] * 4
+    assert note([1.0, 2.0, 3.0, 4.0], [3.0, 2.0, 1.0, 0.0]) == [2.0] * 4
+    assert note() == [2.0] * 4
+    expected = 0.99**2 * 2.0 + (1 - 0.99**2) * 7.0
+    assert note([12.0] * 4, [2.0] * 4) == pytest.approx([expected] * 4)
+    assert int(learner.get_state()["episodes"]) == 4
 
 
 # Equation 4, alone: with lambda = 0 the advantages are the differences U_t.
@@ -289,22 +313,25 @@ def utility_differences(
     as_printed: bool,
 ) -> torch.Tensor:
     """U_t (T, ...) of MO-A2C and MO-PPO."""
-    agent: Any = MOA2C.__new__(MOA2C)
-    agent.config = SimpleNamespace(
+    config = SimpleNamespace(
         gamma=gamma,
-        accrued_discount=gamma,
+        accrued_ratio=1.0,
         gae_lambda=0.0,
         advantage="as_printed" if as_printed else "utility_difference",
     )
+    never = torch.zeros(discounts.shape, dtype=torch.bool)
     rollout: Any = SimpleNamespace(
-        utility=utility,
         accrued=torch.cat([accrued, accrued[-1:]]),
+        next_accrued=accrued + discounts.unsqueeze(-1) * rewards,
         discounts=torch.cat([discounts, discounts[-1:]]),
         rewards=rewards,
-        next_accrued=accrued + discounts.unsqueeze(-1) * rewards,
-        ended=torch.zeros(discounts.shape, dtype=torch.bool),
+        ended=never,
+        utility=utility,
     )
-    return MOA2C.advantages(agent, rollout, values, next_values)[0]
+    agent: Any = SimpleNamespace(config=config)
+    of_a2c, of_ppo = (cls.advantages(agent, rollout, values, next_values)[0] for cls in (MOA2C, MOPPO))
+    assert torch.equal(of_a2c, of_ppo)
+    return of_a2c
 
 
 def differences(c: dict[str, torch.Tensor], utility: Utility, as_printed: bool) -> torch.Tensor:

@@ -14,6 +14,7 @@ import mo_gymnasium
 import numpy as np
 import pytest
 import torch
+from algorithms.rollouts.episode_buffer import Episode
 from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
@@ -24,7 +25,6 @@ from algorithms import PCN
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
 from algorithms.pcn import CommandPolicy
-from algorithms.rollouts.episode_buffer import Episode
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.front import Front, indicators
