@@ -168,11 +168,6 @@ def uncounted_jit(function: F) -> F:
     return _compiled(function, forceinline=True, _nrt=False)
 
 
-def parallel_jit(function: F) -> F:
-    """As :func:`jit`, with the rounds of ``numba.prange`` shared among Numba's threads."""
-    return _compiled(function, parallel=True)
-
-
 def _compiled(function: F, **options: Any) -> F:
     compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
     if not numba.config.DISABLE_JIT and _can_be_cached(function):  # type: ignore[attr-defined]  # Numba has no types

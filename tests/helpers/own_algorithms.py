@@ -1,4 +1,4 @@
-"""Algorithms and networks of a user, as YAML files name them: changed formulas, and some that cannot be learnt by."""
+"""Algorithms, a network and a utility of a user: changed formulas, and what cannot be learnt from."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from algorithms.learning.losses import Loss
 
 
 class Stubborn(MOPPO):
-    """MO-PPO whose loss also keeps the policy where it was."""
+    """Its loss keeps the policy where it was, too."""
 
     class Config(MOPPO.Config):
         stay: float = 10.0
@@ -26,7 +26,7 @@ class Stubborn(MOPPO):
 
 
 class Squared(MOPPO):
-    """MO-PPO with the squares of its advantages."""
+    """Its advantages are squares."""
 
     def advantages(self, rollout: Any, values: Any, next_values: Any) -> tuple[torch.Tensor, torch.Tensor]:
         advantages, targets = super().advantages(rollout, values, next_values)
@@ -58,7 +58,7 @@ class Deciding(MOPPO):
 
 
 class CommandsInPlace(PCN):
-    """PCN whose loss changes its commands."""
+    """Its loss changes its commands."""
 
     def loss(self, networks: Any, samples: Any) -> Loss:
         samples["commands"].mul_(2.0)
@@ -73,12 +73,11 @@ class DecidingNetwork(nn.Linear):
         return 2.0 * outputs if x.sum() > 0.0 else outputs
 
 
-def deciding_network(inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
+def deciding_network(inputs: int, outputs: int, _: torch.Generator) -> nn.Module:
     """A network that seeds side by side cannot share."""
-    del generator
     return DecidingNetwork(inputs, outputs)
 
 
 def deciding_utility(returns: Any) -> Any:
-    """A utility that decides by the values of its returns how it is calculated."""
+    """Decides by the values of its returns how it is calculated."""
     return returns.sum(-1) if (returns >= 0.0).all() else returns[..., 0]
