@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import torch
 
-from algorithms.agent import LEARNING, Agent
+from algorithms.agent import ACTIONS, LEARNING, Agent
 from algorithms.files.checkpoints import ACCRUED_GAMMA, GUIDES, OBJECTIVE_SCALES, PARTNERS, SHARED, strip_prefix
 from algorithms.hyperparameters import schedules
 from algorithms.learning.actors import make_actor
@@ -193,6 +193,7 @@ class ActorCritic(Agent):
             raise ValueError(f"algorithm {self.name!r} cannot train with guides")
         self.guides = [Guides(guides, self.accrued_discount)]
         self.guides += [self.guides[0].copy() for _ in self.seeds[1:]]
+        self._driving = [torch.Generator(self.device) for _ in self.seeds]  # of partners' and guides' random numbers
         self._check_drivers()
         if config.centralised_critic and self.env.vehicles == 1:
             raise ValueError("centralised_critic = True needs an environment with more than one vehicle")
@@ -430,6 +431,7 @@ class ActorCritic(Agent):
     def _draw(self, seed: int) -> None:
         """Draw the random numbers of an update of the seed with this index."""
         generator = torch.Generator(self.device)
+        self._driving[seed].manual_seed(self.seed_of(ACTIONS, seed))
         for learner in self.learners:
             generator.manual_seed(self.seed_of(LEARNING + learner.vehicles[0], seed))
             learner.actor.draw(learner.noise[seed], generator)
@@ -601,13 +603,13 @@ class ActorCritic(Agent):
 
     def _drive(self, at: RolloutStorage, now: Running) -> None:
         """Let partners and guides drive, for whom observations and actions are arrays."""
-        for seed, guides in enumerate(self.guides):
+        for seed, (guides, generator) in enumerate(zip(self.guides, self._driving, strict=True)):
             observations, past = now.arrays(seed)
             taken = at.actions[seed].cpu().numpy()
             for v, partner in self.partners.items():
-                taken[:, v] = partner.act(observations, past, self.generator)
+                taken[:, v] = partner.act(observations, past, generator)
             for guide in guides:
-                led = guide.drive(taken, observations, past, self.generator)
+                led = guide.drive(taken, observations, past, generator)
                 at.led[seed, :, guide.vehicle] = torch.from_numpy(led).to(self.device)
             at.actions[seed] = torch.from_numpy(taken).to(self.device)
 

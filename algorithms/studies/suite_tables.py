@@ -36,7 +36,7 @@ NOTE = (
     f"intervals. A run that failed counts as {LOWEST:g}; the number of runs that are not finished is in brackets."
 )
 MEANS_NOTE = (
-    "Scores between floor (0) and ceiling (1) of each task, and differences of learners, paired by seeds where both have "
+    "Scores between floor (0) and ceiling (1) of each task, and differences of learners, paired where their seeds are "
     f"the same: means over seeds with 95% bootstrap intervals. A run that failed counts as {LOWEST:g}."
 )
 PROFILE = np.linspace(-0.25, 1.25, 151)  # scores at which a performance profile is drawn

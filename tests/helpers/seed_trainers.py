@@ -14,6 +14,7 @@ from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT
 LEARNERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
     "a2c": ("a2c", ONE_WAYPOINT, {}, {}),
     "ppo, continuous": ("ppo", ONE_WAYPOINT, CONTINUOUS, {"state_dependent_std": True}),
+    "ppo, two vehicles": ("ppo", INTERSECTION, {}, {}),
     "ppo, two vehicles, central": ("ppo", INTERSECTION, {}, {"centralised_critic": True}),
     "mo_a2c, as printed": ("mo_a2c", ONE_WAYPOINT, {}, {"advantage": "as_printed"}),
     "mo_ppo": ("mo_ppo", ONE_WAYPOINT, {}, {"minibatches": 3, "cost_growth": 0.5}),
@@ -66,8 +67,3 @@ def trained(agent: Any, total: int = TOTAL, **options: Any) -> list[list[dict[st
 def weights(agent: Any, seed: int) -> torch.Tensor:
     """All parameters of the seed with this index."""
     return torch.cat([learner.vector[seed, : sum(learner._sizes)] for learner in agent.learners])
-
-
-def branching(returns: Any) -> Any:
-    """A utility that decides by the values of its returns how it is calculated."""
-    return returns.sum(-1) if (returns >= 0.0).all() else returns[..., 0]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import algorithms
-import algorithms.networks.actors
+import algorithms.learning.actors
 from mo_deepdrive import learners
 from tests.helpers.paths import REPOSITORY
 
@@ -54,12 +54,12 @@ def test_a_project_with_a_package_algorithms_uses_both(tmp_path: Path, script: s
 
 
 def test_where_no_other_package_has_the_name_both_names_are_the_same_modules() -> None:
-    from mo_deepdrive.learners.networks import actors
+    from mo_deepdrive.learners.learning import actors
 
     assert learners.MOPPO is algorithms.MOPPO
-    assert actors is algorithms.networks.actors
+    assert actors is algorithms.learning.actors
     assert actors.__spec__ is not None
-    assert actors.__spec__.name == "algorithms.networks.actors"
+    assert actors.__spec__.name == "algorithms.learning.actors"
     with pytest.raises(ImportError, match=r"No module named 'algorithms\.dqn'"):
         import mo_deepdrive.learners.dqn  # noqa: F401
 
