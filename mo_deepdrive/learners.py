@@ -59,7 +59,8 @@ class _Finder(MetaPathFinder):
         if path is None or not name.startswith(f"{__name__}."):
             return None
         if self._alias:
-            return ModuleSpec(name, _Alias(importlib.import_module(f"algorithms{name.removeprefix(__name__)}")))
+            ours = f"algorithms{name.removeprefix(__name__)}"
+            return ModuleSpec(name, _Alias(importlib.import_module(ours))) if util.find_spec(ours) else None
         return FileFinder(path[0], (_Renamed, [".py"])).find_spec(name)
 
 

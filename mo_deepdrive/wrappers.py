@@ -216,11 +216,9 @@ class VectorEpisodeStatistics(VectorWrapper):  # not generic in Gymnasium 1.2
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Act for one decision in every environment."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
-        if not self._returns.shape:
-            self._returns, self._discounted = np.zeros(rewards.shape), np.zeros(rewards.shape)
         discounts = (self._gamma**self._lengths).reshape(-1, *[1] * (rewards.ndim - 1))
-        self._returns += rewards  # zeros where an environment is only reset
-        self._discounted += discounts * rewards
+        self._returns = self._returns + rewards  # zeros where an environment is only reset
+        self._discounted = self._discounted + discounts * rewards
         self._lengths += ~self._only_reset
         over: Any = (terminated | truncated).reshape(self.num_envs, -1).all(axis=1)
         if over.any():

@@ -26,7 +26,10 @@ def add_suite_score(parser: ArgumentParser) -> None:
         "id of a task",
     )
     parser.add_argument(
-        "--tasks", nargs="+", metavar="TASK", help="their ids (default: those of a run; all that count for others)"
+        "--tasks",
+        nargs="+",
+        metavar="TASK",
+        help="their ids, or core (default: those of a run; all that count for others)",
     )
     parser.add_argument("--episodes", type=int, metavar="N", help="instead of those of a task")
     parser.add_argument("--no-perturbations", action="store_true", help="leave out the columns of generalisation")
@@ -49,27 +52,36 @@ def add_suite_verify(parser: ArgumentParser) -> None:
 
 def suite_score(options: Namespace) -> int:
     """Score policies; returns the exit code."""
-    from algorithms.experiments.console import make_console
+    from algorithms.commands.suite_results import CORE
+    from algorithms.experiments.console import make_console, print_line
+    from algorithms.experiments.progress_bar import compilation_noted
     from algorithms.experiments.suite_entries import open_entry
     from mo_deepdrive import suite
 
     check_file("--output", options.output, ".csv")
     if options.episodes is not None and options.episodes < 1:
         raise ValueError(f"--episodes {options.episodes} must be at least 1")
-    for task_id in options.tasks or ():
+    tasks = suite.load().tasks
+    options.tasks = [
+        each
+        for task_id in options.tasks or ()
+        for each in ([name for name, task in tasks.items() if task.core] if task_id == CORE else [task_id])
+    ]
+    for task_id in options.tasks:
         suite.load().task(task_id)
     entries = [open_entry(source, trust=options.trust) for source in options.policies]
-    found = [
-        (entry, task_id, checked_policy(entry, task_id)) for entry in entries for task_id in _tasks(entry, options)
-    ]
     console, rows = make_console(), []
-    for entry, task_id, policy in found:
-        with console.status(f"{entry.source} on {task_id}"):
-            mine = entry.score(policy, task_id, episodes=options.episodes, perturbed=not options.no_perturbations)
-        console.print(score_table(mine, f"{task_id}: {suite.load().task(task_id).title}; {entry.source}"))
-        rows += mine
-        if options.output:
-            suite.write_rows(options.output, rows)
+    with compilation_noted(lambda text: print_line(console, text)):
+        found = [
+            (entry, task_id, checked_policy(entry, task_id)) for entry in entries for task_id in _tasks(entry, options)
+        ]
+        for entry, task_id, policy in found:
+            with console.status(f"{entry.source} on {task_id}"):
+                mine = entry.score(policy, task_id, episodes=options.episodes, perturbed=not options.no_perturbations)
+            console.print(score_table(mine, f"{task_id}: {suite.load().task(task_id).title}; {entry.source}"))
+            rows += mine
+            if options.output:
+                suite.write_rows(options.output, rows)
     if options.output:
         print(f"written: {options.output}")
     return 0

@@ -85,7 +85,17 @@ def open_entry(source: str, *, trust: bool = False) -> Entry:
 
 def _own(source: str, policy: Any) -> Entry:
     label = getattr(policy, "__name__", source)
-    return Entry(source, label, 0, (), policy if isinstance(policy, type) else lambda _: policy)
+
+    def made(task_id: str) -> Any:
+        if not isinstance(policy, type):
+            return policy
+        try:
+            return policy(task_id)
+        except (Exception, SystemExit) as error:  # a user's class may raise anything
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise ValueError(f"policy {source!r}: {label}({task_id!r}) cannot be made: {reason}") from error
+
+    return Entry(source, label, 0, (), made)
 
 
 def _of_file(source: str, path: Path, name: str) -> Any:
@@ -98,7 +108,7 @@ def _of_file(source: str, path: Path, name: str) -> Any:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # a user's module may raise anything
+    except (Exception, SystemExit) as error:  # a user's module may raise anything
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ValueError(f"policy {source!r} cannot be imported: {reason}") from error
     found = [each for each in ([name] if name else OWN_NAMES) if hasattr(module, each)]

@@ -34,9 +34,6 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # not installed with the types t
     Args:
         envs: a vector environment with rewards (N,) that resets itself in the step in which an episode ends.
 
-    Attributes:
-        envs: the same.
-
     Raises:
         ValueError: for another autoreset mode; from :meth:`step_wait`, for vector rewards.
     """
@@ -53,11 +50,10 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # not installed with the types t
 
     def reset(self) -> NDArray[Any]:
         """Start new episodes, with the seeds and options that have been set since the last call."""
-        options, *others = self._options
-        if any(each != options for each in others):
+        options = self._options[0]
+        if self._options != [options] * self.num_envs:
             raise ValueError(f"options = {self._options} must be the same for all environments")
-        seeds = None if set(self._seeds) == {None} else self._seeds
-        observations, self.reset_infos = self._listed.reset(seed=seeds, options=options or None)
+        observations, self.reset_infos = self._listed.reset(seed=self._seeds, options=options or None)
         self._reset_seeds()
         self._reset_options()
         return np.asarray(observations)
@@ -93,15 +89,12 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # not installed with the types t
         owner = self.envs if hasattr(self.envs, attr_name) else self.envs.unwrapped
         return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
 
-    def set_attr(self, attr_name: str, *_: Any, **__: Any) -> None:
-        """Not for parts of a vector environment."""
-        raise AttributeError(f"{attr_name!r} of single environments cannot be set in {self.envs}")
+    def env_method(self, method_name: str, *_: Any, **__: Any) -> Any:
+        """Single environments cannot be called, nor can their attributes be set."""
+        raise AttributeError(f"{method_name!r} of single environments is out of reach in {self.envs}")
 
-    def env_method(self, method_name: str, *_: Any, **__: Any) -> list[Any]:
-        """Not for parts of a vector environment."""
-        raise AttributeError(f"{method_name!r} of single environments cannot be called in {self.envs}")
+    set_attr = env_method
 
-    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+    def env_is_wrapped(self, _wrapper_class: type, indices: Any = None) -> list[bool]:
         """False for all: wrappers of single environments cannot wrap these."""
-        del wrapper_class
         return [False for _ in self._get_indices(indices)]

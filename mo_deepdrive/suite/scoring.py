@@ -191,12 +191,14 @@ def check_policy(policy: Any, task_id: str) -> None:
         if task.utility is not None:
             single(policy)
         adapter = EnvAdapter(drives.env)
+        actors = [as_policy(member, adapter) for member in members]  # before anything is compiled
+        functions = [actor for actor in actors if isinstance(actor, FunctionPolicy)]
+        if not functions:
+            return
         observations = adapter.reset([drives.seed, drives.seed + 1])
         nothing = AccruedReward.begin(2, adapter.vehicles, len(adapter.objectives))
-        for member in members:
-            actor = as_policy(member, adapter)
-            if isinstance(actor, FunctionPolicy):
-                actor.act(observations, nothing, None)
+        for actor in functions:
+            actor.act(observations, nothing, None)
     except (TypeError, ValueError) as error:
         raise type(error)(f"task {task_id}: {error}") from None
     finally:

@@ -91,7 +91,7 @@ def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> boo
     return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
 
 
-def exaggerate(agent: ActorCritic, factor: float = 300.0) -> None:
+def exaggerate(agent: Any, factor: float = 300.0) -> None:
     """Take the policies far from their initial, nearly uniform ones."""
     with torch.no_grad():
         for learner in agent.learners:
@@ -254,11 +254,11 @@ def value_scale(agent: Any, form: str) -> Any:
 
 def value_of(agent: Any, form: str, *what: Any) -> torch.Tensor:
     scale = value_scale(agent, form)
-    value = (scale * agent.learners[0].critic(seen_by(agent, form, *what))).detach()
+    value: torch.Tensor = (scale * agent.learners[0].critic(seen_by(agent, form, *what))).detach()
     return value.squeeze(-1) if form == "a2c" else value
 
 
-def diversified(agent: ActorCritic) -> ActorCritic:
+def diversified(agent: Any) -> Any:
     """The agent with a policy that differs from state to state, far from uniform, and of ours one that moves.
 
     Of the 22 discrete actions every third one from 3 on is "increase speed".

@@ -60,7 +60,7 @@ def test_where_no_other_package_has_the_name_both_names_are_the_same_modules() -
     assert actors is algorithms.learning.actors
     assert actors.__spec__ is not None
     assert actors.__spec__.name == "algorithms.learning.actors"
-    with pytest.raises(ImportError, match=r"No module named 'algorithms\.dqn'"):
+    with pytest.raises(ImportError, match=r"No module named 'mo_deepdrive\.learners\.dqn'"):
         import mo_deepdrive.learners.dqn  # noqa: F401
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from algorithms.command_line import run
+from algorithms.commands.suite import main
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.suite_entries import (
     check_experiment,
@@ -166,6 +168,37 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
     (tmp_path / "scores.csv").write_text(table.replace("score,0.0,0.0,0.0", "score,0.5,0.4,0.6"))
     assert run("suite", verify, "mo-deepdrive {}") == 1
     assert "policy.py on K6-ESR, score (greedy), test split: its value = 0.5, found 0.0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "the file has no 'policy' or 'Policy'"),
+        ("import sys\nsys.exit(3)\n", "cannot be imported: SystemExit: 3"),
+        ("1 / 0\n", "cannot be imported: ZeroDivisionError"),
+        ("class Policy:\n    pass\n", r"Policy\('K1'\) cannot be made: TypeError"),
+        ("def policy(observations):\n    pass\n", r"cannot be called as policy\(observations, accrued, discounts\)"),
+        (
+            "def policy(observations, *_):\n    return observations[:, :, 0]\n",
+            r"failed for observations \(2, 19\), accrued rewards \(2, 6\) and discounts \(2,\) at "
+            r"mine.py:2: IndexError: too many indices",
+        ),
+        ("import sys\ndef policy(*_):\n    sys.exit()\n", "at mine.py:3: SystemExit"),
+        (
+            "import numpy as np\ndef policy(observations, *_):\n    return np.ma.masked_equal([0, 1], 1)\n",
+            "the policy returned masked actions",
+        ),
+    ],
+)
+def test_a_policy_that_cannot_drive_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+) -> None:
+    (tmp_path / "mine.py").write_text(text)
+    with pytest.raises(SystemExit):
+        main(["score", str(tmp_path / "mine.py"), "--tasks", "K1"])
+    error = capsys.readouterr().err.strip()
+    assert re.search(message, error), error
+    assert "\n" not in error
 
 
 @pytest.mark.slow
