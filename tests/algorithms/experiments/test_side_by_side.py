@@ -28,68 +28,71 @@ def runs_of(folder: Path, *seeds: int) -> list[Run]:
     return [Run.create(job(folder, seed).experiment, folder / f"seed{seed}") for seed in seeds]
 
 
-def trained(runs: list[Run], **options: Any) -> tuple[Any, int | None, str]:
-    """The agent that has trained runs side by side, what stopped it, and what was printed."""
-    agent, console = resume(*runs), quiet()
+def finished(runs: list[Run], agent: Any, **options: Any) -> str:
+    """Train runs side by side; what was printed."""
+    console = quiet()
     try:
-        received = train_and_finish(runs, agent, console, **options)
+        train_and_finish(runs, agent, console, **options)
     finally:
         for run in runs:
             run.unlock()
-    return agent, received, printed(console)
+    return " ".join(printed(console).split())
 
 
-@pytest.mark.parametrize("where", ["networks", "checkpoint", "final evaluation"])
-def test_a_run_that_fails_keeps_its_last_checkpoint_and_the_others_are_finished(
-    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+# Where the first seed fails, after a row of which step what of it has been spoilt, and its last checkpoint.
+FAULTS: dict[str, tuple[int, str, int]] = {
+    "in the update after step 160": (160, "vector", 96),
+    "in the checkpoint of step 480": (480, "mean", 384),
+    "in the evaluation at step 960": (960, "vector", 864),
+}
+
+
+@pytest.mark.parametrize("where", FAULTS)
+def test_a_run_that_fails_keeps_its_last_checkpoint_and_the_others_are_finished(where: str, tmp_path: Path) -> None:
     whole, broken = runs_of(tmp_path / "whole", 5, 6), runs_of(tmp_path / "broken", 4, 6)
-    trained(whole)
-    agents: list[Any] = []
-    make = resume
+    finished(whole, resume(*whole))
+    agent, (when, name, saved) = resume(*broken), FAULTS[where]
 
     def spoil(step: int, _: Any) -> None:
-        """Spoil the first seed, after a checkpoint and before another."""
-        if step == {"networks": 640, "checkpoint": 640, "final evaluation": TOTAL}[where]:
-            part = agents[0].learners[0]
-            (part.mean if where == "checkpoint" else part.vector)[0] = torch.nan
+        if step == when:
+            getattr(agent.learners[0], name)[0] = torch.nan
 
-    monkeypatch.setitem(globals(), "resume", lambda *runs: agents.append(make(*runs)) or agents[-1])
-    agent, received, text = trained(broken, watch=spoil)
-    assert received is None
-    assert [*agent.failed] == [0]
+    text = finished(broken, agent, watch=spoil)
     status = read_status(broken[0].path)
-    saved = {"networks": 576, "checkpoint": 576, "final evaluation": TOTAL - 96}[where]
     assert (status["state"], status["step"]) == ("failed", saved)
+    assert status["reason"].startswith(f"seed 4, {where}: ")
     assert read_checkpoint(broken[0].checkpoint, {})[1][STEP] == saved
-    assert f"seed 4, in the {'update after' if where == 'networks' else 'checkpoint of'} step" in status["reason"]
     assert f"the checkpoint of step {saved} is intact" in text
     assert_same_run(whole[1].path, broken[1].path)
 
 
-def test_runs_of_which_all_have_failed_are_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_runs_of_which_all_have_failed_are_an_error(tmp_path: Path) -> None:
     runs = runs_of(tmp_path, 4, 5)
     agent = resume(*runs)
     agent.learners[0].vector[:] = torch.nan
-    monkeypatch.setitem(globals(), "resume", lambda *_: agent)
-    with pytest.raises(NotFinite, match="seed 5, in the update after step 0: environment 0: an output"):
-        trained(runs)
+    with pytest.raises(NotFinite, match="seed 5, in the evaluation at step 0: environment 0: an output of the policy's"):
+        finished(runs, agent)
     assert [read_status(run.path)["state"] for run in runs] == ["failed"] * 2
 
 
 def test_runs_that_are_stopped_side_by_side_are_resumed_together_or_not_at_all(tmp_path: Path) -> None:
     whole, part = runs_of(tmp_path / "whole", 5, 6), runs_of(tmp_path / "part", 5, 6)
-    trained(whole)
+    finished(whole, resume(*whole))
     seen: list[int] = []
-    trained(part, watch=lambda step, _: seen.append(step), stop=lambda: bool(seen) and seen[-1] >= 320)
+    finished(part, resume(*part), watch=lambda at, _: seen.append(at), stop=lambda: bool(seen) and seen[-1] >= 320)
     assert read_status(part[0].path)["state"] == "interrupted"
-    trained([Run.open(str(run.path)) for run in part], resumed=True)
+    again = [Run.open(str(run.path)) for run in part]
+    for run in again:
+        run.lock()
+    finished(again, resume(*again), resumed=True)
     for one, other in zip(whole, part, strict=True):
         assert_same_run(one.path, other.path)
+    (new,) = runs_of(tmp_path / "new", 7)
+    different = Run.create(job(tmp_path, 8, num_envs=8).experiment, tmp_path / "different")
     with pytest.raises(ValueError, match="some of the runs have a checkpoint and others have none; resume them apart"):
-        resume(whole[0], *runs_of(tmp_path / "new", 7))
+        resume(whole[0], new)
     with pytest.raises(ValueError, match=r"trained side by side must differ in training\.seed alone"):
-        resume(whole[0], Run.create(job(tmp_path, 8, num_envs=8).experiment, tmp_path / "other"))
+        resume(whole[0], different)
 
 
 def test_the_runs_of_several_seeds_are_those_of_each_and_tabulated(
