@@ -662,8 +662,9 @@ class ActorCritic(Agent):
     def _driving_options(self) -> dict[str, Any]:
         return {"partners": self.partners, "guides": [*self.guides[0]], "share_policy": self.share_policy}
 
-    def _fail(self, seed: int, error: Any, when: str) -> None:
-        super()._fail(seed, error, when)
+    def fail(self, seed: int, error: Any, when: str) -> None:
+        """End a seed, whose networks go on with parameters that do no harm."""
+        super().fail(seed, error, when)
         for learner in self.learners:
             learner.park(seed)
 

@@ -515,7 +515,7 @@ class Agent(ABC):
             try:
                 metrics, front = self.of_seed(seed).evaluate(plan)
             except Fault as error:
-                self._fail(seed, error, when)
+                self.fail(seed, error, when)
                 continue
             if logs:
                 logs[seed](self.step, metrics)
@@ -530,7 +530,7 @@ class Agent(ABC):
                     self.check(seed)
                     check_numbers(_of_seed(losses, seed))
                 except Fault as error:
-                    self._fail(seed, error, when)
+                    self.fail(seed, error, when)
 
     def check(self, seed: int) -> None:
         """Refuse what the seed with this index has computed since the last call, if it is not finite.
@@ -540,7 +540,7 @@ class Agent(ABC):
         """
         del seed
 
-    def _fail(self, seed: int, error: Fault, when: str) -> None:
+    def fail(self, seed: int, error: Fault, when: str) -> None:
         """End a seed; the others go on.
 
         Raises:
@@ -569,7 +569,10 @@ class Agent(ABC):
                 prefix = TRAIN + vehicle_prefix(v, self.env.vehicles)
                 row |= {prefix + name: value for name, value in means.items()}
             if seed not in self.failed:
-                check_numbers(row)
+                try:
+                    check_numbers(row)
+                except Fault as error:
+                    self.fail(seed, error, f"in the episodes up to step {self.step:,}")
             rows.append({**row, **_of_seed(losses, seed)})
         return rows
 

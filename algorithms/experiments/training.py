@@ -129,7 +129,13 @@ def train_and_finish(
                 continue
             if len(runs) > 1:
                 print_line(console, f"seed {run.experiment.training.seed}")
-            finish(run, trainee.of_seed(seed), console)
+            try:
+                finish(run, trainee.of_seed(seed), console)
+            except Fault as error:
+                if len(runs) == 1:
+                    raise
+                trainee.fail(seed, error, "after the training")
+                print_line(console, trainee.failed[seed])
     return received
 
 
@@ -234,17 +240,24 @@ def train(
 
                 return log
 
-            def save(state: Any) -> None:
-                for seed, record in enumerate(records):
-                    if seed not in trainee.failed:
-                        record.save(trainee.step, partial(trainee.save, seed=seed), state)
-
-            def after_update(_: Any) -> bool:
-                reporter.update(trainee.step)
+            def note_failures() -> None:
                 for seed in trainee.failed.keys() - ended:
                     ended.add(seed)
                     _set_failed([runs[seed]], records, begun, trainee.failed[seed])
                     reporter.say(f"{trainee.failed[seed]}; {_last_checkpoint(runs[seed], records[seed].saved)}")
+
+            def save(state: Any) -> None:
+                for seed, record in enumerate(records):
+                    if seed not in trainee.failed:
+                        try:
+                            record.save(trainee.step, partial(trainee.save, seed=seed), state)
+                        except Fault as error:
+                            trainee.fail(seed, error, f"in the checkpoint of step {trainee.step:,}")
+                note_failures()
+
+            def after_update(_: Any) -> bool:
+                reporter.update(trainee.step)
+                note_failures()
                 last_saved = max(record.saved for record in records)
                 if trainee.step // checkpoint_interval > last_saved // checkpoint_interval:
                     save("running")

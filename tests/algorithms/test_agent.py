@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -36,20 +36,6 @@ from tests.helpers.agents import (
     same,
     state,
 )
-
-
-@pytest.fixture
-def global_seeds() -> Iterator[Callable[[int], None]]:
-    """Seed the global generators for one test. Minecart draws its ore from NumPy's, whatever seed it is reset with."""
-    numpy_state, torch_state = np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
-
-    def seed(value: int) -> None:
-        np.random.seed(value)  # noqa: NPY002
-        torch.manual_seed(value)
-
-    yield seed
-    np.random.set_state(numpy_state)  # noqa: NPY002
-    torch.set_rng_state(torch_state)
 
 
 PLACES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -98,33 +84,6 @@ def test_training_runs_and_the_policy_gives_valid_actions(cls: type[ActorCritic]
     action = agent.eval(observation, accrued)
     assert env.single_action_space.contains(action)
     np.testing.assert_array_equal(action, agent.eval(observation, accrued_reward=None, discount=1.0))
-
-
-@pytest.mark.slow
-@CLASSES
-@pytest.mark.parametrize("place", ["static_obstacle", "one_waypoint, continuous", "intersection", "minecart"])
-def test_a_seed_determines_every_weight_and_another_seed_gives_others(
-    cls: type[ActorCritic], place: str, global_seeds: Callable[[int], None]
-) -> None:
-    needs_global = place == "minecart"
-    runs = []
-    for attempt, seed in enumerate((5, 5, 6)):
-        global_seeds(0 if needs_global else attempt)
-        runs.append(state(small_run(cls, place, seed)))
-    assert same(runs[0], runs[1])
-    assert not any(
-        torch.equal(runs[0][name], runs[2][name])
-        for name in runs[0]
-        if name.endswith((".weight", ".exp_avg")) and runs[0][name].dim() == 2
-    )
-
-
-@CLASSES
-def test_training_does_not_touch_the_global_generators(cls: type[ActorCritic]) -> None:
-    before = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
-    small_run(cls, "one_waypoint")
-    assert torch.equal(torch.get_rng_state(), before[0])
-    assert np.array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
 
 
 @CLASSES
@@ -245,6 +204,22 @@ def resumable(name: str, seed: int) -> Any:
     cls, settings = MORE_FORMS[form]
     env = {**SHORT, **arguments.get("env", {})}
     return make_agent(cls, env_id, seed=seed, **{**settings, **SCHEDULES, **arguments, "env": env})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RESUMED)
+def test_a_seed_determines_everything_and_another_seed_gives_others(name: str) -> None:
+    before = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
+    runs = []
+    for seed in (5, 5, 6):
+        agent = resumable(name, seed)
+        agent.train(3 * agent.config.steps * agent.env.num_envs)
+        runs.append({name: tensor.clone() for name, tensor in agent.get_state().items()})
+    assert same(runs[0], runs[1])
+    learnt = [name for name in runs[0] if name.endswith((".weight", ".exp_avg"))]
+    assert not any(torch.equal(runs[0][name], runs[2][name]) for name in learnt)
+    assert torch.equal(torch.get_rng_state(), before[0])
+    assert np.array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
 
 
 @pytest.mark.slow

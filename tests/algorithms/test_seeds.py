@@ -15,7 +15,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from algorithms import PCN, PPO, FrontAgent
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.side_by_side import build_trainee
-from algorithms.learning import compiling
 from algorithms.learning.learner import _linear
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.faults import NotFinite
@@ -83,16 +82,6 @@ def test_the_agent_of_a_seed_acts_on_with_what_it_has_learnt(name: str) -> None:
     past = AccruedReward.begin(20, vehicles, len(agent.env.objectives))
     policy = agent.policy(agent.conditions()[0]) if isinstance(agent, FrontAgent) else agent
     assert policy.act(observations.astype(np.float32), past, None).shape[:2] == (20, vehicles)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["mo_ppo", "mappo", "conditioned, families"])
-def test_a_traced_update_is_the_one_that_is_not_traced(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiling, "BACKEND", "aot_eager")  # without a compiler, which rounds otherwise
-    monkeypatch.setattr("algorithms.agent.has_compiler", lambda _: True)
-    traced, plain = (trainer(name, [3, 4], compiled=compiled) for compiled in (True, False))
-    assert trained(traced) == trained(plain)
-    assert torch.equal(weights(traced, 1), weights(plain, 1))
 
 
 @pytest.mark.parametrize("rows", [1024, 960, 1000, 200])
