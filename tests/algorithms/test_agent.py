@@ -37,7 +37,6 @@ from tests.helpers.agents import (
     state,
 )
 
-
 PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "one_waypoint": (ONE_WAYPOINT, {}),
     "one_waypoint, 16 actions": (ONE_WAYPOINT, {"action_type": "discrete-16"}),
