@@ -7,6 +7,7 @@ mo-deepdrive suite run --learner suite/ppo                       # train a learn
 mo-deepdrive suite run --learner my_package.my_module:MyAgent mo_ppo --tasks K1 K3 --seeds 5 --algorithm.gamma=0.98
 mo-deepdrive suite table                                         # the reference results
 mo-deepdrive suite table runs/studies/suite-ppo/results.csv --figure profile.png
+mo-deepdrive suite table mine.csv --published --learners mine mo_ppo --baseline mo_ppo --output table.tex
 
 Where a learner of the reference study is trained, all beside it are tuned by its rule. A key of an experiment, such as
 --algorithm.gamma=0.98, is for every learner that has the setting.
@@ -88,8 +89,7 @@ def _list(_options: argparse.Namespace) -> int:
     from algorithms.experiments.console import make_console
     from mo_deepdrive.suite import load, read_rows
 
-    known = minutes_per_run(read_rows(PUBLISHED)) if PUBLISHED.is_file() else {}
-    make_console().print(task_table(load(), known))
+    make_console().print(task_table(load(), minutes_per_run(read_rows(PUBLISHED))))
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,16 +15,18 @@ from algorithms.sweeps.manifest import short_names
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from rich.console import Console
 
     from algorithms.studies.plan import StudyPlan
     from algorithms.sweeps.runner import Backend, Runner
+    from mo_deepdrive.suite import Row
 
 REFERENCE = "studies/suite"  # the study of the reference results
-PUBLISHED = CONFIGS.parent / "docs" / "results" / "suite.csv"  # these results; exists in a checkout alone
+PUBLISHED = CONFIGS.parent / "docs" / "results" / "suite.csv"  # these results
 CORE, ALL = "core", "all"  # instead of tasks
+OF_PUBLISHED = " (published)"  # after the name of a published learner that is also one of the results beside it
 
 
 def add_suite_run(parser: ArgumentParser) -> None:
@@ -111,41 +114,70 @@ def add_suite_table(parser: ArgumentParser) -> None:
     parser.add_argument(
         "results", nargs="?", type=Path, metavar="RESULTS.csv", help="of a study (default: the reference results)"
     )
-    parser.add_argument("--against", metavar="LEARNER", help="whom the others are compared with (default: lintune)")
+    parser.add_argument("--published", action="store_true", help="beside the reference results, on tasks of RESULTS")
+    parser.add_argument("--learners", nargs="+", action="extend", metavar="L", help="those to show (default: all)")
+    parser.add_argument("--baseline", metavar="LEARNER", help="whom the others are compared with (default: lintune)")
     parser.add_argument("--figure", type=Path, metavar="FILE.png", help="draw the performance profiles")
-    parser.add_argument("--output", type=Path, metavar="FILE.md", help="write the tables as Markdown")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="scores and differences as .csv, .tex or .md")
 
 
 def suite_table(options: Namespace) -> int:
     """Print the tables of the suite, and write them if asked to; returns the exit code."""
     from algorithms.experiments.console import make_console, print_line
-    from algorithms.reporting.table_files import markdown
+    from algorithms.reporting.table_files import FORMATS, write_files
     from algorithms.reporting.wide_tables import print_rows
     from algorithms.studies.settings import load_study
-    from algorithms.studies.suite_tables import NOTE, Scoreboard
+    from algorithms.studies.suite_tables import BASELINE, DIFFERENCES, NOTE, Scoreboard, tasks_by_learners
     from mo_deepdrive import suite
-    from mo_deepdrive.atomic_io import atomic_write
 
     check_file("--figure", options.figure)
-    check_file("--output", options.output, ".md")
+    check_file("--output", options.output, *FORMATS)
     path = options.results or PUBLISHED
-    results = suite.read_rows(path) if path.is_file() else []
+    results = suite.read_rows(path)
     if not results:
         raise ValueError(f"there are no results in {str(path)!r}; mo-deepdrive suite run writes a results.csv")
     for task in {row.task: None for row in results}:
         if task not in suite.load().tasks:
             raise ValueError(f"{str(path)!r} has results of task {task!r}, which the suite does not have")
+    if options.published and options.results is not None:
+        results = beside_published(results)
     console, board = make_console(), Scoreboard(results, suite.load())
-    tables = [*board.track_tables(options.against), ("Tasks", board.task_table())]
+    if options.learners:
+        board.check_learners("--learners", options.learners)
+        wanted = [row for name in dict.fromkeys(options.learners) for row in results if row.learner == name]
+        board = Scoreboard(wanted, suite.load())
+    tables = [*board.track_tables(options.baseline), ("Tasks", board.task_table())]
     tables.append(("Tasks, by the policy that is not ranked", board.task_table(ranked=False)))
     for title, rows in tables:
         print_rows(console, rows, title, 1)
     console.print(NOTE, highlight=False)
+    baseline = options.baseline or (BASELINE if BASELINE in board.learners else board.learners[0])
+    differences = board.tidy_differences(baseline)
+    if len(differences) > 1:
+        print_rows(console, tasks_by_learners(differences, {}), f"Differences to {baseline}", 1)
+        console.print(DIFFERENCES.format(baseline), highlight=False)
+    labels = load_study(REFERENCE).labels
+    labels |= {f"{name}{OF_PUBLISHED}": f"{label}{OF_PUBLISHED}" for name, label in labels.items()}
     if options.figure is not None:
-        board.draw_profiles(options.figure, load_study(REFERENCE).labels)
+        board.draw_profiles(options.figure, labels)
         print_line(console, f"written: {options.figure}")
     if options.output is not None:
-        text = "\n".join(f"## {title}\n\n{markdown(rows, 1, NOTE)}" for title, rows in tables)
-        atomic_write(options.output, text.encode())
-        print_line(console, f"written: {options.output}")
+        scores = board.tidy_scores()
+        if options.output.suffix.lower() != ".csv":
+            scores, differences = (tasks_by_learners(each, labels) for each in (scores, differences))
+        note = DIFFERENCES.format(labels.get(baseline, baseline))
+        written = write_files(options.output, {"": (scores, 1, NOTE), "-differences": (differences, 1, note)})
+        print_line(console, f"written: {', '.join(map(str, written))}")
     return 0
+
+
+def beside_published(results: Sequence[Row]) -> list[Row]:
+    """Results, and the published ones of the same tasks, whose learners are renamed where both have one of a name."""
+    from mo_deepdrive import suite
+
+    tasks, names = {row.task for row in results}, {row.learner for row in results}
+    published = [row for row in suite.read_rows(PUBLISHED) if row.task in tasks]
+    renamed = [
+        replace(row, learner=f"{row.learner}{OF_PUBLISHED}") if row.learner in names else row for row in published
+    ]
+    return [*results, *renamed]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from algorithms.commands.suite import main
 from algorithms.commands.suite_results import plan_of
+from algorithms.studies.results import study_tables
 from algorithms.studies.suite_tables import Scoreboard
 from algorithms.sweeps.manifest import read_manifest
 from mo_deepdrive import suite
@@ -54,7 +56,7 @@ def test_a_track_has_a_row_per_learner_the_best_first_with_its_worst_task() -> N
     # On K1 every run is better; on K3, two of three.
     assert best["P(better than lintune)"].startswith("0.83")
     assert second[0] == "lintune"
-    with pytest.raises(ValueError, match="--against nobody: there are no results of it"):
+    with pytest.raises(ValueError, match="--baseline nobody: there are no results of it"):
         Scoreboard(results(), suite.load()).track_tables("nobody")
 
 
@@ -75,6 +77,74 @@ def test_the_command_prints_the_tables_and_writes_page_and_picture(
     assert "IQM over tasks" in capsys.readouterr().out
     assert "| K3 |" in page.read_text()
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_failed_run_counts_once_even_with_a_score() -> None:
+    rows = [scored("K1", "mine", 0.5, seed) for seed in range(3)]
+    rows[2] = replace(rows[2], state="failed")
+    found = Scoreboard(rows, suite.load()).scores("K1", "mine")
+    assert found is not None
+    assert (found.values.tolist(), found.failed) == (pytest.approx([0.5, 0.5, -1.0]), 1)
+
+
+def test_averages_are_over_the_tasks_that_all_rows_have_and_differences_are_paired_by_seed() -> None:
+    rows = [scored(task, "mine", 0.6 + 0.1 * seed, seed) for task in ("K1", "K3") for seed in range(3)]
+    rows += [scored(task, "other", 0.5 + 0.1 * seed, seed) for task in ("K1", "K3", "K4") for seed in range(3)]
+    rows += [scored("K4", "mine", 0.9, seed) for seed in (3, 4, 5)]
+    rows += [scored(task, "third", 0.2, seed) for task in ("K1", "K3") for seed in range(3)]
+    board = Scoreboard(rows, suite.load())
+    ((_, (header, *body)),) = board.track_tables("other")
+    assert header[4] == "IQM over K1, K3"
+    assert [(row[0], row[1]) for row in body] == [("mine", "3 of 7"), ("other", "3 of 7"), ("third", "2 of 7")]
+    header, *body = board.tidy_differences("other")
+    found = {(row[0], row[1]): dict(zip(header, row, strict=True)) for row in body}
+    assert list(found) == [("K1", "mine"), ("K1", "third"), ("K3", "mine"), ("K3", "third"), ("K4", "mine")]
+    # Every seed is 0.1 better, so that the paired interval has no width; two samples would have one.
+    paired = found["K1", "mine"]
+    assert [paired[name] for name in ("mean", "low", "high", "paired")] == pytest.approx([0.1, 0.1, 0.1, 1])
+    apart = found["K4", "mine"]
+    assert apart["paired"] == 0
+    assert apart["low"] < apart["mean"] == pytest.approx(0.3) < apart["high"]
+
+
+def test_one_command_puts_results_beside_the_published_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rows(tmp_path / "mine.csv", results())
+    command = ["table", str(tmp_path / "mine.csv"), "--published", "--baseline", "mo_ppo", "--learners"]
+    learners = ["lintune", "mo_ppo", "mo_ppo (published)", "ppo"]
+    for ending in ("csv", "tex", "md"):
+        assert main([*command, *learners, "--output", str(tmp_path / f"table.{ending}")]) == 0
+    written = f"written: {tmp_path}/table.md, {tmp_path}/table-differences.md"
+    assert written in " ".join(capsys.readouterr().out.split())
+    with (tmp_path / "table.csv").open(newline="") as file:
+        scores = list(csv.DictReader(file))
+    assert [row["task"] for row in scores if row["learner"] == "ppo"] == ["K1", "K3", "IQM over K1, K3"]
+    assert [float(row["iqm"]) for row in scores if (row["task"], row["learner"]) == ("K1", "mo_ppo")] == [
+        pytest.approx(0.81)
+    ]
+    tex = (tmp_path / "table.tex").read_text()
+    assert "task & LinTune & MO-PPO & MO-PPO (published) & PPO" in tex
+    assert "% Scores between floor (0) and ceiling (1)" in tex
+    page = (tmp_path / "table-differences.md").read_text()
+    assert page.startswith("| task | LinTune | MO-PPO (published) | PPO |")
+    assert "learner minus MO-PPO" in page
+    assert "(unpaired)" in page  # the published ones have five seeds
+
+
+def test_the_results_of_a_study_say_which_number_to_cite() -> None:
+    plan = plan_of(["suite/ppo"], ["K1"], 2)
+    (_, _, which), *_ = study_tables(plan, plan.runs({}), [])
+    assert which.startswith("Cite the score and its perturbations, which are of 128 scenarios of the test split")
+    assert "mo-deepdrive table, are of the final evaluations (1000 episodes of the test split)" in which
+
+
+def test_a_learner_without_results_is_refused_with_the_nearest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rows(tmp_path / "mine.csv", results())
+    assert main(["table", str(tmp_path / "mine.csv"), "--learners", "mo_pp"]) == 2
+    assert "--learners mo_pp: there are no results of it; did you mean 'mo_ppo'?" in capsys.readouterr().err
 
 
 def test_an_own_learner_gets_the_help_of_all_and_no_tuning() -> None:
