@@ -108,8 +108,8 @@ def print_tables(options: Namespace, warn: Callable[[str], None]) -> tuple[Seque
         raise ValueError("a sweep has its own table: give one sweep, or else runs")
     if options.top is not None and options.top < 1:
         raise ValueError(f"--top {options.top} must be at least 1")
-    shown = {"metric": options.sort, "top": options.top or TOP, "columns": options.columns}
-    return print_sweep(options.runs[0], console, warn, **shown)
+    top, columns = options.top or TOP, options.columns
+    return print_sweep(options.runs[0], console, warn, metric=options.sort, top=top, columns=columns)
 
 
 def main(arguments: list[str], program: str = INSTALLED) -> int:

@@ -106,17 +106,13 @@ def write_files(path: Path, tables: Mapping[str, tuple[Cells, int, str]]) -> lis
     Raises:
         OSError: if a file cannot be written; it is then unchanged.
     """
-    text = {".csv": lambda cells, _, __: csv_bytes(cells).decode(), ".tex": _latex, ".md": markdown}[
-        path.suffix.lower()
-    ]
-    found = {
-        path.with_name(f"{path.stem}{end}{path.suffix}"): text(*table).encode()
-        for end, table in tables.items()
-        if len(table[0]) > 1
-    }
-    for file, data in found.items():
-        atomic_write(file, data)
-    return list(found)
+    suffix, found = path.suffix.lower(), []
+    text = _latex if suffix == ".tex" else markdown
+    for end, (cells, labels, note) in tables.items():
+        if len(cells) > 1:
+            found.append(path.with_name(f"{path.stem}{end}{path.suffix}"))
+            atomic_write(found[-1], csv_bytes(cells) if suffix == ".csv" else text(cells, labels, note).encode())
+    return found
 
 
 def _latex(rows: Rows, labels: int, note: str) -> str:
