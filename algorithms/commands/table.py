@@ -1,13 +1,14 @@
 """Final scores over seeds, of runs or of a sweep.
 
-    mo-deepdrive table RUN... [--output FILE]
+    mo-deepdrive table RUN... [--output FILE] [--columns METRIC...]
     mo-deepdrive table SWEEP [--sort METRIC] [--top N] [--output FILE]
 
 Runs (or folders that hold runs) that differ in their seed alone are in one row: the mean over seeds of the final
 evaluation with a 95% bootstrap interval, and the interquartile mean of the utility. With several vehicles there is a
 row for each and one for all together (success: all arrived). Fronts have their indicators instead. Rows that differ in
 the algorithm alone are compared: the difference of the mean utilities (hypervolumes) with its interval, and the p-value
-of a two-sided Mann-Whitney test. Columns that do not fit the terminal follow in further tables.
+of a two-sided Mann-Whitney test. Where two configurations are alone, rows have the differences of all columns, second
+minus first. Columns that do not fit the terminal follow in further tables.
 
 A sweep (a directory with a manifest, made by mo-deepdrive sweep) has its cells, or the trials of a search, the best
 first; cells with another environment or utility are in separate tables. The terminal shows the best cells and as many
@@ -17,8 +18,9 @@ row has both. The collected scores and metrics of the runs are kept for other pr
 files, which are updated here; algorithms/sweeps/collection.py describes them.
 
 The ending of FILE is the format: .csv (a row per metric with the columns mean, low, high and n, the number of seeds;
-also of the returns of every objective), .tex (booktabs) or .md. Comparisons are in FILE-differences. A run whose files
-cannot be read is left out with a line on standard error; if nothing can be shown, the exit code is 2.
+also of the returns of every objective), .tex (booktabs) or .md, which have names as people write them. Comparisons are
+in FILE-differences. A run whose files cannot be read is left out with a line on standard error; if nothing can be
+shown, the exit code is 2.
 """
 
 from __future__ import annotations
@@ -47,6 +49,13 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
         "runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep"
     )
     parser.add_argument("--output", type=Path, metavar="FILE", help="also write them as .csv, .tex or .md")
+    parser.add_argument(
+        "--columns",
+        nargs="+",
+        action="extend",
+        metavar="METRIC",
+        help="such as utility_esr success return/g_force suite/score (default: those of every table; all in a .csv)",
+    )
     parser.add_argument(
         "--sort",
         metavar="METRIC",
@@ -93,13 +102,14 @@ def print_tables(options: Namespace, warn: Callable[[str], None]) -> tuple[Seque
     if not any(is_sweep(path) for path in options.runs):
         if options.sort is not None or options.top is not None:
             raise ValueError("--sort and --top are for a sweep, a directory with a manifest.jsonl")
-        groups = print_runs(intact_runs(options.runs, warn), console, warn)
+        groups = print_runs(intact_runs(options.runs, warn), console, warn, options.columns)
         return groups, groups
     if len(options.runs) > 1:
         raise ValueError("a sweep has its own table: give one sweep, or else runs")
     if options.top is not None and options.top < 1:
         raise ValueError(f"--top {options.top} must be at least 1")
-    return print_sweep(options.runs[0], console, warn, metric=options.sort, top=options.top or TOP)
+    top, columns = options.top or TOP, options.columns
+    return print_sweep(options.runs[0], console, warn, metric=options.sort, top=top, columns=columns)
 
 
 def main(arguments: list[str], program: str = INSTALLED) -> int:
@@ -112,7 +122,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         check_file("--output", options.output, *FORMATS)
         scores, compared = print_tables(options, partial(warn, program=program))
         if options.output is not None:
-            print(f"written: {', '.join(map(str, write_tables(options.output, scores, compared)))}")
+            written = write_tables(options.output, scores, compared, options.columns)
+            print(f"written: {', '.join(map(str, written))}")
     except (ValueError, OSError) as error:
         warn(f"error: {error}", program)
         return 2

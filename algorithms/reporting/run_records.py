@@ -89,6 +89,13 @@ class EvaluationRecord(Recorded):
     gamma: float | None = None
     reference_point: list[float] | None = None
     split: str | None = None
+    final_episodes: int | None = None
+    task: str | None = None
+
+    @property
+    def label(self) -> str:
+        """The episodes of the final evaluation as text; empty if they are not known."""
+        return f"{self.final_episodes} episodes of the {self.split} split" if self.final_episodes and self.split else ""
 
 
 class ExperimentRecord(Recorded):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.reporting.run_records import LEFT_OUT, label_of, read_runs
+from algorithms.reporting.run_records import LEFT_OUT, EvaluationRecord, label_of, read_runs
 from algorithms.reporting.seed_groups import distinct_labels, group_by_experiment, identifying_settings
 from algorithms.reporting.style import algorithm_order
 from algorithms.reporting.wide_tables import Rows, print_rows
@@ -27,6 +27,7 @@ from mo_deepdrive.evaluation.metrics import (
     POLICIES,
     RETURN,
     SUCCESS,
+    SUITE_SCORE,
     UTILITY_ESR,
     UTILITY_SER,
     MetricName,
@@ -39,11 +40,13 @@ from mo_deepdrive.evaluation.statistics import (
     MIN_SAMPLES,
     Estimate,
     interquartile_mean,
+    iqm_difference,
     mann_whitney_p,
     mean_difference,
     means,
     of_three,
 )
+from mo_deepdrive.names import nearest_few
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -60,6 +63,7 @@ TABLE_METRICS = (
 )
 
 UTILITY_IQM = f"{UTILITY_ESR}_iqm"  # the interquartile mean over seeds
+TABLE_COLUMNS = (*TABLE_METRICS, UTILITY_IQM)
 COMPARED = ("mean", "low", "high", "n", "n_other", "p")  # columns of a comparison
 
 Cells = list[list[Any]]  # of a table with one number per cell, header first
@@ -79,6 +83,7 @@ class ScoreGroup:
             vehicle, or of all together.
         wanted: how many seeds there are to be; None if that is not known.
         widths: the widths of the scores' own intervals, over evaluation episodes, where they are known.
+        evaluation: how the runs were evaluated.
     """
 
     about: dict[str, str]
@@ -89,6 +94,7 @@ class ScoreGroup:
     scores: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
     wanted: int | None = None
     widths: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
+    evaluation: EvaluationRecord = field(default_factory=EvaluationRecord)
 
     @property
     def policies(self) -> list[str]:
@@ -175,12 +181,13 @@ def _runs_below(path: Path) -> Iterator[Path]:
             yield Path(folder)
 
 
-def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[ScoreGroup]:
+def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything: bool = False) -> list[ScoreGroup]:
     """Group the finished runs among and below ``paths`` by :mod:`algorithms.reporting.seed_groups`.
 
     Args:
         paths: run directories, or folders that hold some.
         warn: called with a message about every run that is left out, because it has no final evaluation.
+        everything: also read metrics that are neither of :data:`TABLE_METRICS` nor returns.
 
     Raises:
         ValueError: if a path holds no run, or two runs of a group have the same seed.
@@ -206,12 +213,12 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
         steps = experiment.training.total_timesteps
         about = {**task, "algorithm": experiment.algorithm.name, "steps": "" if steps is None else str(steps)}
         measured = f"{experiment.task_key} {experiment.evaluation.split}"
-        group = ScoreGroup(about, task, experiment.algorithm.name, measured)
+        group = ScoreGroup(about, task, experiment.algorithm.name, measured, evaluation=experiment.evaluation)
         for run in runs:
             group.seeds.append(run.experiment.training.seed)
             for name, score in run.scores.items():
                 place = split_name(name)
-                if place.metric in TABLE_METRICS or place.metric.startswith(RETURN):
+                if everything or place.metric in TABLE_METRICS or place.metric.startswith(RETURN):
                     group.scores[place].append(score.value)
                     if score.low is not None and score.high is not None:
                         group.widths[place].append(score.high - score.low)
@@ -248,8 +255,10 @@ def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None 
         groups: in the order of the result.
         metrics: in the order of the result; None for :data:`TABLE_METRICS` and all other metrics of the groups.
     """
+    wanted = metrics
     if metrics is None:
         metrics = list(dict.fromkeys([*TABLE_METRICS, *(place.metric for group in groups for place in group.scores)]))
+    metrics = list(dict.fromkeys(UTILITY_ESR if name == UTILITY_IQM else name for name in metrics))
     places = [
         (group, MetricName(policy, vehicle, metric))
         for group in groups
@@ -265,36 +274,71 @@ def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None 
             middle = interquartile_mean(np.array(values))
             name = place._replace(metric=UTILITY_IQM)
             found.append(ScoreEstimate(group, name, Estimate(middle), len(values), f"{middle:.3f}"))
-    return found
+    return [each for each in found if wanted is None or each.place.metric in wanted]
 
 
 def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Rows:
     """One row per group, policy and vehicle, one column per metric: the means over seeds with their intervals.
 
-    The digits are also no more than one run's interval over evaluation episodes supports, where it is known.
+    The digits are also no more than one run's interval over evaluation episodes supports, where it is known. Where
+    two groups were measured alike, and no more, there are rows of their differences, second minus first.
 
     Args:
         groups: the rows.
-        metrics: the columns, as for :func:`score_estimates`; the interquartile mean of the utility is the last one.
+        metrics: the columns; None for those of :func:`score_estimates`, the interquartile mean of the utility last.
     """
     estimates = score_estimates(groups, metrics)
     about = list(dict.fromkeys(name for group in groups for name in group.about))
-    names = [*TABLE_METRICS, *(each.place.metric for each in estimates)] if metrics is None else metrics
-    columns = [name for name in dict.fromkeys(names) if name != UTILITY_IQM] + [UTILITY_IQM]
+    names = dict.fromkeys([*TABLE_METRICS, *(each.place.metric for each in estimates)])
+    columns = [*(name for name in names if name != UTILITY_IQM), UTILITY_IQM] if metrics is None else [*metrics]
     rows: dict[tuple[int, str, str], list[str]] = {}
     for each in estimates:
         policy, vehicle, metric = each.place
         first = [*(each.group.about.get(name, "") for name in about), policy, vehicle, each.group.seeds_text]
         row = rows.setdefault((id(each.group), policy, vehicle), [*first, *[""] * len(columns)])
         row[len(first) + columns.index(metric)] = each.text
-    return without_empty_columns([[*about, "policy", "vehicle", "seeds", *columns], *rows.values()])
+    body = [*rows.values(), *_difference_rows(groups, about, columns)]
+    return without_empty_columns([[*about, "policy", "vehicle", "seeds", *columns], *body])
 
 
-def tidy_scores(groups: Sequence[ScoreGroup]) -> Cells:
+def _difference_rows(groups: Sequence[ScoreGroup], about: Sequence[str], columns: Sequence[str]) -> Iterator[list[str]]:
+    """Rows of :func:`scores_table` for every two groups that alone were measured alike, if the seeds suffice."""
+    alike: dict[str, list[ScoreGroup]] = defaultdict(list)
+    for group in groups:
+        alike[group.measured].append(group)
+    for first, second in (members for members in alike.values() if len(members) == 2):
+        texts = [(first.about.get(name, ""), second.about.get(name, "")) for name in about]
+        labels = [old if old == new else f"{new or 'none'} minus {old or 'none'}" for old, new in texts]
+        for policy, vehicle in product(first.policies, first.vehicles):
+            row = [*labels, policy, vehicle, ""]
+            for metric in columns:
+                place = MetricName(policy, vehicle, UTILITY_ESR if metric == UTILITY_IQM else metric)
+                samples = [np.array(group.values(place)) for group in (second, first) if place in group.scores]
+                enough = len(samples) == 2 and min(map(len, samples)) >= MIN_SAMPLES
+                difference = iqm_difference if metric == UTILITY_IQM else mean_difference
+                row.append(difference(*samples).text() if enough else "")
+            if any(row[-len(columns) :]):
+                yield row
+
+
+def check_columns(groups: Sequence[ScoreGroup], columns: Sequence[str] | None) -> None:
+    """Refuse columns of which no group has a score.
+
+    Raises:
+        ValueError: naming the column and the nearest ones that there are.
+    """
+    known = {place.metric for group in groups for place in group.scores}
+    known |= {UTILITY_IQM} if UTILITY_ESR in known else set()
+    for name in columns or ():
+        if name not in known:
+            raise ValueError(f"--columns {name}: no run has such a score; the nearest: {nearest_few(name, known)}")
+
+
+def tidy_scores(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Cells:
     """One row per group, policy, vehicle and metric: mean, low and high end of its interval, and n, how many seeds."""
     about = list(dict.fromkeys(name for group in groups for name in group.about))
     rows: Cells = [[*about, "seeds", "policy", "vehicle", "metric", "mean", "low", "high", "n"]]
-    for each in score_estimates(groups):
+    for each in score_estimates(groups, metrics):
         first = [each.group.about.get(name, "") for name in about]
         seeds = " ".join(map(str, sorted(each.group.seeds)))
         rows.append([*first, seeds, *each.place, each.mean.value, each.mean.low, each.mean.high, each.n])
@@ -352,29 +396,41 @@ def interval_note(groups: Sequence[ScoreGroup]) -> str:
     """What the numbers of a table and their intervals are."""
     sizes = {len(group.seeds) for group in groups}
     note = f"Means over seeds with 95% bootstrap intervals over seeds{of_three(sizes)}."
-    few = any(1 < size < MIN_SAMPLES for size in sizes)
-    return f"{note} Fewer than {MIN_SAMPLES} seeds have no interval." if few else note
+    if any(1 < size < MIN_SAMPLES for size in sizes):
+        note += f" Fewer than {MIN_SAMPLES} seeds have no interval."
+    if episodes := sorted({group.evaluation.label for group in groups} - {""}):
+        note += f" Every run was evaluated at its end in {' or '.join(episodes)}."
+    if tasks := sorted({group.evaluation.task for group in groups if group.evaluation.task}):
+        note += (
+            f" For {', '.join(tasks)} of the suite cite the score on the scenarios of the task, as the scoreboard does "
+            f"(suite table, or --columns {SUITE_SCORE})."
+        )
+    return note
 
 
-def print_runs(paths: Sequence[Path], console: Console, warn: Callable[[str], None]) -> list[ScoreGroup]:
+def print_runs(
+    paths: Sequence[Path], console: Console, warn: Callable[[str], None], columns: Sequence[str] | None = None
+) -> list[ScoreGroup]:
     """Print the scores of runs over seeds and the comparisons of their algorithms, task by task.
 
     Args:
         paths: run directories, or folders that hold some.
         console: where to print.
         warn: called with a message about every run that is left out.
+        columns: of the scores; None for :data:`TABLE_COLUMNS`.
 
     Returns:
         The scores.
 
     Raises:
-        ValueError: as :func:`group_runs`, or if no run has a final evaluation.
+        ValueError: as :func:`group_runs`, or if no run has a final evaluation, or such a column.
     """
-    groups = group_runs(paths, warn)
+    groups = group_runs(paths, warn, everything=columns is not None)
     if not groups:
         raise ValueError("no run has a final evaluation that can be read")
+    check_columns(groups, columns)
     task = groups[0].task
-    for title, rows in _by_task(scores_table(groups, TABLE_METRICS), task).items():
+    for title, rows in _by_task(scores_table(groups, columns or TABLE_COLUMNS), task).items():
         print_rows(console, rows, title, rows[0].index("seeds") + 1)
     for title, rows in _by_task(comparison_table(groups), task).items():
         print_rows(console, rows, f"{title}: differences of the algorithms", rows[0].index("mean"))

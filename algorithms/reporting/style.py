@@ -100,6 +100,16 @@ def algorithm_order(name: str) -> tuple[int, str]:
     return (known.index(name) if name in known else len(known), name)
 
 
+def algorithm_label(name: str) -> str:
+    """An algorithm as people write it: "MO-PPO", "PCN (morl_baselines)"; a name that is not known as it is."""
+    library, _, own = name.rpartition(".")
+    kind, known = ("conditioned ", own.removeprefix("conditioned_")) if own.startswith("conditioned_") else ("", own)
+    if name not in ALGORITHM_COLOURS and own not in ALGORITHM_COLOURS:
+        return name
+    label = kind + known.upper().replace("_", "-")
+    return f"{label} ({library})" if library else label
+
+
 def algorithm_colours(names: Iterable[str]) -> dict[str, str]:
     """The colour of each algorithm of a figure.
 

@@ -112,8 +112,8 @@ def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> 
     if plan.study.tuning is not None:
         atomic_write(own_path(directory, TUNING_FILE), csv_bytes(tuning_rows(runs, directory)))
     parts = [f"# {plan.study.title or directory.name}"]
-    for title, rows in study_tables(plan, runs, results):
-        parts.append(f"## {title}\n\n{markdown(rows, 1, NOTE)}")
+    for title, rows, which in study_tables(plan, runs, results):
+        parts.append(f"## {title}\n\n{markdown(rows, 1, f'{which} {NOTE}')}")
     atomic_write(own_path(directory, TABLES_FILE), ("\n\n".join(parts)).encode())
     return results
 
@@ -137,8 +137,8 @@ def _state(row: ManifestRow, directory: Path) -> str:
     return str(read_status(directory / row.directory).get("state", WAITING))
 
 
-def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row]) -> list[tuple[str, Rows]]:
-    """The tables of a study, one per task with its title: a row per learner, the best first.
+def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row]) -> list[tuple[str, Rows, str]]:
+    """The tables of a study, one per task with its title and which numbers to cite: a row per learner, the best first.
 
     Args:
         plan: of the study.
@@ -167,8 +167,21 @@ def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row
             cells = [_text(score_of(of_arm, policy, column)) for policy, column in columns]
             chosen = "" if arm.chosen is None else label(arm.arm.points[arm.chosen])
             rows.append([arm.arm.label, seeds, f"{np.mean(minutes):.1f}" if minutes else "", *cells, chosen])
-        found.append((task.title or name, rows))
+        found.append((task.title or name, rows, _to_cite(task.task, arms)))
     return found
+
+
+def _to_cite(task: str | None, arms: Sequence[ArmRuns]) -> str:
+    """Which numbers of a table to cite: those of the suite where it has the task, else the final evaluations."""
+    evaluations = {experiment_record(row.config).evaluation.label for arm in arms for row in arm.final} - {""}
+    final = f"final evaluations ({' or '.join(sorted(evaluations)) or 'episodes that are not known'})"
+    if task is None:
+        return f"Cite these numbers of the {final}, which mo-deepdrive table shows, too."
+    return (
+        f"Cite the score and its perturbations, which are of {suite.load().task(task).episodes} scenarios of the test "
+        f"split, as on the scoreboard. Other columns, and mo-deepdrive table, are of the {final}; intervals are over "
+        "seeds alone, so that those of the two need not meet."
+    )
 
 
 def score_of(results: Iterable[Row], policy: str, column: str) -> Estimate | None:

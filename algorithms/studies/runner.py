@@ -91,8 +91,9 @@ class StudyRunner(Runner):
     def _write_tables(self) -> None:
         runs = self.runs_of_arms()
         results = write_results(self._plan, runs, self._directory)
-        for title, rows in study_tables(self._plan, runs, results):
+        for title, rows, which in study_tables(self._plan, runs, results):
             print_rows(self._console, rows, title, 1)
+            self._console.print(which, highlight=False)
         self._console.print(NOTE, highlight=False)
         self._say(f"written: {self._directory / RESULTS_FILE}, {self._directory / TABLES_FILE}")
 

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from algorithms.reporting.seed_tables import (
+    TABLE_COLUMNS,
     TABLE_METRICS,
     ScoreGroup,
+    check_columns,
     comparison_table,
     interval_note,
     scores_table,
@@ -37,6 +39,7 @@ def print_sweep(
     *,
     metric: str | None = None,
     top: int = 20,
+    columns: Sequence[str] | None = None,
 ) -> tuple[list[ScoreGroup], list[ScoreGroup]]:
     """Print the best cells of a sweep and the first comparisons of algorithms.
 
@@ -46,12 +49,13 @@ def print_sweep(
         warn: called with a message about everything that is left out.
         metric: to sort by; None for the utility or the hypervolume.
         top: cells to print of each table, and comparisons.
+        columns: beside the metric to sort by; None for :data:`algorithms.reporting.seed_tables.TABLE_COLUMNS`.
 
     Returns:
         The scores of all cells, and those by which they are compared.
 
     Raises:
-        ValueError: if it is not a sweep, or an empty one, or no run has a final evaluation or the metric.
+        ValueError: if it is not a sweep, or an empty one, or no run has a final evaluation, the metric or a column.
     """
     collection = collect(sweep)
     collection.report_problems(warn)
@@ -62,14 +66,15 @@ def print_sweep(
     scores = collection.scores.collect()
     all_groups: list[ScoreGroup] = []
     to_compare: list[ScoreGroup] = []
-    for ranking in rank(collection.cells, scores, metric):
-        groups = group_cells(collection, ranking)
+    ranked = [(each, group_cells(collection, each, columns)) for each in rank(collection.cells, scores, metric)]
+    check_columns([group for _, groups in ranked for group in groups], columns)
+    for ranking, groups in ranked:
         all_groups += groups
         to_compare += [_ranked_scores(ranking, group) for group in groups]
         if ranking.ranked:
             shown = min(top, len(ranking.ranked))
             title = f"{ranking.title}: {shown} of {len(ranking.cells)} cells, by {ranking.score_name}"
-            rows = best_cells(ranking, groups, top)
+            rows = best_cells(ranking, groups, top, columns or TABLE_COLUMNS)
             print_rows(console, rows, title, rows[0].index(ranking.metric), rest=REST)
         elif groups:
             warn(f"left out: no run has {metric or 'a utility or an indicator of a front'} in {ranking.title}")
@@ -82,10 +87,11 @@ def print_sweep(
     return all_groups, to_compare
 
 
-def group_cells(collection: Collection, ranking: Ranking) -> list[ScoreGroup]:
-    """The cells of a ranking that have final evaluations, in its order."""
+def group_cells(collection: Collection, ranking: Ranking, columns: Sequence[str] | None = None) -> list[ScoreGroup]:
+    """The cells of a ranking that have final evaluations, in its order; with all metrics if columns are chosen."""
     column = pl.col("metric")
-    wanted = collection.scores.filter(column.is_in([*TABLE_METRICS, ranking.metric]) | column.str.starts_with(RETURN))
+    usual = column.is_in([*TABLE_METRICS, ranking.metric]) | column.str.starts_with(RETURN)
+    wanted = collection.scores.filter(usual if columns is None else pl.lit(True))
     known = wanted.select("run", *SCORE_KEYS, "value").collect()
     scores: dict[str, dict[MetricName, float]] = defaultdict(dict)
     for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranking.metric))]).rows():
@@ -98,6 +104,7 @@ def group_cells(collection: Collection, ranking: Ranking) -> list[ScoreGroup]:
         trial = {} if cell.trial is None else {"trial": str(cell.trial)}
         algorithm = cell.experiment.algorithm.name
         group = ScoreGroup({**trial, **texts}, task, algorithm, ranking.title, wanted=len(cell.rows))
+        group.evaluation = cell.experiment.evaluation
         for row in cell.rows:
             if row.id in collection.scored:
                 group.seeds.append(row.seed)
@@ -113,13 +120,16 @@ def _ranked_scores(ranking: Ranking, group: ScoreGroup) -> ScoreGroup:
     return replace(group, scores={name: values for name, values in group.scores.items() if name.vehicle == vehicle})
 
 
-def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], top: int) -> Rows:
+def best_cells(
+    ranking: Ranking, groups: Sequence[ScoreGroup], top: int, metrics: Sequence[str] = TABLE_COLUMNS
+) -> Rows:
     """The best cells of a ranking for the terminal: short names of their keys, and the scores of one vehicle.
 
     Args:
         ranking: the cells.
         groups: their scores, in the same order.
         top: cells at most.
+        metrics: the columns after the metric of the ranking.
     """
     cells = ranking.ranked[:top]
     keys = varying_keys([cell.keys for cell in ranking.cells])
@@ -129,5 +139,5 @@ def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], top: int) -> Rows
         trial = {name: text for name, text in group.about.items() if name == "trial"}
         names = {name: texts[i] for name, texts in columns.items()}
         brief.append(replace(_ranked_scores(ranking, group), about={**trial, **names}))
-    rows = scores_table(brief, [ranking.metric, *(name for name in TABLE_METRICS if name != ranking.metric)])
+    rows = scores_table(brief, [ranking.metric, *(name for name in metrics if name != ranking.metric)])
     return [[cell for name, cell in zip(rows[0], row, strict=True) if name != "vehicle"] for row in rows]

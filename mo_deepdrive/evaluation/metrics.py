@@ -195,7 +195,9 @@ def title_of(name: str) -> str:
     if metric.startswith(RETURN):
         objective = metric.removeprefix(RETURN)
         return label(objective) if objective in INDEX else objective.replace("_", " ")
-    return _TITLES.get(metric, metric.replace("_", " "))
+    if metric.startswith(END) and metric not in _TITLES:
+        return f"{_plain(metric.removeprefix(END))} rate"
+    return _TITLES.get(metric) or _plain(metric)
 
 
 def name_and_unit(objective: str) -> tuple[str, str]:
@@ -204,8 +206,11 @@ def name_and_unit(objective: str) -> tuple[str, str]:
     if name not in INDEX:
         return objective, ""
     unit = OBJECTIVES[INDEX[name]].unit
-    plain = objective.replace("/", ": ").replace("_", " ").replace("g force", "g-force")
-    return plain, "" if unit == "1" else unit.replace("^2", "²").replace("^3", "³")
+    return _plain(objective.replace("/", ": ")), "" if unit == "1" else unit.replace("^2", "²").replace("^3", "³")
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ").replace("g force", "g-force")
 
 
 def label(objective: str, how: str = "sum") -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -12,6 +13,7 @@ import pytest
 
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.run_directory import Run
+from algorithms.files.yaml import dump, read_mapping
 from algorithms.reporting.seed_tables import TABLE_METRICS
 from tests.helpers.paths import REPOSITORY
 
@@ -88,20 +90,51 @@ def test_tables_are_written_for_papers_and_pages(
     for line in (lines[2], *lines[4:-2]):
         assert line.count(" & ") == columns - 1
         assert line.endswith(r" \\")
-    assert lines[2].startswith(r"algorithm & policy & utility\_esr & ")
-    assert [line.split(" & ")[:3] for line in lines[4:-2]] == [
+    assert lines[2].startswith(r"algorithm & policy & utility per episode & ")
+    assert "mean g-force" in lines[2]
+    assert [line.split(" & ")[:3] for line in lines[4:-4]] == [
         [algorithm, policy, "$-$4.2 [$-$5.2, $-$3.2]"]
-        for algorithm in ("a2c", r"mo\_a2c")
+        for algorithm in ("A2C", "MO-A2C")
         for policy in ("greedy", "stochastic")
     ]
+    # Two configurations have rows of their differences, in every column.
+    for line, policy in zip(lines[-4:-2], ("greedy", "stochastic"), strict=True):
+        assert line.split(" & ")[:2] == ["MO-A2C minus A2C", policy]
+        cells = line.removesuffix(r" \\").split(" & ")[2:]
+        assert all(re.fullmatch(r"0\.0 \[\$-\$\d\.\d, \d\.\d\]", cell) for cell in cells)
     assert r"% needs \usepackage{booktabs}" in tex
     assert "% Means over seeds with 95% bootstrap intervals over seeds (with three seeds: from the lowest" in tex
+    assert "Every run was evaluated at its end in 1000 episodes of the test split." in tex
     shared, _, header, rule, *rows, _, note = (tmp_path / "table.md").read_text().splitlines()
     assert shared.startswith("environment mo-deepdrive-one-waypoint-v0, utility one_waypoint_linear, steps ")
-    assert header.startswith("| algorithm | policy | utility_esr | ")
+    assert header.startswith("| algorithm | policy | utility per episode | ")
     assert rule == "| --- | --- |" + " ---: |" * (columns - 2)
-    assert len(rows) == 4
+    assert len(rows) == 6
     assert note.startswith("Means over seeds")
+
+
+def test_columns_are_chosen_by_name_and_say_what_to_cite(
+    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbers = {"utility_esr": 1.0, "return/g_force": -2.0, "suite/score": 0.5, "success": 1.0}
+    estimates = {name: {"value": value, "low": None, "high": None} for name, value in numbers.items()}
+    for seed in range(3):
+        path = make_run(tmp_path, "a2c", seed, 0.0)
+        (path / "evaluation.json").write_text(json.dumps({"policies": {"greedy": estimates}}))
+        (path / "status.json").unlink()
+        config = read_mapping(path / "config.yaml")
+        config["evaluation"] |= {"task": "K1", "final_episodes": 50}
+        (path / "config.yaml").write_text(dump(config))
+    columns = ("--columns", "return/g_force", "suite/score", "utility_esr_iqm")
+    for ending in ("tex", "csv"):
+        assert run_table(tmp_path, *columns, "--output", tmp_path / f"t.{ending}") == 0
+    assert {row["metric"] for row in read(tmp_path / "t.csv")} == {*columns[1:]}
+    tex = (tmp_path / "t.tex").read_text()
+    assert "g-force (sum, g) & suite/score & utility per episode (IQM)" in tex
+    assert "in 50 episodes of the test split. For K1 of the suite cite the score on the scenarios of the task" in tex
+    capsys.readouterr()
+    assert run_table(tmp_path, "--columns", "return/g_forse") == 2
+    assert "--columns return/g_forse: no run has such a score; the nearest: return/g_force" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["t.tsv", "t", "t.xlsx", ".csv/t.txt"])

@@ -123,7 +123,9 @@ def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_c
         ("plain", 0, None, "failed"),
         ("plain", 1, None, "failed"),
     ]
-    assert "2 (1 failed)" in (tmp_path / "study" / "results.md").read_text()
+    page = (tmp_path / "study" / "results.md").read_text()
+    assert "2 (1 failed)" in page
+    assert "Cite these numbers of the final evaluations (" in page
     again = made_up(tmp_path, file)
     assert again.run() == 1, "the failed rate stays failed, or other settings would be the best"
     # MO-A2C: the seed that failed. A2C, of which nothing was chosen: its tuning, then its seeds.
