@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import sys
 import sysconfig
-import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,24 +47,11 @@ def import_module(what: str, name: str) -> ModuleType:
     """
     try:
         return importlib.import_module(name)
-    except (Exception, SystemExit) as error:  # a user's module may raise anything, such as SyntaxError
-        reason = failure(error)
+    except Exception as error:  # a user's module may raise anything, such as SyntaxError
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
             reason += f"; looked for in {', '.join([*_own_folders(), 'the installed packages'])}"
         raise ValueError(f"{what}: {name!r} cannot be imported: {reason}") from error
-
-
-def failure(error: BaseException) -> str:
-    """An error of a user's code in one line, after the file and the line of it that failed, where they are known.
-
-    Args:
-        error: as caught by whoever called the code, or imported it.
-    """
-    frames = traceback.extract_tb(error.__traceback__)[1:]  # without the caller
-    own = [each for each in frames if not each.filename.startswith("<frozen ") and each.filename != importlib.__file__]
-    last = next((frame for frame in reversed(own) if frame.filename == own[0].filename), None)
-    where = f"{last.filename}, line {last.lineno}: " if last else ""
-    return f"{where}{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _own_folders() -> list[str]:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 REFERENCE = "studies/suite"  # the study of the reference results
 PUBLISHED = CONFIGS.parent / "docs" / "results" / "suite.csv"  # these results; exists in a checkout alone
+CORE, ALL = "core", "all"  # instead of tasks
 
 
 def add_suite_run(parser: ArgumentParser) -> None:
@@ -49,7 +50,7 @@ def suite_run(options: Namespace) -> int:
         from algorithms.studies.runner import StudyRunner
 
         plan = plan_of(
-            options.learner, options.tasks or ["core"], options.seeds, dict(parse_overrides(options.overrides))
+            options.learner, options.tasks or [CORE], options.seeds, dict(parse_overrides(options.overrides))
         )
         return StudyRunner(plan, directory, backend, console, train=not options.tables)
 
@@ -78,7 +79,10 @@ def plan_of(learners: list[str], tasks: list[str], seeds: int, overrides: Mappin
     if seeds < 1:
         raise ValueError(f"--seeds {seeds} must be at least 1")
     known = suite.load().tasks
-    wanted = suite.load().named(tasks)
+    groups = {CORE: [key for key in known if known[key].core], ALL: [key for key in known if known[key].counted]}
+    wanted = [key for name in tasks for key in groups.get(name, [name])]
+    for key in wanted:
+        suite.load().task(key)
     reference = load_study(REFERENCE)
     planned = {key for task in reference.tasks for key in reference.learners_of(task)} & {*learners}
     found = {name: each for name, each in reference.learners.items() if name in planned}

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
-from mo_deepdrive.importing import failure
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -42,7 +40,7 @@ class FunctionPolicy:
     def __init__(
         self, function: PolicyFunction, env: EnvAdapter, utilities: Sequence[Utility] = (), gamma: float = 0.99
     ):
-        check_signature(function)
+        _check_signature(function)
         self.env = env
         self.utilities = utilities
         self.gamma = gamma
@@ -61,18 +59,12 @@ class FunctionPolicy:
         """Actions of the function, in the shapes of agents.
 
         Raises:
-            ValueError: for actions of the wrong shape or type, or outside of the environment's; for an error of the
-                function, with the file and line of it, and the shapes that it was given.
+            ValueError: for actions of the wrong shape or type, or outside of the environment's.
         """
         accrued, discounts = accrued_reward.value.copy(), accrued_reward.discounts.copy()
         if self.env.vehicles == 1:
             accrued, discounts = accrued[:, 0], discounts[:, 0]
-        seen = self.env.environment_observations(observations)
-        try:
-            returned = self._function(seen, accrued, discounts)
-        except (Exception, SystemExit) as error:  # a user's function may raise anything
-            given = f"observations {seen.shape}, accrued {accrued.shape} and discounts {discounts.shape}"
-            raise ValueError(f"{failure(error)} (in the policy, which was given {given})") from error
+        returned = self._function(self.env.environment_observations(observations), accrued, discounts)
         return self.env.policy_actions(self._checked(returned, len(observations)))
 
     def _checked(self, returned: Any, episodes: int) -> NDArray[Any]:
@@ -86,8 +78,6 @@ class FunctionPolicy:
         except Exception as error:  # of any library's arrays
             reason = " ".join(str(error).partition(". ")[0].split())
             raise ValueError(f"the policy returned {type(returned).__name__}, no array: {reason}; {wanted}") from error
-        if np.ma.is_masked(returned):
-            raise ValueError(f"the policy returned a masked array; {wanted}")
         if actions.shape != expected:
             raise ValueError(f"the policy returned actions of shape {actions.shape}; {wanted}")
         if actions.dtype.kind not in ("fiu" if isinstance(space, Box) else "iu"):
@@ -107,12 +97,8 @@ class FunctionPolicy:
 CALL = "policy(observations, accrued, discounts)"
 
 
-def check_signature(function: Any) -> None:
-    """Refuse what cannot be called as policies are, before an episode has been driven.
-
-    Raises:
-        TypeError: if it cannot.
-    """
+def _check_signature(function: Any) -> None:
+    """Refuse what cannot be called as policies are, before an episode has been driven."""
     name = getattr(function, "__name__", type(function).__name__)
     if not callable(function):
         raise TypeError(

@@ -6,20 +6,7 @@ suite.score(policy, "K1")
 """
 
 from mo_deepdrive.suite.plans import planned
-from mo_deepdrive.suite.scoring import Row, check_form, check_policy, check_rows, read_rows, refuse, score, write_rows
+from mo_deepdrive.suite.scoring import Row, check_policy, read_rows, score, write_rows
 from mo_deepdrive.suite.tasks import Suite, Task, load
 
-__all__ = [
-    "Row",
-    "Suite",
-    "Task",
-    "check_form",
-    "check_policy",
-    "check_rows",
-    "load",
-    "planned",
-    "read_rows",
-    "refuse",
-    "score",
-    "write_rows",
-]
+__all__ = ["Row", "Suite", "Task", "check_policy", "load", "planned", "read_rows", "score", "write_rows"]

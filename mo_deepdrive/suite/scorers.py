@@ -270,13 +270,6 @@ class Scorer:
     details: Callable[[Task, NDArray[np.float64]], dict[str, float]] | None = None
 
 
-def columns_of(task: Task) -> list[str]:
-    """The columns that a task's ranked policy can have."""
-    scorer = SCORERS[task.score]
-    details = [CONTROLLABILITY, *(f"{CONTROLLABILITY}/{name}" for name in task.objectives())] if scorer.details else []
-    return [*scorer.numbers, *details, *task.columns]
-
-
 SCORERS: dict[str, Scorer] = {
     "mean_utility": Scorer(utilities, {SCORE: mean}),
     "utility_of_mean": Scorer(returns, {SCORE: utility_of_mean}),

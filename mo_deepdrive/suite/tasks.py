@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 DATA = resources.files("mo_deepdrive") / "data"
 LOWEST = -1.0  # of normalised scores
-CORE, ALL = "core", "all"  # instead of tasks
 Track = Literal["known utility", "unknown utility", "many vehicles"]
 Kind = Literal["planned", "closed form", "best known"]
 PolicyKind = Literal["greedy", "stochastic"]
@@ -174,21 +173,6 @@ class Suite(Settings):
         if name not in self.tasks:
             raise ValueError(f"task {name!r} is unknown; {nearest(name, self.tasks)}")
         return self.tasks[name]
-
-    def named(self, names: Sequence[str]) -> list[str]:
-        """The ids of tasks, each once, of their ids, "core" (the core subset) and "all" (all that count).
-
-        Raises:
-            ValueError: for an unknown one.
-        """
-        groups = {
-            CORE: [key for key, task in self.tasks.items() if task.core],
-            ALL: [key for key, task in self.tasks.items() if task.counted],
-        }
-        for name in names:
-            if name not in groups and name not in self.tasks:
-                raise ValueError(f"task {name!r} is unknown; {nearest(name, [*groups, *self.tasks])}")
-        return list(dict.fromkeys(key for name in names for key in groups.get(name, [name])))
 
 
 @functools.cache

@@ -9,10 +9,8 @@ import re
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
-import polars as pl
 import pytest
 import yaml
 
@@ -24,6 +22,7 @@ from algorithms.studies.runner import StudyRunner
 from algorithms.studies.settings import load_study
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.runner import Backend
+from mo_deepdrive.suite import read_rows
 from tests.helpers.short_runs import VALUES, printed, quiet
 from tests.helpers.sweep_files import broken_utility, forked_workers, status
 
@@ -80,11 +79,6 @@ def made_up(folder: Path, file: Path, fails: Callable[[dict[str, Any]], bool] = 
     return runner
 
 
-def read_results(file: Path) -> list[SimpleNamespace]:
-    """The rows of a results.csv, whose tasks need not be of the suite."""
-    return [SimpleNamespace(**row) for row in pl.read_csv(file).iter_rows(named=True)]
-
-
 def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_with_the_seeds_that_count(
     tmp_path: Path,
 ) -> None:
@@ -97,7 +91,7 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
         assert row.config["evaluation"]["split"] == ("validation" if tuned else "test")
         assert row.seed in ([100] if tuned else [0, 1])
         assert tuned or row.config["algorithm"]["learning_rate"] == 0.003
-    results = read_results(tmp_path / "study" / "results.csv")
+    results = read_rows(tmp_path / "study" / "results.csv")
     assert {(each.steps, each.environment) for each in results} == {
         (960, "mo-deepdrive-one-waypoint-v0 time_limit=1.0")
     }
@@ -122,8 +116,7 @@ def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_c
     runner = made_up(tmp_path, file, fails)
     assert runner.run() == 1
     assert runner.batches == [4, 2]
-    results = read_results(tmp_path / "study" / "results.csv")
-    states = [(each.learner, each.seed, each.value, each.state) for each in results]
+    states = [(each.learner, each.seed, each.value, each.state) for each in read_rows(tmp_path / "study/results.csv")]
     assert states == [
         ("mo", 0, 0.001, "finished"),
         ("mo", 1, None, "failed"),
@@ -244,7 +237,7 @@ def test_arms_that_are_not_selected_are_not_trained_and_keep_their_results(tmp_p
         runner = MadeUpRuns(StudyPlan(study, ["short"], [learner]), tmp_path / "study", Backend(), quiet())
         assert runner.run() == 0
         assert runner.batches == [2, 2]
-        assert {each.learner for each in read_results(tmp_path / "study" / "results.csv")} == trained
+        assert {each.learner for each in read_rows(tmp_path / "study" / "results.csv")} == trained
         assert {row.cell["learner"] for row in read_manifest(tmp_path / "study")} == trained
     with pytest.raises(ValueError, match="--learners nobody: the study has no such learner"):
         StudyPlan(study, None, ["nobody"])
@@ -275,7 +268,7 @@ def test_an_interrupted_study_resumes_and_the_runs_that_failed_are_in_its_tables
     file, study = write_study(tmp_path, tasks=tasks), tmp_path / "study"
     with forked_workers():
         assert main(["--config", str(file), "--output", str(study), "--workers", "1"]) == 1
-        results = read_results(study / "results.csv")
+        results = read_rows(study / "results.csv")
         assert {each.state for each in results if each.task == "broken"} == {"failed"}
         finished = [each for each in results if each.task == "short"]
         assert {(each.learner, each.seed) for each in finished} == {
@@ -285,7 +278,7 @@ def test_an_interrupted_study_resumes_and_the_runs_that_failed_are_in_its_tables
         shutil.rmtree(next(study / row.directory for row in read_manifest(study) if row.trial is None))
         monkeypatch.delenv("BREAK")
         assert main(["--config", str(file), "--output", str(study), "--workers", "1"]) == 0
-    again = read_results(study / "results.csv")
+    again = read_rows(study / "results.csv")
     values = [dataclasses.replace(each, cpu_seconds=None) for each in finished]
     assert [dataclasses.replace(each, cpu_seconds=None) for each in again if each.task == "short"] == values
     assert {each.state for each in again} == {"finished"}
