@@ -1,7 +1,7 @@
 # Trains in a container, with PyTorch's CPU build:
 #
 #   docker build --tag mo-deepdrive .
-#   docker run --rm --volume "$PWD/runs:/work/runs" mo-deepdrive --config one_waypoint/mo_a2c_linear
+#   docker run --rm --volume mo-deepdrive-compiled:/tmp/numba --volume "$PWD/runs:/work/runs" mo-deepdrive --config one_waypoint/mo_a2c_linear
 #
 # Other commands: docker run --rm --entrypoint mo-deepdrive mo-deepdrive zoo
 FROM python:3.13-slim AS build

@@ -1,6 +1,7 @@
 """Algorithms for multi-objective reinforcement learning, for a known utility or for every utility.
 
-``from algorithms import MOA2C`` imports what it names and nothing else; ``import algorithms`` imports no algorithm.
+``from mo_deepdrive.learners import MOA2C`` imports what it names and nothing else; the package itself imports no
+algorithm. Its modules import one another as ``algorithms``, a name that many projects give to a folder of their own.
 """
 
 from __future__ import annotations

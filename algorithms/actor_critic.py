@@ -1,6 +1,6 @@
 """The update of A2C, MO-A2C, PPO, MO-PPO, MOCAC, MAPPO and conditioned MO-PPO, but for their equations.
 
-An :class:`ActorCritic` has one policy per vehicle, or one for all of them, and an update is the same for all algorithms:
+An :class:`ActorCritic` has one policy per vehicle, or one for all of them, and every algorithm has the same update:
 
     collect     T steps of N environments, in which all policies act;
     values      v(S_t) and v(S_{t+1}) of the critic as it is;
@@ -10,8 +10,8 @@ An :class:`ActorCritic` has one policy per vehicle, or one for all of them, and 
     step        of Adam, down the gradient of L.
 
 The file of an algorithm defines ``Config``, :meth:`ActorCritic.advantages` and :meth:`ActorCritic.loss`. Both are pure
-functions of tensors, so that the same lines run for one seed and for several side by side (``torch.func.vmap``), as they
-stand and through ``torch.compile``, on a CPU and, as one CUDA graph an update, on a GPU.
+functions of tensors, so that the same lines run for one seed and for several side by side (``torch.func.vmap``), as
+they are and through ``torch.compile``, on a CPU and, as one CUDA graph an update, on a GPU.
 
 Vehicles that do not learn are driven by partners, and guides may begin the episodes of those that do; the weights of
 both are no part of the agent.
@@ -27,12 +27,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import torch
 
-from algorithms.agent import LEARNING, Agent
+from algorithms.agent import ACTIONS, LEARNING, Agent
 from algorithms.files.checkpoints import ACCRUED_GAMMA, GUIDES, OBJECTIVE_SCALES, PARTNERS, SHARED, strip_prefix
 from algorithms.hyperparameters import schedules
 from algorithms.learning.actors import make_actor
 from algorithms.learning.advantages import bootstrapped, normalise
 from algorithms.learning.collector import Collector
+from algorithms.learning.compiling import pure
 from algorithms.learning.guides import Guides
 from algorithms.learning.learner import NORM, Learner, Networks
 from algorithms.learning.networks import make_network
@@ -155,7 +156,7 @@ class ActorCritic(Agent):
         **options: ``seed``, ``device``, ``compiled`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
 
     Attributes:
-        Samples: what :meth:`samples` gives and :meth:`loss` takes.
+        samples_class: what :meth:`samples` gives and :meth:`loss` takes.
         compares_policies: whether the loss needs the log-probability under the policy that collected the rollout.
         observes_accrued, observes_discount: whether actors see R_t and g^t.
         learners: one per vehicle that learns, in the order of the vehicles; or a single one.
@@ -166,14 +167,14 @@ class ActorCritic(Agent):
             here, or a policy that cannot be shared.
     """
 
-    Samples: ClassVar[type[Any]] = Samples
+    samples_class: ClassVar[type[Any]] = Samples
     trains_with_partners = True
     trains_with_guides = True
     shares_policies = True
     trains_on_devices = True
     compares_policies: ClassVar[bool] = True
-    observes_accrued: ClassVar[bool] | bool = False
-    observes_discount: ClassVar[bool] | bool = False
+    observes_accrued: bool = False
+    observes_discount: bool = False
 
     def __init__(
         self,
@@ -192,6 +193,7 @@ class ActorCritic(Agent):
             raise ValueError(f"algorithm {self.name!r} cannot train with guides")
         self.guides = [Guides(guides, self.accrued_discount)]
         self.guides += [self.guides[0].copy() for _ in self.seeds[1:]]
+        self._driving = [torch.Generator(self.device) for _ in self.seeds]  # of partners' and guides' random numbers
         self._check_drivers()
         if config.centralised_critic and self.env.vehicles == 1:
             raise ValueError("centralised_critic = True needs an environment with more than one vehicle")
@@ -257,7 +259,7 @@ class ActorCritic(Agent):
         """
 
     @abstractmethod
-    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Any, entropy_coefficient: torch.Tensor) -> Loss:
         """The loss of one seed's samples, a pure function of tensors; ``networks`` has an actor and a critic."""
 
     @property
@@ -368,7 +370,8 @@ class ActorCritic(Agent):
     ) -> NDArray[Any]:
         chosen = {v: each.act(observations, accrued_reward, generator) for v, each in self.partners.items()}
         arrays = (observations, accrued_reward.value, accrued_reward.discounts)
-        inputs = self.inputs(*(torch.from_numpy(each).to(self.device) for each in arrays), preference)
+        seen, accrued, discounts = (torch.from_numpy(each).to(self.device) for each in arrays)
+        inputs = self.inputs(seen, accrued, discounts, preference)
         for learner in self.learners:
             actions = learner.actor.act(inputs[:, learner.vehicles], generator).cpu().numpy()
             chosen |= {v: actions[:, j] for j, v in enumerate(learner.vehicles)}
@@ -428,6 +431,7 @@ class ActorCritic(Agent):
     def _draw(self, seed: int) -> None:
         """Draw the random numbers of an update of the seed with this index."""
         generator = torch.Generator(self.device)
+        self._driving[seed].manual_seed(self.seed_of(ACTIONS, seed))
         for learner in self.learners:
             generator.manual_seed(self.seed_of(LEARNING + learner.vehicles[0], seed))
             learner.actor.draw(learner.noise[seed], generator)
@@ -471,7 +475,8 @@ class ActorCritic(Agent):
     def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
         """Epochs of minibatch steps on a rollout; the means over them of the parts of the loss, (S,)."""
         rollout = self.rollout_of(learner, storage)
-        samples = learner.compute(learner.prepare, rollout)
+        with pure("an advantage", rollout):
+            samples = learner.compute(learner.prepare, rollout)
         steps = [
             learner.minimise(self._loss, samples, rows, self._learning_rate, self._entropy_coefficient)
             for rows in self._minibatches(learner.order)
@@ -502,7 +507,9 @@ class ActorCritic(Agent):
         """What one seed learns from its rollout, (T N, ...), by the fields of Samples."""
         seen = {"states": tensors["inputs"], "final_states": tensors["final_inputs"]}
         names = {each.name for each in fields(Rollout)}
-        rollout = Rollout(**{name: each for name, each in {**seen, **tensors}.items() if name in names}, utility=utility)
+        rollout = Rollout(
+            **{name: each for name, each in {**seen, **tensors}.items() if name in names}, utility=utility
+        )
         samples = self.samples(networks, rollout)
         if always:
             samples = samples._replace(weights=None)
@@ -510,7 +517,7 @@ class ActorCritic(Agent):
             samples = samples._replace(states=None)
         return {name: each.flatten(0, 1) for name, each in samples._asdict().items() if each is not None}
 
-    def samples(self, networks: Networks, rollout: Rollout) -> Samples:
+    def samples(self, networks: Networks, rollout: Rollout) -> Any:
         """What one seed learns from its rollout, (T, N, ...): A_t, y_t and log pi_old of the networks as they are."""
         scales = self.value_scales
         values = scales * networks.critic(rollout.states)
@@ -533,12 +540,13 @@ class ActorCritic(Agent):
         return bootstrapped(values[1:], final, rollout.terminated, rollout.truncated)
 
     def _loss(self, networks: Networks, tensors: dict[str, torch.Tensor], entropy_coefficient: torch.Tensor) -> Loss:
-        return self.loss(networks, self.Samples(**{"states": tensors["inputs"], **tensors}), entropy_coefficient)
+        return self.loss(networks, self.samples_class(**{"states": tensors["inputs"], **tensors}), entropy_coefficient)
 
     def _minibatches(self, order: torch.Tensor) -> Iterator[list[torch.Tensor]]:
         """The samples of every gradient step: [(S, m)] indices, or [] for all."""
         for epoch in order.unbind(1):
-            yield from ([rows.contiguous()] for rows in epoch.tensor_split(self.config.minibatches, dim=-1))
+            parts = min(self.config.minibatches, epoch.shape[-1])
+            yield from ([rows.contiguous()] for rows in epoch.tensor_split(parts, dim=-1))
         if order.shape[1] == 0:
             yield []
 
@@ -595,13 +603,13 @@ class ActorCritic(Agent):
 
     def _drive(self, at: RolloutStorage, now: Running) -> None:
         """Let partners and guides drive, for whom observations and actions are arrays."""
-        for seed, guides in enumerate(self.guides):
+        for seed, (guides, generator) in enumerate(zip(self.guides, self._driving, strict=True)):
             observations, past = now.arrays(seed)
             taken = at.actions[seed].cpu().numpy()
             for v, partner in self.partners.items():
-                taken[:, v] = partner.act(observations, past, self.generator)
+                taken[:, v] = partner.act(observations, past, generator)
             for guide in guides:
-                led = guide.drive(taken, observations, past, self.generator)
+                led = guide.drive(taken, observations, past, generator)
                 at.led[seed, :, guide.vehicle] = torch.from_numpy(led).to(self.device)
             at.actions[seed] = torch.from_numpy(taken).to(self.device)
 
@@ -625,8 +633,10 @@ class ActorCritic(Agent):
                 for learner in self.learners:
                     self.diagnose(learner, seed)
                 prefix = name.removesuffix(NORM)
-                parts = {part: float(each[seed]) for part, each in self._losses.items() if part.startswith(prefix)}
-                named = ", ".join(f"{part} = {value:g}" for part, value in parts.items() if not part.endswith(NORM))
+                mine = {
+                    part: each[seed] for part, each in self._losses.items() if part.startswith(prefix) and part != name
+                }
+                named = ", ".join(f"{part.removeprefix(prefix)} = {float(each):g}" for part, each in mine.items())
                 raise NotFinite(f"{name} = {float(loss[seed])} in single precision ({named})")
 
     # ----------------------------------------------------------------------------------------------------------- seeds

@@ -29,7 +29,7 @@ from algorithms.files.checkpoints import (
     write_checkpoint,
 )
 from algorithms.hyperparameters import a_twentieth
-from algorithms.learning.compiling import WORTHWHILE, has_compiler
+from algorithms.learning.compiling import WORTHWHILE, has_compiler, origin
 from algorithms.learning.storage import EpisodeSums
 from algorithms.learning.threads import limited_threads
 from mo_deepdrive.config import Settings, parse
@@ -57,7 +57,6 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import ArrayLike, NDArray
 
-    from algorithms.learning.learner import Learner
     from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.episodes import UtilityLike
     from mo_deepdrive.evaluation.evaluation import Evaluation
@@ -136,11 +135,12 @@ class Agent(ABC):
         trains_with_guides: whether it takes ``guides``, which begin episodes of vehicles that learn.
         shares_policies: whether it takes ``share_policy``, with which one policy drives all vehicles.
         trains_on_devices: whether it can train on a GPU, and several seeds side by side.
+        compiled_saves: seconds by which a compiled gradient step is shorter.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
             ``set_state`` and ``set_policy`` check them.
         config: the hyperparameters.
         env: the training environment in the trainers' shapes.
-        learners: what learns by gradient steps.
+        learners: what learns by gradient steps, each an :class:`algorithms.learning.learner.Learner`.
         scales: (d,) nominal size of each objective's return.
         utilities: one per vehicle; empty where none is known.
         device: of the networks.
@@ -164,6 +164,7 @@ class Agent(ABC):
     trains_with_guides: ClassVar[bool] = False
     shares_policies: ClassVar[bool] = False
     trains_on_devices: ClassVar[bool] = False
+    compiled_saves: ClassVar[float] = 1.4e-3
     varying_shapes: ClassVar[tuple[str, ...]] = ()
     config: Any
 
@@ -190,7 +191,7 @@ class Agent(ABC):
         self.scales = self.env.objective_scales
         self.seeds = (seed,) if isinstance(seed, int) else tuple(seed)
         self.device, self.compiled = torch.device(device), compiled
-        self.learners: Sequence[Learner] = ()
+        self.learners: Sequence[Any] = ()
         on_gpu = self.device.type != "cpu"
         if not self.seeds or ((len(self.seeds) > 1 or on_gpu) and not (self.trains_on_devices and self.env.native)):
             raise ValueError(
@@ -198,16 +199,27 @@ class Agent(ABC):
                 "the CPU"
             )
         self.utilities: list[Utility] = list(vehicle_utilities(utility, self.env))
+        if self.resident:
+            self._check_utilities()
         self.initial = self.initial_generator(0)
         self.generator = torch.Generator(self.device)
         self.step = 0
         self.updates = 0
         self.failed: dict[int, str] = {}
         unchecked = [each.unchecked() for each in self.utilities]
-        self.episodes = EpisodeSums(
-            len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device
-        )
+        self.episodes = EpisodeSums(len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device)
         self._seed_actions()
+
+    def _check_utilities(self) -> None:
+        """Refuse utilities that cannot be called for all seeds at once."""
+        for utility in self.utilities:
+            try:
+                torch.func.vmap(utility.unchecked())(torch.zeros(2, 3, len(self.env.objectives), device=self.device))
+            except Exception as error:
+                raise ValueError(
+                    f"utility {utility.name!r} cannot be calculated for several seeds at once, because of "
+                    f"{origin(error)}; take operations of torch on whole tensors, such as torch.where instead of if"
+                ) from error
 
     @property
     def seed(self) -> int:
@@ -258,7 +270,9 @@ class Agent(ABC):
         if config is None:
             return parse(cls.Config, hyperparameters, f"hyperparameters of {cls.name}")
         if not isinstance(config, cls.Config):
-            raise ValueError(f"config = {config!r} must be an instance of {cls.Config.__name__}")
+            raise ValueError(
+                f"config of class {type(config).__qualname__} must be an instance of {cls.Config.__qualname__}"
+            )
         if hyperparameters:
             raise ValueError(f"{', '.join(hyperparameters)}: give either config or single hyperparameters")
         return config
@@ -400,7 +414,7 @@ class Agent(ABC):
     ) -> None:
         """Learn until ``total_timesteps`` environment steps have been taken, over all parallel environments together.
 
-        On one thread, unless :func:`algorithms.networks.threads.set_threads` has been called with more.
+        On one thread, unless :func:`algorithms.learning.threads.set_threads` has been called with more.
 
         Args:
             total_timesteps: also the length of schedules; a resumed run passes the same number.
@@ -483,7 +497,7 @@ class Agent(ABC):
             needed = "a C++ compiler such as g++" if device == "cpu" else "Triton"
             raise ValueError(f"training.compiled = True needs {needed}, which is not installed; take auto or false")
         if compiled == "auto":
-            pays = self.gradient_steps(total_timesteps) >= WORTHWHILE[device]
+            pays = self.compiled_saves * self.gradient_steps(total_timesteps) >= WORTHWHILE[device]
             compiled = "auto" if pays and has_compiler(device) else False
         for learner in self.learners:
             learner.compiled = compiled
@@ -550,7 +564,7 @@ class Agent(ABC):
         """Of every seed: means over the episodes that ended since the last call, and the losses."""
         rows = []
         for seed, vehicles in enumerate(self.episodes.take()):
-            row = {}
+            row: dict[str, float] = {}
             for v, means in enumerate(vehicles):
                 prefix = TRAIN + vehicle_prefix(v, self.env.vehicles)
                 row |= {prefix + name: value for name, value in means.items()}

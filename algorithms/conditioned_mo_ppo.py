@@ -99,7 +99,7 @@ from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT
 from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS, vehicle_prefix
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
@@ -236,7 +236,11 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         if self.has_objectives:
             parts.append(rollout.rewards / self.preferences.scales.to(rollout.rewards))
         if self.has_increases:
-            u, z, discounts = self.preferences.utility, rollout.ideal, rollout.discounts[:-1].clamp(min=SMALLEST_DISCOUNT)
+            u, z, discounts = (
+                self.preferences.utility,
+                rollout.ideal,
+                rollout.discounts[:-1].clamp(min=SMALLEST_DISCOUNT),
+            )
             # Equation 5, in double precision because gamma^t becomes small.
             before = rollout.accrued[:-1].double()
             after = before + discounts.unsqueeze(-1) * rollout.rewards
@@ -258,9 +262,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
 
     def training_preferences(self, shape: tuple[int, int, int]) -> TrainingPreferences:
         """Those under which S seeds act in T steps of N environments."""
-        made = TrainingPreferences(
-            self.preferences, (*shape, self.env.vehicles), self.config.switching, self.device
-        )
+        made = TrainingPreferences(self.preferences, (*shape, self.env.vehicles), self.config.switching, self.device)
         self.ideal = made.ideal.copy_(self.ideal)
         return made
 
@@ -372,7 +374,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         """The actors' weights and the ideal point, on which they depend."""
         return {**super().get_policy(seed), "ideal": self.ideal[seed]}
 
-    def set_policy(self, state: Mapping[str, torch.Tensor]) -> None:
+    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
         """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
         super().set_policy(state)
         self.ideal[0] = state["ideal"]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
-from typing_extensions import Self
 
 from mo_deepdrive.config import Settings
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 LARGEST_LAYER = 16_384
 
@@ -43,7 +45,7 @@ def a_twentieth(total_timesteps: int) -> int:
 
 
 class NetworkSettings(Settings):
-    """Hyperparameters of networks, the base of every Config whose algorithm uses :mod:`algorithms.learning.networks`."""
+    """Hyperparameters of networks, the base of every Config with networks of :mod:`algorithms.learning`."""
 
     hidden: HiddenSizes = [64, 32]
     """Sizes of the hidden layers."""
@@ -144,6 +146,12 @@ class AccruedSettings(Settings):
         """g: ``accrued_gamma``, or gamma where that is None."""
         gamma: float = self.gamma  # type: ignore[attr-defined]  # of the settings that this is mixed into
         return gamma if self.accrued_gamma is None else self.accrued_gamma
+
+    @property
+    def accrued_ratio(self) -> float:
+        """``gamma / g``, which is 1 where both are 0."""
+        gamma: float = self.gamma  # type: ignore[attr-defined]
+        return 1.0 if gamma == self.accrued_discount else gamma / self.accrued_discount
 
     @model_validator(mode="after")
     def _discounts(self) -> Self:

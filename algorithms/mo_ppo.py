@@ -60,12 +60,12 @@ class MOPPO(MOA2C):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5, or 8 and 9, from v(S_t) and v(S_{t+1}), as y_t."""
         config, u, ended = self.config, rollout.utility, rollout.ended
-        gamma, g, decay = config.gamma, config.accrued_discount, config.gae_lambda
+        gamma, c, decay = config.gamma, config.accrued_ratio, config.gae_lambda
         accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)  # R_t and g^t
         if config.advantage == "expected_utility":
             increases = u(rollout.next_accrued) - u(accrued)
-            gains = increases + gamma / g * next_values.squeeze(-1) - values.squeeze(-1)  # eq. 8
-            advantages = generalised_advantages(gains, ended, gamma / g * decay)
+            gains = increases + c * next_values.squeeze(-1) - values.squeeze(-1)  # eq. 8
+            advantages = generalised_advantages(gains, ended, c * decay)
             return advantages, advantages.unsqueeze(-1) + values  # eq. 9
 
         deltas = rollout.rewards + gamma * next_values - values  # eq. 2
@@ -76,7 +76,7 @@ class MOPPO(MOA2C):
 
         rest = next_values if config.advantage == "as_printed" else discounts * gamma * next_values
         differences = u(rollout.next_accrued + rest) - u(accrued + discounts * values)  # eq. 4
-        return generalised_advantages(differences, ended, gamma / g * decay), targets  # eq. 5
+        return generalised_advantages(differences, ended, c * decay), targets  # eq. 5
 
     def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
         """L of eq. 7."""

@@ -21,13 +21,13 @@ and the network sees R clipped to the range of the returns-to-go in the buffer, 
 
 Objective: none under a utility. A front is learnt by imitation of non-dominated episodes, and assumes that the
 environment is deterministic, in which the expected utility of the return (ESR) of a greedy policy is the utility of the
-expected return (SER). Differences from the paper: N commands are followed in parallel, one per
-environment; eq. 4 divides by gamma, without which commands are inconsistent under a discount, and clips; inputs of the
-network are divided by nominal scales or, in other libraries' environments, which have none, standardised by their means
-and standard deviations in the warm-up; a buffer that is full of non-dominated episodes keeps a subset that covers them;
-some episodes end with random actions (``exploration``), as in Go-Explore (Ecoffet et al. 2021), without which a network
-that has learnt to repeat the episodes of the buffer finds no others; random actions may repeat (``persistence``);
-continuous actions (eq. 2) have Gaussian exploration noise.
+expected return (SER). Differences from the paper: N commands are followed in parallel, one per environment; eq. 4
+divides by gamma, without which commands are inconsistent under a discount, and clips; inputs of the network are divided
+by nominal scales or, in other libraries' environments, which have none unless ``objective_scales`` gives them,
+standardised by their means and standard deviations in the warm-up; a buffer that is full of non-dominated episodes
+keeps a subset that covers them; some episodes end with random actions (``exploration``), as in Go-Explore (Ecoffet et
+al. 2021), without which a network that has learnt to repeat the episodes of the buffer finds no others; random actions
+may repeat (``persistence``); continuous actions (eq. 2) have Gaussian exploration noise.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ from algorithms.hyperparameters import (
     schedules,
 )
 from algorithms.learning.actors import check_outputs
+from algorithms.learning.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.learning.learner import NORM, Learner, Networks
 from algorithms.learning.losses import Loss
 from algorithms.learning.networks import CommandNetwork
 from algorithms.learning.optimiser import linear_schedule
-from algorithms.learning.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from mo_deepdrive.config import Settings
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
@@ -108,8 +108,8 @@ class PCNConfig(Settings):
     action_noise: NonNegative = 0.1
     """Standard deviation of the exploration noise on continuous actions; discrete ones are sampled."""
     objective_scales: Scales | None = None
-    """Nominal size of each objective's return, by which distances between returns are measured, and commands are
-    divided where inputs are not standardised; None for the environment's own."""
+    """Nominal size of each objective's return, by which distances between returns are measured and commands divided;
+    None for the environment's own or, if it has none, distances in units of 1 and standardised inputs."""
     horizon_scale: Positive = 100.0
     """Nominal number of decisions of an episode, where inputs are not standardised."""
     max_policies: AtLeastOne = 100
@@ -152,8 +152,8 @@ class PCN(FrontAgent):
             raise ValueError(f"algorithm 'pcn' drives one vehicle; the environment has {self.env.vehicles}")
         config, d = self.config, len(self.env.objectives)
         self.scales = self.env.chosen_objective_scales(config.objective_scales)
-        # This package's environments have nominal scales.
-        self._standardises = not self.env.native
+        # Random episodes say little of the returns of good ones: scales that are known are better.
+        self._standardises = not (self.env.native or config.objective_scales)
         self.network = CommandNetwork(
             self.env.observation_size,
             d + 1,

@@ -8,11 +8,10 @@ among the installed packages. That happens on import, because worker processes i
 from __future__ import annotations
 
 import importlib
-import importlib.machinery
-import importlib.util
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from mo_deepdrive.importing import load_own, own_algorithms
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,19 +23,12 @@ def load_algorithms() -> None:
     Raises:
         ImportError: if there is none, or another project's is installed over it.
     """
-    root = str(Path(__file__).parent.parent)
-    spec = importlib.machinery.PathFinder.find_spec("algorithms", [root])
-    loaded = sys.modules.get("algorithms")
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{root!r} has no package algorithms: reinstall mo-deepdrive")
-    if loaded is not None and loaded.__file__ == spec.origin:
+    spec, loaded = own_algorithms(), sys.modules.get("algorithms")
+    if getattr(loaded, "__file__", None) == spec.origin:
         return
     for name in [name for name in sys.modules if name.partition(".")[0] == "algorithms"]:
         del sys.modules[name]
-    module = sys.modules["algorithms"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    if not hasattr(module, "ALGORITHMS"):
-        raise ImportError(f"{spec.origin!r} is another project's, installed over mo-deepdrive's: separate them")
+    load_own(spec)
 
 
 load_algorithms()

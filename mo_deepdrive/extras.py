@@ -23,7 +23,8 @@ _TRAIN = (
 EXTRAS = {
     **dict.fromkeys(_TRAIN, "train"),
     **dict.fromkeys(("optuna", "ray", "submitit"), "sweep"),
-    **dict.fromkeys(("morl_baselines", "stable_baselines3"), "peers"),
+    "morl_baselines": "peers",
+    "stable_baselines3": "sb3",
     **dict.fromkeys(("onnx", "onnxruntime"), "onnx"),
     "minari": "minari",
     "numba_cuda": "cuda",

@@ -1,10 +1,12 @@
-"""Importing what a user names: a module, or ``package.module:name``."""
+"""Importing what a user names, a module or ``package.module:name``, and the package ``algorithms`` of this one."""
 
 from __future__ import annotations
 
 import importlib
 import sys
 import sysconfig
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import module_from_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +54,34 @@ def import_module(what: str, name: str) -> ModuleType:
         if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
             reason += f"; looked for in {', '.join([*_own_folders(), 'the installed packages'])}"
         raise ValueError(f"{what}: {name!r} cannot be imported: {reason}") from error
+
+
+def own_algorithms() -> ModuleSpec:
+    """The package ``algorithms`` beside this one, wherever Python would find one of that name first.
+
+    Raises:
+        ImportError: if there is none.
+    """
+    root = str(Path(__file__).parent.parent)
+    spec = PathFinder.find_spec("algorithms", [root])
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{root!r} has no package algorithms: reinstall mo-deepdrive")
+    return spec
+
+
+def load_own(spec: ModuleSpec | None) -> ModuleType:
+    """Load the package ``algorithms`` of this one under the name of ``spec``.
+
+    Raises:
+        ImportError: if another project's is installed over it.
+    """
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[spec.name] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not hasattr(module, "ALGORITHMS"):
+        raise ImportError(f"{spec.origin!r} is another project's, installed over mo-deepdrive's: separate them")
+    return module
 
 
 def _own_folders() -> list[str]:

@@ -1,4 +1,4 @@
-"""Wrappers for libraries that need a scalar reward, and for networks that need observations of like magnitude."""
+"""Wrappers: scalar rewards for libraries that need them, observations of like magnitude, and records of episodes."""
 
 from __future__ import annotations
 
@@ -174,6 +174,58 @@ class VectorUtilityReward(VectorWrapper):  # not generic in Gymnasium 1.2
         if self.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP:
             self._ended[over] = False
         infos = {**infos, "vector_reward": vectors, "_vector_reward": np.ones(self.num_envs, dtype=np.bool_)}
+        return observations, rewards, terminated, truncated, infos
+
+
+class VectorEpisodeStatistics(VectorWrapper):  # not generic in Gymnasium 1.2
+    """Records the returns and lengths of episodes with vector rewards, in every autoreset mode.
+
+    In a step in which an episode ends, ``infos["episode"]`` has, in the rows where ``infos["_episode"]``, the return
+    "r" and the discounted return "dr", float64 in the shape of the rewards, and the number of decisions "l" (N,).
+
+    Args:
+        env: a vector environment with rewards (N, ...), of this package or of MO-Gymnasium.
+        gamma: the discount factor of "dr".
+
+    Raises:
+        ValueError: if gamma is not between 0 and 1.
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], gamma: float = 1.0):
+        super().__init__(env)
+        if not 0.0 <= gamma <= 1.0:
+            raise ValueError(f"gamma = {gamma!r} must be between 0 and 1")
+        self._gamma = gamma
+        self._lengths = np.zeros(env.num_envs, dtype=np.int64)
+        self._only_reset = np.zeros(env.num_envs, dtype=np.bool_)  # what the next step does with an environment
+        self._returns = self._discounted = np.zeros(())
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start new episodes; where ``options`` have a ``"reset_mask"`` (N,), in its environments alone."""
+        started = self.env.reset(seed=seed, options=options)
+        mask = (options or {}).get("reset_mask")
+        self._restart(np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask)
+        self._only_reset[:] = False
+        return started
+
+    def _restart(self, rows: NDArray[np.bool_]) -> None:
+        self._lengths[rows] = 0
+        if self._returns.shape:
+            self._returns[rows] = self._discounted[rows] = 0.0
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Act for one decision in every environment."""
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        discounts = (self._gamma**self._lengths).reshape(-1, *[1] * (rewards.ndim - 1))
+        self._returns = self._returns + rewards  # zeros where an environment is only reset
+        self._discounted = self._discounted + discounts * rewards
+        self._lengths += ~self._only_reset
+        over: Any = (terminated | truncated).reshape(self.num_envs, -1).all(axis=1)
+        if over.any():
+            found = {"r": self._returns.copy(), "dr": self._discounted.copy(), "l": self._lengths.copy()}
+            infos = {**infos, "episode": found, "_episode": over}
+            self._restart(over)
+        self._only_reset = over & (self.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP)
         return observations, rewards, terminated, truncated, infos
 
 

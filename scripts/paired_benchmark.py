@@ -5,8 +5,8 @@ program, it measures one tree: ``PYTHONPATH=TREE python scripts/paired_benchmark
 
 What is measured is the CPU time of the process, summed over its threads, because other programs on the machine change
 it much less than the time on the clock. What more threads or a GPU gain is measured on the clock, by ``NAME THREADS
-DEVICE``, where a GPU moves WORLDS worlds or trains SEEDS seeds side by side, by compiled updates. Compilation and the
-first updates are excluded.
+DEVICE``, where a GPU moves WORLDS worlds or trains SEEDS seeds side by side, by compiled updates. Speeds of training
+are those within a run of RUN steps, after compilation and the first updates; ``run-...`` are whole runs.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN, ROUNDABOUT = (
 UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
 ENVS, STEPS, WARM_UP = 256, 16, 3  # environments, steps per update, updates that are not counted
 PCN_ENVS, PCN_STEPS = 16, 40_000
+RUN = 3_000_000  # steps of the runs in which speeds are measured
 WORLDS, SEEDS = 65_536, 10  # on a GPU
 # Shipped experiments, with their numbers of environments and steps, and how many updates are measured.
 SHIPPED = {
@@ -55,6 +56,7 @@ SHIPPED = {
     "intersection/mo_ppo_linear": 10,
     "left_turn/mo_ppo_linear": 10,
 }
+WHOLE_RUNS = ("a2c_linear", "mo_a2c_linear", "mo_ppo_linear", "conditioned", "pcn")  # of OneWaypoint
 TRAIN = "{TREE}/scripts/train.py"
 ONE_UPDATE = """
 environment: {id: mo-deepdrive-one-waypoint-v0}
@@ -178,10 +180,19 @@ def pcn(gradient_steps: int, batch_size: int) -> float:
 def training_rate(agent: Any, warm_up: int, steps: int, place: Place | None = None) -> float:
     """Environment steps per CPU second of ``steps`` after the first ``warm_up``; on the clock in a place."""
     clock = process_time if place is None else perf_counter
-    agent.train(warm_up)
+    _train_until(agent, warm_up)
     first, started = agent.step, clock()
-    agent.train(first + steps)
+    _train_until(agent, first + steps)
     return float((agent.step - first) / (clock() - started))
+
+
+def _train_until(agent: Any, step: int) -> None:
+    """Do a part of a run of RUN steps, whose length decides whether its gradient steps are compiled."""
+    agent.train(RUN, after_update=lambda _: agent.step >= step)
+    if agent.device.type != "cpu":
+        import torch
+
+        torch.cuda.synchronize(agent.device)
 
 
 def make_vec(
@@ -252,19 +263,31 @@ def make(steps: int = 100_000) -> float:
     return steps / (process_time() - started)
 
 
-def start_up(*arguments: str) -> float:
-    """CPU seconds of ``python ARGUMENTS`` from start to end, with warm caches; {TREE} and {OUTPUT} are replaced."""
+def start_up(*arguments: str, outputs: Sequence[str] = ("warm-up", "run")) -> float:
+    """CPU seconds of ``python ARGUMENTS`` from start to end; {TREE} and {OUTPUT} are replaced.
+
+    Args:
+        *arguments: of Python.
+        outputs: of several starts, of which the last one is measured; those before it fill caches.
+    """
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "run.yaml").write_text(ONE_UPDATE)
-        for output in ("warm-up", "run"):  # the last one is measured
+        for output in outputs:
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
             places = {"TREE": os.environ["PYTHONPATH"], "OUTPUT": output}
             command = [sys.executable, *(each.format(**places) for each in arguments)]
             done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             if done.returncode != 0:
-                raise RuntimeError(last_line(done.stderr))
+                raise RuntimeError(last_line(done.stderr or done.stdout))
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def whole_run(config: str, steps: int = RUN) -> float:
+    """CPU seconds of a training of a shipped experiment, from the start of Python to the final evaluation."""
+    options = f"--training.total_timesteps={steps}", "--logging.save_figures=false"
+    # The first round of a comparison has filled the caches.
+    return start_up(TRAIN, "--config", config, *options, "--output", "{OUTPUT}", outputs=["run"])
 
 
 @dataclass(frozen=True)
@@ -317,6 +340,8 @@ CASES: dict[str, Case] = {
     "import": Case(partial(start_up, "-c", "import mo_deepdrive"), "s"),
     "train-help": Case(partial(start_up, TRAIN, "--help"), "s"),
     "train-one-update": Case(partial(start_up, TRAIN, "--config", "run.yaml", "--output", "{OUTPUT}"), "s"),
+    **{f"run-{name}": Case(partial(whole_run, f"one_waypoint/{name}"), "s") for name in WHOLE_RUNS},
+    "run-mappo_worst_off": Case(partial(whole_run, "intersection/mappo_worst_off"), "s"),
 }
 
 

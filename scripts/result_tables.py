@@ -6,13 +6,16 @@ A table after ``<!-- table: SELECT ... -->``, a query of SQLite, is made whole: 
 of the query, its rows are the results. ``docs/results/runs.csv`` is the table ``runs``, a file in a folder has the name
 ``folder_file``, and what follows an empty line in ``scores.csv`` is ``scores_1``. Of the suite there are the tables
 ``suite_tasks``, ``suite_learners``, ``suite_normalised`` (a score of every run) and ``suite_board`` (as ``suite table``
-prints it); views of ``docs/results/views.sql`` are tables, too.
+prints it); views of ``docs/results/views.sql`` are tables, too. Below a table of results is a line with the commits
+whose code made them, from ``docs/results/provenance.csv``.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import json
+import os
 import re
 import sqlite3
 import sys
@@ -26,6 +29,7 @@ from algorithms.commands.suite_results import REFERENCE
 from algorithms.experiments.cli import make_parser
 from algorithms.studies.settings import load_study
 from algorithms.studies.suite_tables import Scoreboard
+from algorithms.zoo import ZOO
 from mo_deepdrive import suite
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.statistics import interquartile_mean
@@ -34,7 +38,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-MADE = re.compile(r"(?P<comment><!-- table:(?P<query>.*?)-->\n\n)(?:(?:\|[^\n]*\n)+\n?)*", re.DOTALL)
+MADE = re.compile(
+    r"(?P<comment><!-- table:(?P<query>.*?)-->\n\n)((\|[^\n]*\n)+\n?)*(Results of commits? `[^\n]*\n\n?)?", re.DOTALL
+)
+PROVENANCE = REPOSITORY / "docs" / "provenance.md"
+FROM_SUITE = ("suite_normalised", "suite_board")  # tables of what docs/results/suite.csv has
 
 
 class InterquartileMean:
@@ -74,12 +82,17 @@ def open_results() -> sqlite3.Connection:
     database = sqlite3.connect(":memory:")
     database.execute("PRAGMA automatic_index = OFF")  # rows stay in the order of their files
     folder = REPOSITORY / "docs" / "results"
+    files: dict[str, str] = {}
     for path in sorted(folder.rglob("*.csv")):
         name = "_".join(path.relative_to(folder).with_suffix("").parts)
+        files[name] = str(path.relative_to(folder))
         for k, part in enumerate(path.read_text(encoding="utf-8").split("\n\n")):
             header, *rows = csv.reader(io.StringIO(part))
             fill(database, f"{name}_{k}" if k else name, header, rows)
     fill_suite(database, suite.read_rows(folder / "suite.csv"))
+    fill(database, "result_files", ["name", "file"], [*(files | dict.fromkeys(FROM_SUITE, files["suite"])).items()])
+    about = [json.loads(path.read_bytes()) | {"policy": path.parent.name} for path in sorted(ZOO.glob("*/about.json"))]
+    fill(database, "zoo", ["policy", "commit"], [[each["policy"], each["commit"]] for each in about])
     database.create_function("decimals", 2, decimals, deterministic=True)
     aggregate: Any = InterquartileMean
     database.create_aggregate("interquartile_mean", 1, aggregate)
@@ -114,17 +127,37 @@ def fill(database: sqlite3.Connection, table: str, header: Sequence[str], rows: 
     columns = ", ".join(f'"{name}"' for name in header)
     database.execute(f'CREATE TABLE "{table}" ({columns})')
     marks = ", ".join("?" * len(header))
-    database.executemany(f'INSERT INTO "{table}" VALUES ({marks})', [[*map(typed, row)] for row in rows])
+    kinds = [str if name == "commit" else typed for name in header]  # a hash such as 414765e9 is no number
+    cells = [[kind(cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows]
+    database.executemany(f'INSERT INTO "{table}" VALUES ({marks})', cells)
 
 
-def refresh(document: str, database: sqlite3.Connection) -> str:
-    """A document with its tables made anew.
+def made_by(tables: set[str], database: sqlite3.Connection, folder: Path) -> str:
+    """The line with the commits that made what is in ``tables``; empty if nothing there is a result."""
+    found = 'SELECT name, "commit" FROM result_files AS r JOIN provenance AS p ON r.file GLOB p.file ORDER BY date'
+    made = database.execute(found) if tables else ()
+    commits = [commit for name, cell in made if name in tables for commit in cell.split()]
+    if not commits:
+        return ""
+    ends = [f"`{commit}`" for commit in dict.fromkeys([commits[0], commits[-1]])]
+    page = os.path.relpath(PROVENANCE, folder)
+    return f"Results of commit{'s' * (len(ends) - 1)} {' to '.join(ends)} ([what changed since]({page})).\n\n"
+
+
+def refresh(document: str, database: sqlite3.Connection, folder: Path = REPOSITORY) -> str:
+    """A document in ``folder`` with its tables made anew, below each the commits that made its results.
 
     Raises:
         ValueError: if a query is invalid.
     """
+    read: set[str] = set()
+
+    def note(action: int, name: str | None, *_: str | None) -> int:
+        read.update([name] if action == sqlite3.SQLITE_READ and name else [])
+        return sqlite3.SQLITE_OK
 
     def table(match: re.Match[str]) -> str:
+        read.clear()
         try:
             cursor = database.execute(match["query"])
             rows = cursor.fetchall()
@@ -133,8 +166,9 @@ def refresh(document: str, database: sqlite3.Connection) -> str:
         header = [name for name, *_ in cursor.description]
         lines = [header, ["---"] * len(header), *rows]
         made = ["| " + " | ".join("" if cell is None else str(cell) for cell in line) + " |\n" for line in lines]
-        return match["comment"] + "".join(made) + "\n"
+        return match["comment"] + "".join(made) + "\n" + made_by(read, database, folder)
 
+    database.set_authorizer(note)
     return MADE.sub(table, document)
 
 
@@ -152,7 +186,7 @@ def main(arguments: list[str] | None = None) -> int:
     for path in documents():
         before = path.read_text(encoding="utf-8")
         try:
-            after = refresh(before, database)
+            after = refresh(before, database, path.parent)
         except ValueError as error:
             print(f"error: {path}: {error}", file=sys.stderr)
             return 2

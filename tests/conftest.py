@@ -20,7 +20,7 @@ import torch
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from algorithms.commands import COMMANDS
-from algorithms.networks.threads import set_threads
+from algorithms.learning.threads import set_threads
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.scenarios import SCENARIOS
 from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, read_golden

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from algorithms.experiments.cli import INSTALLED, exit_on_error, make_parser
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.key_listing import Key, differing_values, experiment_keys, model_keys
-from algorithms.experiments.registry import algorithm_names, find_algorithm
+from algorithms.experiments.registry import agent_class, algorithm_names, find_algorithm
 from algorithms.studies.settings import Learner, Study, StudyTask
 from algorithms.sweeps.sweep_settings import SweepSettings
 
@@ -48,8 +48,7 @@ def key_sections(algorithm: str | None = None, env_id: str | None = None) -> dic
     first = next(iter(keys.values()))
     sections = {"experiment": [key for key in first if not _is_hyperparameter(key)]}
     for name, found in keys.items():
-        entry = find_algorithm(name)
-        equations = "" if entry.is_peer else f"; equations: help({entry.config_class.__module__!r})"
+        equations = "" if find_algorithm(name).is_peer else f"; equations: help({agent_class(name).__module__!r})"
         sections[f"hyperparameters of {name}{equations}"] = [key for key in found if _is_hyperparameter(key)]
     if algorithm:
         return sections

@@ -20,9 +20,14 @@ if TYPE_CHECKING:
 
     from algorithms.studies.plan import StudyPlan
     from algorithms.sweeps.runner import Backend, Runner
+    from mo_deepdrive.suite import Row
 
 REFERENCE = "studies/suite"  # the study of the reference results
-PUBLISHED = CONFIGS.parent / "docs" / "results" / "suite.csv"  # these results; exists in a checkout alone
+# These results, in a checkout and in an installed package.
+PUBLISHED = next(
+    (path for path in (CONFIGS.parent / "docs" / "results" / "suite.csv",) if path.is_file()),
+    CONFIGS / "suite" / "published.csv",
+)
 CORE, ALL = "core", "all"  # instead of tasks
 
 
@@ -113,31 +118,50 @@ def add_suite_table(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--against", metavar="LEARNER", help="whom the others are compared with (default: lintune)")
     parser.add_argument("--figure", type=Path, metavar="FILE.png", help="draw the performance profiles")
-    parser.add_argument("--output", type=Path, metavar="FILE.md", help="write the tables as Markdown")
+    parser.add_argument("--published", action="store_true", help="beside the reference results")
+    parser.add_argument(
+        "--baseline", metavar="LEARNER", help="whom the others are compared with task by task, over the tasks of all"
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help="write the tables (.md), or scores and differences (.tex, .csv)"
+    )
 
 
 def suite_table(options: Namespace) -> int:
     """Print the tables of the suite, and write them if asked to; returns the exit code."""
     from algorithms.experiments.console import make_console, print_line
-    from algorithms.reporting.table_files import markdown
+    from algorithms.reporting.table_files import FORMATS, markdown, write_table
     from algorithms.reporting.wide_tables import print_rows
     from algorithms.studies.settings import load_study
-    from algorithms.studies.suite_tables import NOTE, Scoreboard
+    from algorithms.studies.suite_tables import MEANS_NOTE, NOTE, Scoreboard
     from mo_deepdrive import suite
     from mo_deepdrive.atomic_io import atomic_write
 
     check_file("--figure", options.figure)
-    check_file("--output", options.output, ".md")
-    path = options.results or PUBLISHED
-    results = suite.read_rows(path) if path.is_file() else []
-    if not results:
-        raise ValueError(f"there are no results in {str(path)!r}; mo-deepdrive suite run writes a results.csv")
-    for task in {row.task: None for row in results}:
-        if task not in suite.load().tasks:
-            raise ValueError(f"{str(path)!r} has results of task {task!r}, which the suite does not have")
+    check_file("--output", options.output, *FORMATS)
+    if options.published and options.results is None:
+        raise ValueError("--published puts results of yours beside the reference results: name their CSV")
+    paths = [options.results or PUBLISHED, *([PUBLISHED] if options.published else [])]
+    results: list[Row] = []
+    for path in paths:
+        found = suite.read_rows(path)
+        if not found:
+            raise ValueError(f"there are no results in {str(path)!r}; mo-deepdrive suite run writes a results.csv")
+        for row in found:
+            try:
+                suite.check_of_suite(row)
+            except ValueError as error:
+                raise ValueError(f"{str(path)!r} has {error}") from None
+        if both := {row.learner for row in found} & {row.learner for row in results}:
+            raise ValueError(
+                f"{str(options.results)!r} has the learner {min(both)!r}, as the reference results; rename"
+            )
+        results += found
     console, board = make_console(), Scoreboard(results, suite.load())
     tables = [*board.track_tables(options.against), ("Tasks", board.task_table())]
     tables.append(("Tasks, by the policy that is not ranked", board.task_table(ranked=False)))
+    scores, differences = board.comparison(options.baseline, {row.learner for row in results if row not in found})
+    tables += [("Scores", scores), ("Differences", differences)] if options.published or options.baseline else []
     for title, rows in tables:
         print_rows(console, rows, title, 1)
     console.print(NOTE, highlight=False)
@@ -145,7 +169,14 @@ def suite_table(options: Namespace) -> int:
         board.draw_profiles(options.figure, load_study(REFERENCE).labels)
         print_line(console, f"written: {options.figure}")
     if options.output is not None:
-        text = "\n".join(f"## {title}\n\n{markdown(rows, 1, NOTE)}" for title, rows in tables)
-        atomic_write(options.output, text.encode())
-        print_line(console, f"written: {options.output}")
+        if options.output.suffix == ".md":
+            text = "\n".join(f"## {title}\n\n{markdown(rows, 1, NOTE)}" for title, rows in tables)
+            atomic_write(options.output, text.encode())
+            print_line(console, f"written: {options.output}")
+        else:
+            parts = {"": scores, "-differences": differences}
+            for ending, rows in parts.items():
+                file = options.output.with_name(f"{options.output.stem}{ending}{options.output.suffix}")
+                write_table(file, rows, 1, MEANS_NOTE)
+                print_line(console, f"written: {file}")
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from typing import TYPE_CHECKING, Any
 
 from algorithms.experiments.cli import add_trust_argument, check_file
@@ -25,7 +26,10 @@ def add_suite_score(parser: ArgumentParser) -> None:
         "id of a task",
     )
     parser.add_argument(
-        "--tasks", nargs="+", metavar="TASK", help="their ids (default: those of a run; all that count for others)"
+        "--tasks",
+        nargs="+",
+        metavar="TASK",
+        help="their ids, or core (default: those of a run; all that count for others)",
     )
     parser.add_argument("--episodes", type=int, metavar="N", help="instead of those of a task")
     parser.add_argument("--no-perturbations", action="store_true", help="leave out the columns of generalisation")
@@ -38,34 +42,46 @@ def add_suite_verify(parser: ArgumentParser) -> None:
     parser.add_argument("entry", metavar="ENTRY", help="a CSV of suite score, or a run that was scored as a task")
     parser.add_argument("--tasks", nargs="+", metavar="TASK", help="verify these alone")
     parser.add_argument(
-        "--scenarios", type=int, metavar="NUMBER", help="also on fresh scenarios, whose seeds follow from this number"
+        "--scenarios",
+        type=int,
+        metavar="NUMBER",
+        help="from which fresh scenarios follow (default: drawn)",
     )
     add_trust_argument(parser)
 
 
 def suite_score(options: Namespace) -> int:
     """Score policies; returns the exit code."""
-    from algorithms.experiments.console import make_console
+    from algorithms.commands.suite_results import CORE
+    from algorithms.experiments.console import make_console, print_line
+    from algorithms.experiments.progress_bar import compilation_noted
     from algorithms.experiments.suite_entries import open_entry
     from mo_deepdrive import suite
 
     check_file("--output", options.output, ".csv")
     if options.episodes is not None and options.episodes < 1:
         raise ValueError(f"--episodes {options.episodes} must be at least 1")
-    for task_id in options.tasks or ():
+    tasks = suite.load().tasks
+    options.tasks = [
+        each
+        for task_id in options.tasks or ()
+        for each in ([name for name, task in tasks.items() if task.core] if task_id == CORE else [task_id])
+    ]
+    for task_id in options.tasks:
         suite.load().task(task_id)
     entries = [open_entry(source, trust=options.trust) for source in options.policies]
-    found = [
-        (entry, task_id, checked_policy(entry, task_id)) for entry in entries for task_id in _tasks(entry, options)
-    ]
     console, rows = make_console(), []
-    for entry, task_id, policy in found:
-        with console.status(f"{entry.source} on {task_id}"):
-            mine = entry.score(policy, task_id, episodes=options.episodes, perturbed=not options.no_perturbations)
-        console.print(score_table(mine, f"{task_id}: {suite.load().task(task_id).title}; {entry.source}"))
-        rows += mine
-        if options.output:
-            suite.write_rows(options.output, rows)
+    with compilation_noted(lambda text: print_line(console, text)):
+        found = [
+            (entry, task_id, checked_policy(entry, task_id)) for entry in entries for task_id in _tasks(entry, options)
+        ]
+        for entry, task_id, policy in found:
+            with console.status(f"{entry.source} on {task_id}"):
+                mine = entry.score(policy, task_id, episodes=options.episodes, perturbed=not options.no_perturbations)
+            console.print(score_table(mine, f"{task_id}: {suite.load().task(task_id).title}; {entry.source}"))
+            rows += mine
+            if options.output:
+                suite.write_rows(options.output, rows)
     if options.output:
         print(f"written: {options.output}")
     return 0
@@ -113,40 +129,46 @@ def score_table(rows: list[Row], title: str) -> Table:
 
 
 def suite_verify(options: Namespace) -> int:
-    """Score an entry again; 0 if everything agrees, else 1."""
+    """Score an entry again, on the scenarios of the test split and on fresh ones; 0 if everything agrees, else 1."""
     from rich.table import Table
 
     from algorithms.experiments.console import make_console
-    from algorithms.experiments.suite_entries import agrees, fresh_seed, open_entry, recorded_rows
+    from algorithms.experiments.suite_entries import disagreement, fresh_seed, is_own_code, open_entry, recorded_rows
     from mo_deepdrive import suite
 
-    recorded = recorded_rows(options.entry)
     for task_id in options.tasks or ():
         suite.load().task(task_id)
-    pairs = dict.fromkeys((row.source, row.task) for row in recorded if not options.tasks or row.task in options.tasks)
-    if not pairs:
+    recorded = [row for row in recorded_rows(options.entry) if not options.tasks or row.task in options.tasks]
+    if not recorded:
         raise ValueError(f"{options.entry!r} has no scores of {', '.join(options.tasks)}")
-    if not all(source for source, _ in pairs):
-        raise ValueError(f"{options.entry!r} does not say which run or policy was scored")
+    pairs = dict.fromkeys((row.source, row.task) for row in recorded)
+    own = [source for source, _ in pairs if is_own_code(source)]
+    if own and not options.trust:  # before anything of it is imported
+        raise ValueError(f"{options.entry!r} names code to run, {own[0]!r}; --trust runs it")
+    number = secrets.randbelow(10**8) if options.scenarios is None else options.scenarios
     opened = {source: open_entry(source, trust=options.trust) for source, _ in pairs}
     policies = {(source, task_id): checked_policy(opened[source], task_id) for source, task_id in pairs}
-    console, agree = make_console(), True
+    console, faults = make_console(), []
     table = Table("policy", "task", "column", "scenarios", "recorded", "found", "", title=f"{options.entry}")
     for (source, task_id), policy in policies.items():
-        mine = {(row.policy, row.column): row for row in recorded if (row.source, row.task) == (source, task_id)}
-        episodes = suite.load().task(task_id).episodes
-        firsts: dict[str, int | None] = {"test split": None}
-        if options.scenarios is not None:
-            firsts[f"of {options.scenarios}"] = fresh_seed(options.scenarios, episodes)
-        for scenarios, first in firsts.items():
+        mine = [row for row in recorded if (row.source, row.task) == (source, task_id)]
+        first = fresh_seed(number, suite.load().task(task_id).episodes)
+        for scenarios, start in (("test split", None), (f"fresh: {number}", first)):
             with console.status(f"{source} on {task_id}"):
-                again = opened[source].score(policy, task_id, first_episode=first)
-            for row in again:
-                if (before := mine.get((row.policy, row.column))) is None or row.low is None:
-                    continue
-                verdict = agrees(before, row)
-                agree &= verdict != "differs"
-                numbers = (f"{before.value:.4f}", f"{row.value:.4f}")
-                table.add_row(source, task_id, f"{row.column} ({row.policy})", scenarios, *numbers, verdict)
+                again = {
+                    (row.policy, row.column): row for row in opened[source].score(policy, task_id, first_episode=start)
+                }
+            for row in mine:
+                found = again.get((row.policy, row.column))
+                wrong = disagreement(row, found, fresh=start is not None)
+                shown = "" if found is None or found.value is None else f"{found.value:.4f}"
+                verdict = "differs" if wrong else "agrees" if start is not None else "reproduced"
+                table.add_row(
+                    source, task_id, f"{row.column} ({row.policy})", scenarios, f"{row.value:.4f}", shown, verdict
+                )
+                if wrong:
+                    faults.append(f"{source} on {task_id}, {row.column} ({row.policy}), {scenarios}: {wrong}")
     console.print(table)
-    return 0 if agree else 1
+    for fault in faults:
+        print(fault)
+    return 1 if faults else 0

@@ -120,7 +120,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         for run in runs:
             print(f"run {run.path}", flush=True)
         if len(runs) > 1 and not runs[0].experiment.is_resident:
-            from algorithms.experiments.side_by_side import train_apart
+            from algorithms.experiments.seed_processes import train_apart
 
             received = train_apart(runs, make_console())
             if received == FAILED:

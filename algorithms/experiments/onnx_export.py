@@ -223,10 +223,11 @@ class _Graph(nn.Module):
 
 def _distribution_of(actor: Actor, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
     """What an actor's network says of the actions: logits, or mean and standard deviation."""
-    outputs = actor.body(x)
+    outputs: torch.Tensor = actor.body(x)
     if isinstance(actor, CategoricalActor):
         return (outputs,)
-    mean, log_std = actor.mean_and_log_std(outputs)
+    gaussian: Any = actor
+    mean, log_std = gaussian.mean_and_log_std(outputs)
     return mean, log_std.exp().expand_as(mean)
 
 

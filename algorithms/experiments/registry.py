@@ -90,10 +90,7 @@ def _users_class(path: str) -> type[Any]:
     found = import_named("algorithm.name", path)
     if not (isinstance(found, type) and issubclass(found, Agent)):
         raise ValueError(f"algorithm.name = {path!r} must be a subclass of algorithms.Agent; it is {found!r}")
-    declared = {name for base in found.__mro__ for name in vars(base).get("__annotations__", {})}
-    missing = set(found.__abstractmethods__)
-    missing |= {name for name in ("Config", "learner") if name in declared and not hasattr(found, name)}
-    missing |= {f"learner.{name}" for name in getattr(getattr(found, "learner", None), "__abstractmethods__", ())}
+    missing = {*found.__abstractmethods__, *({"Config"} if not hasattr(found, "Config") else ())}
     if missing:
         raise ValueError(f"algorithm.name = {path!r} does not define {', '.join(sorted(missing))}")
     if not (found.known_utility or issubclass(found, FrontAgent)):

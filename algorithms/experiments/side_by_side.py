@@ -1,4 +1,4 @@
-"""Several seeds at the same time: side by side on a GPU, in a process each on a CPU."""
+"""Several seeds at the same time, side by side on a GPU."""
 
 from __future__ import annotations
 
@@ -9,20 +9,13 @@ import torch
 from algorithms import ALGORITHMS
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours
-from algorithms.experiments.dashboard import Dashboard
-from algorithms.experiments.interrupts import Interrupts
-from algorithms.experiments.jobs import Job
 from algorithms.experiments.registry import agent_class
-from algorithms.experiments.worker_pool import perform_all
-from mo_deepdrive.machine import available_cores, check_device
+from mo_deepdrive.machine import check_device
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rich.console import Console
-
     from algorithms.experiments.config import Experiment
-    from algorithms.experiments.run_directory import Run
 
 
 def build_trainee(experiments: Sequence[Experiment]) -> Any:
@@ -68,18 +61,3 @@ def check_resident(experiment: Experiment) -> None:
         raise ValueError(f"{here}: algorithm {name!r} trains on the CPU; {able} can")
     if not is_ours(find_environment(experiment.environment.id)):
         raise ValueError(f"{here}: environment {experiment.environment.id!r} is another library's, on the CPU alone")
-
-
-def train_apart(runs: Sequence[Run], console: Console) -> int | None:
-    """Train runs whose locks are held, each in a process of its own, as many at a time as there are cores for their threads.
-
-    Returns:
-        The number of the signal that stopped training, 1 if a run failed, or None if all are finished.
-    """
-    jobs = [Job(run.path.name, run.experiment, run.path) for run in runs]
-    workers = max(1, available_cores() // runs[0].experiment.training.threads)
-    for run in runs:
-        run.unlock()
-    with Interrupts() as interrupts, Dashboard(jobs, console) as dashboard:
-        failed = perform_all(jobs, workers, dashboard, stop=lambda: interrupts.received is not None)
-    return interrupts.received or (1 if failed else None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ from mo_deepdrive.importing import import_named
 from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from algorithms.experiments.config import Experiment
     from mo_deepdrive.suite import Row, Task
@@ -56,6 +57,12 @@ class Entry:
         return [replace(row, source=self.source, state=self.state, cpu_seconds=self.cpu_seconds) for row in rows]
 
 
+def is_own_code(source: str) -> bool:
+    """Whether a source is a file or an object of the user's, which :func:`open_entry` imports and calls."""
+    path, colon, _ = source.partition(":")
+    return path.endswith(".py") or bool(colon)
+
+
 def open_entry(source: str, *, trust: bool = False) -> Entry:
     """The entry that a user names.
 
@@ -78,7 +85,17 @@ def open_entry(source: str, *, trust: bool = False) -> Entry:
 
 def _own(source: str, policy: Any) -> Entry:
     label = getattr(policy, "__name__", source)
-    return Entry(source, label, 0, (), policy if isinstance(policy, type) else lambda _: policy)
+
+    def made(task_id: str) -> Any:
+        if not isinstance(policy, type):
+            return policy
+        try:
+            return policy(task_id)
+        except (Exception, SystemExit) as error:  # a user's class may raise anything
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise ValueError(f"policy {source!r}: {label}({task_id!r}) cannot be made: {reason}") from error
+
+    return Entry(source, label, 0, (), made)
 
 
 def _of_file(source: str, path: Path, name: str) -> Any:
@@ -91,7 +108,7 @@ def _of_file(source: str, path: Path, name: str) -> Any:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # a user's module may raise anything
+    except (Exception, SystemExit) as error:  # a user's module may raise anything
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ValueError(f"policy {source!r} cannot be imported: {reason}") from error
     found = [each for each in ([name] if name else OWN_NAMES) if hasattr(module, each)]
@@ -185,11 +202,22 @@ def recorded_rows(entry: str) -> list[Row]:
     path = Path(entry)
     rows = _rows_of_run(path) if path.is_dir() else [_found_from(path, row) for row in suite.read_rows(path)]
     rows = [row for row in rows if row.value is not None]
-    version = suite.load().version
-    if others := sorted({row.version for row in rows} - {version}):
-        raise ValueError(f"{entry!r} has scores of version {others[0]} of the suite; this is version {version}")
     if not rows:
         raise ValueError(f"{entry!r} has no scores")
+    claimed: dict[tuple[str, str], Row] = {}
+    for row in rows:
+        try:
+            suite.check_of_suite(row)
+        except ValueError as error:
+            raise ValueError(f"{entry!r} has {error}") from None
+        if not row.source:
+            raise ValueError(f"{entry!r} does not say which run or policy was scored")
+        first = claimed.setdefault((row.source, row.task), row)
+        if (first.learner, first.seed) != (row.learner, row.seed):
+            raise ValueError(
+                f"{entry!r} has scores of {row.source!r} on {row.task} twice: of {first.learner}, seed {first.seed}, "
+                f"and of {row.learner}, seed {row.seed}"
+            )
     return rows
 
 
@@ -229,12 +257,35 @@ def fresh_seed(number: int, episodes: int) -> int:
     return 2**30 + int(np.random.default_rng(number).integers(room))
 
 
-def agrees(recorded: Row, found: Row) -> str:
-    """Whether a score that was found agrees with the recorded one: "reproduced", "within the interval" or "differs"."""
+def disagreement(recorded: Row, found: Row | None, *, fresh: bool) -> str:
+    """Why a recorded score does not hold; empty if it does.
+
+    Args:
+        recorded: what the entry says.
+        found: what the policy has now; None if the task has no such number.
+        fresh: whether it was found on other scenarios. On the same ones both must be equal, but for the last bits of
+            another kind of processor, which may change a few episodes: by a twentieth of the interval's width. On
+            others they are two samples, which differ by at most three standard errors of their difference.
+    """
+    if found is None or found.value is None:
+        return "the task has no such number"
     assert recorded.value is not None
-    assert found.value is not None
-    if abs(recorded.value - found.value) <= 1e-6 * max(1.0, abs(recorded.value)):
-        return "reproduced"
-    ends: Sequence[float | None] = (recorded.low, recorded.high, found.low, found.high)
-    low, high, other_low, other_high = (each if each is not None else float("nan") for each in ends)
-    return "within the interval" if low <= other_high and other_low <= high else "differs"
+    allowed = 1e-6 * max(1.0, abs(found.value))
+    errors = [0.0 if row.low is None or row.high is None else (row.high - row.low) / 3.92 for row in (recorded, found)]
+    if fresh:
+        # The recorded interval is taken for no wider than twice the one that is found.
+        return _beyond(recorded.value, found.value, 3.0 * math.hypot(min(errors[0], 2.0 * errors[1]), errors[1]))
+    allowed = max(allowed, 0.05 * 3.92 * errors[1])
+    for name in ("value", "low", "high"):
+        one, other = getattr(recorded, name), getattr(found, name)
+        if one is None and other is None:
+            continue
+        if one is None or other is None or _beyond(one, other, allowed):
+            return f"its {name} = {one}, found {other}"
+    return ""
+
+
+def _beyond(recorded: float, found: float, allowed: float) -> str:
+    return (
+        "" if abs(recorded - found) <= allowed else f"differs by {abs(recorded - found):.4g}, more than {allowed:.4g}"
+    )

@@ -1,1 +1,1 @@
-"""What the algorithms learn with: networks and their optimiser, collection and storage, preferences, partners, guides."""
+"""What the algorithms learn with: networks and their optimiser, collection and storage, preferences, guides."""

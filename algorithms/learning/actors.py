@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import nn
@@ -66,6 +66,8 @@ class Actor(nn.Module, ABC):
         body: network from (..., inputs) to the parameters of the distribution.
         noise: how many random numbers :meth:`choose` takes for an action.
     """
+
+    body: Any
 
     def __init__(self, body: nn.Module, noise: int):
         super().__init__()

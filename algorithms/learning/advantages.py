@@ -46,7 +46,7 @@ def bootstrapped(
 
 
 def normalise(advantages: torch.Tensor, weights: torch.Tensor | None) -> torch.Tensor:
-    """``advantages`` with mean 0 and standard deviation 1 under ``weights`` of the same shape; None weighs all alike."""
+    """``advantages`` with mean 0 and standard deviation 1 under ``weights`` of their shape; None weighs all alike."""
     if weights is None:
         return (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     weights = weights / weights.sum().clamp(min=1.0)

@@ -52,7 +52,9 @@ class Running(NamedTuple):
 class Decides(Protocol):
     """What drives in a rollout."""
 
-    input_size: int
+    @property
+    def input_size(self) -> int:
+        """I."""
 
     def inputs(
         self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, preference: Any

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import contextmanager
+from pathlib import Path
+from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch.utils import _pytree as pytree
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Mapping
 
 BACKEND = "inductor"
-# Gradient steps in a training from which on compiling saves more time than it takes.
-WORTHWHILE = {"cpu": 6_000, "cuda": 100_000}
+# Seconds of a CPU that compiled gradient steps must save in a training to make up for the time that compiling takes.
+WORTHWHILE = {"cpu": 8.0, "cuda": 140.0}
 
 
 def has_compiler(device: str) -> bool:
@@ -23,6 +26,26 @@ def has_compiler(device: str) -> bool:
     from torch._inductor import config  # not earlier: it takes a second
 
     return any(name and shutil.which(name) for name in config.cpp.cxx)
+
+
+@contextmanager
+def pure(what: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
+    """Refuse that tensors are changed in place.
+
+    Args:
+        what: is calculated.
+        tensors: by name.
+
+    Raises:
+        ValueError: naming the tensor.
+    """
+    versions = [each._version for each in tensors.values()]
+    yield
+    for (name, each), version in zip(tensors.items(), versions, strict=True):
+        if each._version != version:
+            raise ValueError(
+                f"{what} must not change its tensors in place, as it does {name!r}; write x = x + y in place of x += y"
+            )
 
 
 class Compiled:
@@ -62,9 +85,7 @@ class Compiled:
         compiled, form = self._compiled[key]
         return pytree.tree_unflatten(compiled(*leaves), form)
 
-    def _compile(
-        self, leaves: list[torch.Tensor], form: pytree.TreeSpec
-    ) -> tuple[Callable[..., Any], pytree.TreeSpec]:
+    def _compile(self, leaves: list[torch.Tensor], form: pytree.TreeSpec) -> tuple[Callable[..., Any], pytree.TreeSpec]:
         from torch.fx.experimental.proxy_tensor import make_fx  # not earlier: it takes a second
 
         forms: list[pytree.TreeSpec] = []
@@ -79,12 +100,21 @@ class Compiled:
             compiled = torch.compile(traced, backend=BACKEND, fullgraph=True, dynamic=False)
             compiled(*map(_copy, leaves))
         except Exception as error:
-            reason = " ".join(str(error).split())[:300]
             raise ValueError(
-                f"training.compiled = True: this update cannot be compiled; take false, or mend what torch.compile "
-                f"refuses ({type(error).__name__}: {reason})"
+                f"training.compiled = True: this update cannot be compiled, because of {origin(error)}; take false, or "
+                "operations of torch on whole tensors, such as torch.where instead of if"
             ) from error
         return compiled, forms[0]
+
+
+def origin(error: Exception) -> str:
+    """The last line outside of torch in which an error arose, and what it says, as one line."""
+    inside = str(Path(torch.__file__).parent)
+    frames = [each for each in extract_tb(error.__traceback__) if not each.filename.startswith(inside)]
+    reason = " ".join(str(error).split())[:300]
+    return (
+        f"{Path(frames[-1].filename).name}:{frames[-1].lineno} `{frames[-1].line}` ({type(error).__name__}: {reason})"
+    )
 
 
 def _copy(tensor: torch.Tensor) -> torch.Tensor:

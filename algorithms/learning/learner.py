@@ -11,7 +11,7 @@ from torch.func import functional_call, vmap
 from torch.utils._pytree import tree_map
 
 from algorithms.files.checkpoints import strip_prefix
-from algorithms.learning.compiling import Compiled
+from algorithms.learning.compiling import Compiled, origin, pure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -28,6 +28,11 @@ ROWS, PARTS = 128, 256
 
 class Networks(nn.Module):
     """All networks of a policy by name, so that whatever is done with them can be done with other parameters."""
+
+    actor: Any
+    critic: Any
+    target_critic: Any
+    network: Any
 
     def __init__(self, **networks: nn.Module):
         super().__init__()
@@ -82,6 +87,7 @@ class Learner:
         self.compiled: bool | Literal["auto"] = False
         self.computes_compiled: bool | Literal["auto"] = False
         self._functions: dict[Any, Compiled] = {}
+        self._mapped: set[Any] = set()  # functions that have been called for several seeds
 
     @property
     def state(self) -> tuple[torch.Tensor, ...]:
@@ -91,7 +97,9 @@ class Learner:
     def _views(self, vector: torch.Tensor) -> dict[str, torch.Tensor]:
         """The parameters by name, (...) of a vector (P,) or (S, ...) of a matrix."""
         parts = vector[..., : sum(self._sizes)].split(self._sizes, dim=-1)
-        return {name: part.unflatten(-1, shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)}
+        return {
+            name: part.unflatten(-1, shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)
+        }
 
     def parameters(self, network: str) -> dict[str, torch.Tensor]:
         """Those of one network of all seeds by name, (S, ...), as views."""
@@ -104,7 +112,9 @@ class Learner:
             return tree_map(_with_axis, found)
         return self._function(self.call, function, self.computes_compiled)(self.vector, arguments, *shared)
 
-    def _function(self, method: Callable[..., Any], function: Callable[..., Any], compiled: bool | Literal["auto"]) -> Compiled:
+    def _function(
+        self, method: Callable[..., Any], function: Callable[..., Any], compiled: bool | Literal["auto"]
+    ) -> Compiled:
         key = method.__name__, function, compiled
         if key not in self._functions:
             self._functions[key] = Compiled(partial(method, function), enabled=compiled)
@@ -118,15 +128,27 @@ class Learner:
             vector: (S, P), as :attr:`vector`.
             arguments: a tree of tensors (S, ...), of which every seed gets its part.
             *shared: tensors that all seeds get.
+
+        Raises:
+            ValueError: at its first call, if there are several seeds and ``torch.func.vmap`` cannot call it.
         """
         parameters = self._views(vector)
         if self.seeds == 1:
             own = tree_map(_only, (parameters, arguments))
             found = functional_call(self.networks, own[0], (function, own[1], *shared))
             return tree_map(_with_axis, found)
-        return vmap(lambda own, part: functional_call(self.networks, own, (function, part, *shared)))(
-            parameters, arguments
-        )
+        every = vmap(lambda own, part: functional_call(self.networks, own, (function, part, *shared)))
+        try:
+            found = every(parameters, arguments)
+        except (RuntimeError, TypeError) as error:
+            if function in self._mapped or isinstance(error, torch.OutOfMemoryError):
+                raise
+            raise ValueError(
+                f"an update cannot be calculated for several seeds at once, because of {origin(error)}; take "
+                "operations of torch on whole tensors, such as torch.where instead of if, or train each seed alone"
+            ) from error
+        self._mapped.add(function)
+        return found
 
     def minimise(
         self,
@@ -149,6 +171,9 @@ class Learner:
 
         Returns:
             The parts of the loss and the norm of the gradient, (S,).
+
+        Raises:
+            ValueError: for a loss that changes its samples in place, or cannot be calculated for several seeds at once.
         """
         step = self._function(self._step, loss, self.compiled)
         found: dict[str, torch.Tensor] = step(self.state, dict(samples), list(rows), learning_rate, *shared)
@@ -168,16 +193,18 @@ class Learner:
             samples = {name: self._at(each, chosen) for name, each in samples.items()}
         with torch.enable_grad():
             leaf = vector.detach().requires_grad_()
-            totals, parts = self.call(loss, leaf, samples, *shared)
+            with pure("a loss", samples):
+                totals, parts = self.call(loss, leaf, samples, *shared)
             (gradient,) = torch.autograd.grad(totals.sum(), leaf)
         norms = torch.linalg.vector_norm(gradient, dim=1, keepdim=True)
         moves = norms.isfinite() & (norms > 0.0)
         gradient = torch.where(moves, gradient * (self._max_grad_norm / (norms + TINY)).clamp(max=1.0), 0.0)
         # Adam (Kingma and Ba 2015, algorithm 1).
         count += moves
-        mean.lerp_(gradient, 1.0 - BETA1)
-        mean_square.lerp_(gradient.square(), 1.0 - BETA2)
-        correction1, correction2 = 1.0 - BETA1**count, 1.0 - BETA2**count
+        mean.lerp_(gradient, (1.0 - BETA1) * moves)
+        mean_square.lerp_(gradient.square(), (1.0 - BETA2) * moves)
+        # In double precision: 1 - 0.999 would lose five digits in single.
+        correction1, correction2 = ((1.0 - beta ** count.double()).to(vector.dtype) for beta in (BETA1, BETA2))
         update = learning_rate / correction1 * mean / ((mean_square / correction2).sqrt() + EPSILON)
         vector -= torch.where(moves, update, 0.0)
         return {**{name: part.detach() for name, part in parts.items()}, NORM: norms.squeeze(1)}

@@ -2,16 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Any
-
-import torch
-
-from mo_deepdrive.faults import NotFinite
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
 
 def linear_schedule(start: float, end: float | None, progress: float) -> float:
     """The value at ``progress`` in [0, 1] on the line from ``start`` to ``end``; ``start`` if ``end`` is None."""
@@ -21,5 +11,3 @@ def linear_schedule(start: float, end: float | None, progress: float) -> float:
 def geometric_schedule(start: float, end: float, progress: float) -> float:
     """The value at ``progress`` in [0, 1] between ``start`` and ``end``, by a constant factor; 0 if ``start`` is 0."""
     return 0.0 if start == 0.0 else start * (end / start) ** min(1.0, progress)
-
-

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import torch
 
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -184,8 +183,11 @@ def energy_score(particles: torch.Tensor, targets: torch.Tensor) -> torch.Tensor
         particles: (M, K, d) X, equally likely.
         targets: (M, J, d) Y, equally likely, without a gradient.
     """
+
     def distance(others: torch.Tensor) -> torch.Tensor:
-        squares = (particles.unsqueeze(-2) - others.unsqueeze(-3)).square().sum(-1)
-        return (squares + SMOOTHING**2).sqrt().mean((-2, -1))
+        # |x - y|^2 = |x|^2 + |y|^2 - 2 x . y, so that nothing is (M, K, J, d).
+        squares = particles.square().sum(-1).unsqueeze(-1) + others.square().sum(-1).unsqueeze(-2)
+        squares = torch.baddbmm(squares, particles, others.transpose(1, 2), alpha=-2.0)
+        return (squares.clamp(min=0.0) + SMOOTHING**2).sqrt().mean((-2, -1))
 
     return 2.0 * distance(targets) - distance(particles)

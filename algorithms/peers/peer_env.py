@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import VectorWrapper
 
 from mo_deepdrive.evaluation.metrics import STEPS_PER_SECOND, TRAIN, summarise
 from mo_deepdrive.faults import check_vehicles
+from mo_deepdrive.wrappers import VectorEpisodeStatistics
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,10 +42,10 @@ class Recorder:
         self._episodes: list[tuple[NDArray[np.float64], int, bool]] = []
         self._started = perf_counter()
 
-    def step(self) -> None:
-        """Count a step of one environment."""
-        self.steps += 1
-        if self.steps % self._interval == 0:
+    def step(self, environments: int = 1) -> None:
+        """Count a step of some environments."""
+        before, self.steps = self.steps, self.steps + environments
+        if before // self._interval < self.steps // self._interval:
             self._write()
 
     def episode(self, returns: NDArray[np.float64], length: int, success: bool) -> None:
@@ -58,6 +60,34 @@ class Recorder:
             metrics |= {TRAIN + name: value for name, value in summary.items()}
         self._episodes = []
         self._log(self.steps, metrics)
+
+
+class RecordedEpisodes(VectorWrapper):  # not generic in Gymnasium 1.2
+    """Our vector environment, for peers that take one; everything but the infos is unchanged.
+
+    Args:
+        adapter: of the environment, with one vehicle.
+        recorder: notified of every step.
+    """
+
+    def __init__(self, adapter: EnvAdapter, recorder: Recorder):
+        super().__init__(VectorEpisodeStatistics(adapter.vector_env))
+        self._adapter, self._recorder = adapter, recorder
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Take one step in every environment.
+
+        Raises:
+            NotFinite: for a reward that is not finite.
+        """
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        check_vehicles("reward", rewards[:, None], self._adapter.name, self._adapter.objectives)
+        found = infos.pop("episode", None)
+        for row in np.flatnonzero(infos.pop("_episode", ())):
+            success = bool(infos["final_info"]["success"][row])
+            self._recorder.episode(found["r"][row], int(found["l"][row]), success)
+        self._recorder.step(self.num_envs)
+        return observations, rewards, terminated, truncated, infos
 
 
 class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):

@@ -57,11 +57,10 @@ class PeerTask:
 
     Attributes:
         make_single_env: makes one environment with vector rewards; takes ``render_mode``.
-        env: the same environment behind the adapter of our own algorithms.
+        env: the parallel environments behind the adapter of our own algorithms.
         config: of the peer.
         utility: of unscaled returns; None if the peer learns a front.
         steps: environment steps to train for; peers that train in rounds may take a few more.
-        num_envs: number of parallel environments, for peers that support several.
         seed: of the run.
         device: of its networks.
         reference_point: (d,) in unscaled discounted returns, for peers that maximise hypervolume; None if not set.
@@ -73,11 +72,15 @@ class PeerTask:
     config: PeerConfig
     utility: Utility | None
     steps: int
-    num_envs: int
     seed: int
     device: str
     reference_point: NDArray[np.float64] | None
     recorder: Recorder
+
+    @property
+    def num_envs(self) -> int:
+        """Number of parallel environments, for peers that support several."""
+        return self.env.num_envs
 
     @property
     def objectives(self) -> tuple[str, ...]:

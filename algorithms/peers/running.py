@@ -68,7 +68,7 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
     for key, given in (("partners", training.partners), ("guides", training.guides)):
         if given:
             raise ValueError(f"training.{key}: algorithm {name!r} cannot train with {key}")
-    env = EnvAdapter(make_environment(settings, 1))
+    env = EnvAdapter(make_environment(settings, training.num_envs))
     utility = None
     if experiment.utility is None:
         check_reference_point(experiment.evaluation.reference_point, env.objectives)
@@ -88,7 +88,6 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
         config=experiment.algorithm.config,
         utility=utility,
         steps=training.total_timesteps,
-        num_envs=training.num_envs,
         seed=training.seed,
         device=training.device,
         reference_point=None if point is None else np.array(point),

@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from algorithms.peers.peer_env import RecordedEpisodes
 from algorithms.peers.peer_task import PeerPolicies, PeerTask, PolicyInputs, ScalarConfig
-from mo_deepdrive.wrappers import UtilityReward
+from mo_deepdrive.wrappers import Measure, UtilityReward, VectorScaledObservation, VectorUtilityReward
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from mo_deepdrive.utilities import Utility
 
 
 def a2c(task: PeerTask) -> PeerPolicies:
@@ -27,18 +30,28 @@ def ppo(task: PeerTask) -> PeerPolicies:
     return _train(task, PPO)
 
 
-def _train(task: PeerTask, algorithm: Any) -> PeerPolicies:
+def _environments(task: PeerTask, utility: Utility, measure: Measure) -> Any:
+    """The training environments, with the utility of unscaled rewards as reward."""
+    if task.env.native:
+        from mo_deepdrive.envs.sb3 import SB3VecEnv
+
+        envs = VectorUtilityReward(RecordedEpisodes(task.env, task.recorder), utility, measure)
+        return SB3VecEnv(VectorScaledObservation(envs, task.observation_scales))
     from stable_baselines3.common.vec_env import DummyVecEnv
 
+    return DummyVecEnv(
+        [
+            lambda index=index: UtilityReward(task.make(index, scaled_rewards=False), utility, measure)
+            for index in range(task.num_envs)
+        ]
+    )
+
+
+def _train(task: PeerTask, algorithm: Any) -> PeerPolicies:
     config, utility = task.config, task.utility
     assert isinstance(config, ScalarConfig)
     assert utility is not None
-
-    def make_env(index: int) -> Any:
-        # Utilities take unscaled rewards.
-        return lambda: UtilityReward(task.make(index, scaled_rewards=False), utility, config.utility_of)
-
-    env = DummyVecEnv([make_env(index) for index in range(task.num_envs)])
+    env = _environments(task, utility, config.utility_of)
     options = task.arguments(policy="MlpPolicy", gamma=config.gamma, seed=task.seed, device=task.device, verbose=0)
     model = algorithm(env=env, **options)
     model.learn(task.steps, **task.train_arguments())

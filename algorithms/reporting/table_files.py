@@ -69,6 +69,19 @@ def write_tables(path: Path, scores: Sequence[ScoreGroup], compared: Sequence[Sc
     return list(found)
 
 
+def write_table(path: Path, rows: Rows, labels: int, note: str) -> None:
+    """Write one table, whose first columns are ``labels``, in the format that the ending of its path names.
+
+    Raises:
+        OSError: if the file cannot be written; it is then unchanged.
+    """
+    if path.suffix.lower() == ".csv":
+        atomic_write(path, csv_bytes(rows))
+    else:
+        text = _latex if path.suffix.lower() == ".tex" else markdown
+        atomic_write(path, text(rows, labels, note).encode())
+
+
 def _latex(rows: Rows, labels: int, note: str) -> str:
     """A tabular of the package booktabs; what all rows share, and the note, are comments."""
     shared, rows, labels = lift_labels(rows, labels)

@@ -9,13 +9,20 @@ import numpy as np
 
 from algorithms.studies.results import FAILED, FINISHED
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
-from mo_deepdrive.evaluation.statistics import Estimate, improvement_over_tasks, iqm, iqm_over_tasks
+from mo_deepdrive.evaluation.statistics import (
+    Estimate,
+    improvement_over_tasks,
+    iqm,
+    iqm_over_tasks,
+    mean,
+    mean_difference,
+)
 from mo_deepdrive.names import nearest
 from mo_deepdrive.suite.scorers import SCORE
 from mo_deepdrive.suite.tasks import LOWEST
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Container, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -27,6 +34,10 @@ BASELINE = "lintune"  # which others are compared with, if there are results of 
 NOTE = (
     "Scores between floor (0) and ceiling (1) of each task: interquartile means over seeds with 95% bootstrap "
     f"intervals. A run that failed counts as {LOWEST:g}; the number of runs that are not finished is in brackets."
+)
+MEANS_NOTE = (
+    "Scores between floor (0) and ceiling (1) of each task, and differences of learners, paired where their seeds are "
+    f"the same: means over seeds with 95% bootstrap intervals. A run that failed counts as {LOWEST:g}."
 )
 PROFILE = np.linspace(-0.25, 1.25, 151)  # scores at which a performance profile is drawn
 
@@ -173,6 +184,66 @@ class Scoreboard:
                     found.setdefault(learner, {})[name] = scores
         return found
 
+    def comparison(self, baseline: str | None, own: Container[str] = ()) -> tuple[Rows, Rows]:
+        """Scores of learners by tasks, and their differences from a baseline; the last row is the mean over tasks.
+
+        The tasks are those of all learners that are shown: of ``own``, the baseline, and others with all these tasks.
+
+        Args:
+            baseline: with which the others are compared; None for :data:`BASELINE` if there is one, else the first.
+            own: learners that are shown in any case; empty for all.
+
+        Raises:
+            ValueError: if there are no results of the baseline, or no task has results of it and of all of ``own``.
+        """
+        if baseline is not None and baseline not in self.learners:
+            raise ValueError(f"--baseline {baseline}: there are no results of it; {nearest(baseline, self.learners)}")
+        other = baseline or (BASELINE if BASELINE in self.learners else self.learners[0])
+        runs = {(task, learner): self.runs(task, learner) for task in self.tasks for learner in self.learners}
+        first = [other, *(each for each in self.learners if each in own and each != other)]
+        tasks = [task for task in self.tasks if all(runs[task, learner] for learner in first)]
+        if not tasks:
+            raise ValueError(f"no task has results of all of {', '.join(first)}")
+        shown = [each for each in self.learners if each in first or all(runs[task, each] for task in tasks)]
+        scores: Rows = [["task", *shown]]
+        differences: Rows = [["task", *(f"{each} - {other}" for each in shown if each != other)]]
+        for task in tasks:
+            scores.append([task, *(mean(np.array([*runs[task, each].values()])).text() for each in shown)])
+            differences.append(
+                [task, *(_difference(runs[task, each], runs[task, other]).text() for each in shown if each != other)]
+            )
+
+        def over_tasks(learner: str) -> dict[int, float]:
+            """Of every seed with a run on all tasks, the mean of its scores."""
+            seeds = set.intersection(*({*runs[task, learner]} for task in tasks))
+            return {seed: float(np.mean([runs[task, learner][seed] for task in tasks])) for seed in sorted(seeds)}
+
+        means = {each: over_tasks(each) for each in shown}
+        scores.append(
+            ["mean", *(mean(np.array([*found.values()])).text() if found else "" for found in means.values())]
+        )
+        differences.append(
+            [
+                "mean",
+                *(
+                    _difference(means[each], means[other]).text() if means[each] and means[other] else ""
+                    for each in shown
+                    if each != other
+                ),
+            ]
+        )
+        return scores, differences
+
+    def runs(self, task: str, learner: str) -> dict[int, float]:
+        """The normalised score of every run of a learner on a task, by its seed; a failed run has the lowest."""
+        mine = [row for row in self._results if (row.task, row.learner) == (task, learner)]
+        found = {row.seed: LOWEST for row in mine if row.state == FAILED}
+        policy = self.tasks[task].policy
+        for row in mine:
+            if (row.policy, row.column) == (policy, SCORE) and row.normalised is not None:
+                found[row.seed] = row.normalised
+        return found
+
     def draw_profiles(self, path: Path, labels: Mapping[str, str]) -> None:
         """Draw the performance profiles: the share of runs that score at least so much, the mean over tasks.
 
@@ -210,6 +281,13 @@ class Scoreboard:
                 axes.legend(frameon=False, fontsize=8)
             figure.axes[0].set_ylabel("share of runs that score at least this")
             save_figure(figure, path)
+
+
+def _difference(first: dict[int, float], second: dict[int, float]) -> Estimate:
+    """The mean difference of runs by their seeds: paired where the seeds are the same, else of independent samples."""
+    if first.keys() == second.keys():
+        return mean(np.array([first[seed] - second[seed] for seed in first]))
+    return mean_difference(np.array([*first.values()]), np.array([*second.values()]))
 
 
 def _clearly_best(scores: dict[str, Scores]) -> str:

@@ -52,7 +52,7 @@ def export(run: Run, name: str, directory: str | Path | None = None, about: Mapp
     agent.step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
     if not experiment.known_utility:
         Front.read(run.path)
-    versions = {name: run.versions.get(name) for name in ("python", "packages")}
+    versions = {name: run.versions.get(name) for name in ("commit", "python", "packages")}
     origin = {"seed": experiment.training.seed, "step": agent.step, **versions}
     staged = Path(tempfile.mkdtemp(prefix=f".{name}.", suffix=".tmp", dir=parent))
     try:

@@ -1,18 +1,22 @@
 """REINFORCE (Williams 1992) for the expected utility of the return (ESR): an example of an own algorithm.
 
-For the return R = sum_t g^t r_t of an episode and any utility u, the gradient of E[u(R)] is the expectation of
+For the return R = sum_t r_t of an episode and any utility u, the gradient of E[u(R)] is the expectation of
 u(R) sum_t grad log pi(a_t | S_t). What an action adds to u(R) depends on the rewards so far, so the policy sees
-S_t = (s_t, sum_{i<t} g^i r_i). An update is one episode of every environment; the mean of u(R) is the baseline.
+S_t = (s_t, sum_{i<t} r_i). An update is one episode of every environment; the mean of u(R) is the baseline.
 """
 
+import math
+
+import numpy as np
 import torch
 
-from algorithms import Agent
-from algorithms.files.checkpoints import strip_prefix
-from algorithms.hyperparameters import Count, Fraction, LearningRate, NetworkSettings
-from algorithms.networks.actors import make_actor
-from algorithms.networks.optimiser import Adam
-from algorithms.rollouts.collector import Collector
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.metrics import POLICY_LOSS
+from mo_deepdrive.learners import Agent
+from mo_deepdrive.learners.hyperparameters import LearningRate, NetworkSettings
+from mo_deepdrive.learners.learning.actors import make_actor
+from mo_deepdrive.learners.learning.learner import Learner, Networks
+from mo_deepdrive.learners.learning.losses import Loss
 
 
 class REINFORCE(Agent):
@@ -23,52 +27,56 @@ class REINFORCE(Agent):
 
         learning_rate: LearningRate = 5e-3
         """Adam's step size."""
-        gamma: Fraction = 1.0
-        """The discount g."""
-        steps: Count = 100
-        """Number of decisions in which every episode has ended."""
 
     def __init__(self, env, utility, **options):
         super().__init__(env, utility, **options)
-        env, size = self.env, self.env.observation_size + len(self.env.objectives)
-        self.actor = make_actor(self.config, size, env.actions, self.initial, continuous=env.continuous).to(self.device)
-        self.optimiser = Adam(self.actor.parameters(), lr=self.config.learning_rate)
-        self.collector = Collector(env, self.gamma, self.config.steps)
-        self.scales = torch.tensor([*env.observation_scales, *env.objective_scales], device=self.device)
+        self.units = torch.tensor([*self.env.observation_scales, *self.env.objective_scales])
+        shape = len(self.units), self.env.actions
+        self.actor = make_actor(self.config, *shape, self.initial, continuous=self.env.continuous)
+        self.learner = Learner([Networks(actor=self.actor)], max_grad_norm=math.inf, name=self.name)
+        self.learners = [self.learner]
 
     def inputs(self, observations, accrued):
-        seen = torch.cat([torch.as_tensor(observations), torch.as_tensor(accrued)], dim=-1)
-        return seen.to(self.device) / self.scales
+        return torch.cat([torch.as_tensor(observations), torch.as_tensor(accrued)], dim=-1) / self.units
 
     @torch.inference_mode()
     def act(self, observations, accrued_reward, generator):
-        x = self.inputs(observations, accrued_reward.value)
-        return (self.actor.greedy(x) if generator is None else self.actor.sample(x, generator)).cpu().numpy()
+        return self.actor.act(self.inputs(observations, accrued_reward.value), generator).numpy()
 
     def update(self, progress):
-        self.collector.reset(self.env_seed + self.env.num_envs * self.updates)
-        rollout, episodes = self.collector.collect(lambda *seen: self.act(*seen, self.generator))
-        self.episodes.append(episodes)
-        self.step += self.config.steps * self.env.num_envs
+        env, n, v = self.env, self.env.num_envs, self.env.vehicles
+        observations, past = env.reset(self.env_seed + n * self.updates), AccruedReward.begin(n, v, len(env.objectives))
+        running, arrived, taken = np.ones((n, v), bool), np.zeros((n, v), bool), []
+        for _ in env.decisions():
+            actions = self.act(observations, past, self.generator)
+            taken.append((observations, past.value.copy(), actions, running))
+            step = env.step(actions)
+            past.add(step.rewards * running[..., None], 1.0)
+            arrived |= step.succeeded & running
+            running = running & ~(step.terminated | step.truncated)
+            if not running.any():  # until then the other environments have begun further episodes
+                break
+            observations = step.observations
+        self.step += len(taken) * n
         self.updates += 1
 
-        over = (rollout.terminated | rollout.truncated).int()
-        first = (over.cumsum(0) == over).float()  # (T, N, V): 1 in the first episode, 0 in those after it
-        returns = ((first * rollout.discounts[:-1]).unsqueeze(-1) * rollout.rewards).sum(0)  # (N, V, d): R
-        values = torch.stack([u(returns[:, v]) for v, u in enumerate(self.utilities)], dim=-1)  # (N, V): u(R)
-        weights = first * (values - values.mean(0)) / (values.std(0, correction=0) + 1e-8)
-        x = self.inputs(rollout.observations[:-1], rollout.accrued[:-1])
-        log_prob, _ = self.actor(x, rollout.actions.to(self.device))
-        loss = -(weights.to(self.device) * log_prob).sum() / first.sum()
-        self.optimiser.zero_grad()
-        loss.backward()
-        self.optimiser.step()
-        return {"policy_loss": float(loss.detach())}
+        columns = zip(*taken, strict=True)
+        observations, accrued, actions, running = (torch.from_numpy(np.stack(each))[None] for each in columns)
+        returns = torch.from_numpy(past.value)[None]  # (1, N, V, d), where 1 is the number of seeds
+        utilities = torch.stack([u(returns[:, :, i]) for i, u in enumerate(self.utilities)], dim=-1)
+        values = (utilities - utilities.mean(1)) / (utilities.std(1, correction=0) + 1e-8)
+        samples = {"inputs": self.inputs(observations, accrued), "actions": actions, "values": running * values}
+        sums = [torch.from_numpy(arrived)[None], running.sum(1), *returns.unbind(-1)]
+        self.episodes.add(torch.ones(1, n, v, dtype=torch.bool), torch.stack(sums, dim=-1).double())
+        return self.learner.minimise(self.loss, samples, [], torch.tensor(self.config.learning_rate))
+
+    def loss(self, networks, samples):  # of one seed
+        log_prob, _ = networks.actor(samples["inputs"], samples["actions"])
+        loss = -(samples["values"] * log_prob).sum(0).mean()
+        return Loss(loss, {POLICY_LOSS: loss})
 
     def get_state(self):
-        state = {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
-        return state | {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
+        return self.learner.get_state()
 
     def set_state(self, state):
-        self.actor.load_state_dict(strip_prefix(state, "actor."))
-        self.optimiser.set_state(strip_prefix(state, "optimiser."))
+        self.learner.set_state(state)

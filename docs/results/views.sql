@@ -122,3 +122,16 @@ SELECT driver, max(CASE who WHEN 'own' THEN cell END) AS "own partners",
   max(CASE who WHEN 'runs' THEN cell END) AS "runs of other seeds",
   max(CASE who WHEN 'rules' THEN cell END) AS "20 scripted strangers"
 FROM cells GROUP BY driver ORDER BY driver;
+
+CREATE VIEW provenance_changes AS -- provenance: what has changed learning
+SELECT rowid AS number, substr(date, 1, 10) AS date, '`' || "commit" || '`' AS "commit", kind AS learners, change FROM changes;
+
+CREATE VIEW provenance_results AS -- provenance: every file of results
+SELECT '`' || file || '`' AS result, part, replace('`' || "commit" || '`', ' ', '` to `') AS "commit", substr(date, 1, 10) AS date,
+  '`' || command || '`' AS "made by", (
+  SELECT group_concat(c.rowid, ', ') FROM changes AS c WHERE c.rowid > made.changes AND (c.kind = made.kind OR 'learners' IN (c.kind, made.kind)
+    AND made.kind IN ('learners', 'actor-critics', 'conditioned', 'pcn'))) AS "changed since"
+FROM provenance AS made ORDER BY file, date;
+
+CREATE VIEW provenance_zoo AS -- provenance: the policies of the zoo
+SELECT '`' || substr("commit", 1, 8) || '`' AS "commit", '`' || group_concat(policy, '`, `') || '`' AS policies FROM zoo GROUP BY "commit";

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import traceback
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -59,12 +61,23 @@ class FunctionPolicy:
         """Actions of the function, in the shapes of agents.
 
         Raises:
-            ValueError: for actions of the wrong shape or type, or outside of the environment's.
+            ValueError: for actions of the wrong shape or type, or outside of the environment's; for a function that
+                fails, with its line and the shapes that it was given.
         """
         accrued, discounts = accrued_reward.value.copy(), accrued_reward.discounts.copy()
         if self.env.vehicles == 1:
             accrued, discounts = accrued[:, 0], discounts[:, 0]
-        returned = self._function(self.env.environment_observations(observations), accrued, discounts)
+        seen = self.env.environment_observations(observations)
+        try:
+            returned = self._function(seen, accrued, discounts)
+        except (Exception, SystemExit) as error:  # a user's function may raise anything
+            frames = traceback.extract_tb(error.__traceback__)
+            where = frames[min(1, len(frames) - 1)]
+            raise ValueError(
+                f"the policy failed for observations {seen.shape}, accrued rewards {accrued.shape} and discounts "
+                f"{discounts.shape} at {Path(where.filename).name}:{where.lineno}: "
+                f"{type(error).__name__}: {' '.join(str(error).split())}"
+            ) from error
         return self.env.policy_actions(self._checked(returned, len(observations)))
 
     def _checked(self, returned: Any, episodes: int) -> NDArray[Any]:
@@ -73,6 +86,8 @@ class FunctionPolicy:
         expected = (episodes, *(space.shape or ()))
         numbers = "numbers" if isinstance(space, Box) else "integers"
         wanted = f"expected {expected} {numbers}, an action for each of {episodes} episodes"
+        if np.ma.is_masked(returned):
+            raise ValueError(f"the policy returned masked actions; {wanted}")
         try:
             actions = np.asarray(returned)
         except Exception as error:  # of any library's arrays

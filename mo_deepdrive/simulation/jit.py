@@ -116,8 +116,11 @@ class _Cache(caching.FunctionCache):
         self._cache_file = _Files(self._cache_path, self._impl.filename_base, locator.get_source_stamp())  # type: ignore[no-untyped-call]
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
-        """As Numba's, which would tell functions in a closure apart by the process that made them."""
-        code, names = self._py_func.__code__.co_code, repr(_closure(self._py_func))
+        """As Numba's, which would tell functions in a closure apart by the process that made them.
+
+        A module may have been imported under another name, which compiled code refers to.
+        """
+        code, names = self._py_func.__code__.co_code, repr((self._py_func.__module__, _closure(self._py_func)))
         return sig, codegen.magic_tuple(), hashlib.sha256(code + names.encode()).hexdigest()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -163,11 +166,6 @@ def uncounted_jit(function: F) -> F:
     They must not keep or allocate anything.
     """
     return _compiled(function, forceinline=True, _nrt=False)
-
-
-def parallel_jit(function: F) -> F:
-    """As :func:`jit`, with the rounds of ``numba.prange`` shared among Numba's threads."""
-    return _compiled(function, parallel=True)
 
 
 def _compiled(function: F, **options: Any) -> F:

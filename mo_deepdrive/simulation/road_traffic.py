@@ -24,6 +24,7 @@ ACCEPTED_GAPS = (0.0, 60.0)  # s, what reset options may set
 
 SIGHT = 40.0  # m, within which others are seen
 STANDING = 1.0  # m/s; at less than this others are taken to come at this speed
+ROUNDING = 1e-9  # m
 _FREE = 1e9  # m; the gap to nobody
 
 
@@ -66,7 +67,7 @@ def gap_on_route(params: Record, car: Record, x: float, y: float, half: float) -
         ahead = segment.along + segment.length > car.route_distance
         if ahead and abs(roads.offset(segment, x, y)) < params.half_lane[route]:
             along = roads.projection(segment, x, y)
-            if 0.0 <= along < segment.length:
+            if -ROUNDING <= along < segment.length:  # a point at a joint is on one of its segments
                 gap = segment.along + along - car.route_distance
                 return gap - half if gap > 0.0 else _FREE
     return _FREE

@@ -6,7 +6,18 @@ suite.score(policy, "K1")
 """
 
 from mo_deepdrive.suite.plans import planned
-from mo_deepdrive.suite.scoring import Row, check_policy, read_rows, score, write_rows
+from mo_deepdrive.suite.scoring import Row, check_of_suite, check_policy, read_rows, score, write_rows
 from mo_deepdrive.suite.tasks import Suite, Task, load
 
-__all__ = ["Row", "Suite", "Task", "check_policy", "load", "planned", "read_rows", "score", "write_rows"]
+__all__ = [
+    "Row",
+    "Suite",
+    "Task",
+    "check_of_suite",
+    "check_policy",
+    "load",
+    "planned",
+    "read_rows",
+    "score",
+    "write_rows",
+]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from dataclasses import MISSING, astuple, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,18 @@ from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.splits import SPLITS, first_seed
 from mo_deepdrive.evaluation.statistics import Estimate, resample
-from mo_deepdrive.suite.scorers import SCORE, SCORERS, Scorer, make_drives, policies_of, single
+from mo_deepdrive.names import nearest
+from mo_deepdrive.suite.scorers import (
+    CONTROLLABILITY,
+    CVAR,
+    SCORE,
+    SCORERS,
+    WORST,
+    Scorer,
+    make_drives,
+    policies_of,
+    single,
+)
 from mo_deepdrive.suite.tasks import load
 
 if TYPE_CHECKING:
@@ -61,6 +73,11 @@ class Row:
     version: int = 0
     steps: int | None = None
     environment: str = ""
+
+    @property
+    def key(self) -> tuple[str, str, int, str, str]:
+        """What there is one row of."""
+        return self.task, self.learner, self.seed, self.policy, self.column
 
     @property
     def normalised(self) -> float | None:
@@ -174,12 +191,14 @@ def check_policy(policy: Any, task_id: str) -> None:
         if task.utility is not None:
             single(policy)
         adapter = EnvAdapter(drives.env)
+        actors = [as_policy(member, adapter) for member in members]  # before anything is compiled
+        functions = [actor for actor in actors if isinstance(actor, FunctionPolicy)]
+        if not functions:
+            return
         observations = adapter.reset([drives.seed, drives.seed + 1])
         nothing = AccruedReward.begin(2, adapter.vehicles, len(adapter.objectives))
-        for member in members:
-            actor = as_policy(member, adapter)
-            if isinstance(actor, FunctionPolicy):
-                actor.act(observations, nothing, None)
+        for actor in functions:
+            actor.act(observations, nothing, None)
     except (TypeError, ValueError) as error:
         raise type(error)(f"task {task_id}: {error}") from None
     finally:
@@ -197,11 +216,48 @@ def write_rows(path: str | Path, rows: Sequence[Row]) -> None:
     atomic_write(Path(path), csv_bytes([names, *body]))
 
 
-def read_rows(path: str | Path) -> list[Row]:
-    """The rows that :func:`write_rows` wrote.
+def check_row(row: Row) -> None:
+    """Refuse what no scored run has.
 
     Raises:
-        ValueError: if it is another file.
+        ValueError: naming the attribute, its value and what is allowed.
+    """
+    if row.policy not in (GREEDY, STOCHASTIC) and (row.policy or row.value is not None):
+        raise ValueError(f"policy = {row.policy!r} must be {GREEDY!r} or {STOCHASTIC!r}")
+    for name in ("value", "low", "high", "cpu_seconds"):
+        number = getattr(row, name)
+        if number is not None and not math.isfinite(number):
+            raise ValueError(f"{name} = {number} must be finite")
+    if (row.low is None) != (row.high is None):
+        raise ValueError(f"low = {row.low} and high = {row.high} must both be given, or neither")
+    if row.value is None:
+        if row.low is not None:
+            raise ValueError(f"low = {row.low} without a value")
+    elif row.low is not None and row.high is not None and not row.low <= row.value <= row.high:
+        raise ValueError(f"value = {row.value} must be from low = {row.low} to high = {row.high}")
+
+
+def check_of_suite(row: Row) -> None:
+    """Refuse what is not of this version of the suite, or not one of its numbers.
+
+    Raises:
+        ValueError: naming the attribute, its value and what is allowed.
+    """
+    suite = load()
+    if row.value is not None and row.version != suite.version:
+        raise ValueError(f"version {row.version} of the suite; this is version {suite.version}")
+    if row.task not in suite.tasks:
+        raise ValueError(f"task = {row.task!r} is unknown; {nearest(row.task, list(suite.tasks))}")
+    known = [SCORE, CVAR, WORST, CONTROLLABILITY, *suite.perturbations]
+    if row.value is not None and row.column.partition("/")[0] not in known:
+        raise ValueError(f"column = {row.column!r} is unknown; {nearest(row.column, known)}")
+
+
+def read_rows(path: str | Path) -> list[Row]:
+    """The rows that :func:`write_rows` wrote, each of them valid, and each number there once.
+
+    Raises:
+        ValueError: if it is another file, or naming the line and what is wrong in it.
     """
     numbers = {
         "value": float,
@@ -219,17 +275,23 @@ def read_rows(path: str | Path) -> list[Row]:
     known = [each.name for each in fields(Row)]
     required = [each.name for each in fields(Row) if each.default is MISSING]
     try:
-        with Path(path).open(newline="", encoding="utf-8") as file:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:  # spreadsheets begin with a BOM
             reader = csv.DictReader(file)
             columns = reader.fieldnames or ()
             if not {*required} <= {*columns} <= {*known}:
                 raise ValueError(f"its columns must be {', '.join(known)}")
-            rows = []
+            rows: dict[tuple[Any, ...], Row] = {}
             for each in reader:
                 if None in each or None in each.values():
                     raise ValueError(f"line {reader.line_num} must have {len(columns)} cells")
-                rows.append(Row(**{name: cell(name, text) for name, text in each.items()}))
-            return rows
+                try:
+                    row = Row(**{name: cell(name, text) for name, text in each.items()})
+                    check_row(row)
+                    if rows.setdefault(row.key, row) is not row:
+                        raise ValueError(f"a second row of {', '.join(map(str, row.key))}")
+                except (TypeError, ValueError) as error:
+                    raise ValueError(f"line {reader.line_num}: {error}") from None
+            return list(rows.values())
     except FileNotFoundError:
         raise ValueError(f"{str(path)!r} does not exist") from None
     except UnicodeDecodeError:

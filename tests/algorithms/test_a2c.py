@@ -18,7 +18,7 @@ def test_advantages_and_targets_of_three_steps_by_hand() -> None:
     rollout.terminated[:], rollout.truncated[:] = False, False
     rollout.terminated[2] = True
     values, next_values = torch.tensor([[[4.0]], [[2.0]], [[6.0]]]), torch.tensor([[[2.0]], [[6.0]], [[0.0]]])
-    advantages, targets = agent.learners[0].advantages(rollout, values, next_values)
+    advantages, targets = agent.advantages(rollout.rollout(agent), values, next_values)
     # Equation 1: 2 + 0.5 * 2 - 4, 0 + 0.5 * 6 - 2, 11 - 6; equation 2 with gamma lambda = 0.25, from the end.
     deltas = [-1.0, 1.0, 5.0]
     expected = [deltas[0] + 0.25 * (deltas[1] + 0.25 * deltas[2]), deltas[1] + 0.25 * deltas[2], deltas[2]]
@@ -27,7 +27,7 @@ def test_advantages_and_targets_of_three_steps_by_hand() -> None:
 
 
 def test_the_policy_does_not_depend_on_the_accrued_reward() -> None:
-    learner = make_agent(A2C).learners[0]
+    agent = make_agent(A2C)
     observations, discounts = torch.ones(2, 15), torch.tensor([1.0, 0.5])
-    inputs = learner.inputs(observations, torch.tensor([[0.0] * 4, [9.0] * 4]), discounts)
+    inputs = agent.inputs(observations, torch.tensor([[0.0] * 4, [9.0] * 4]), discounts)
     assert torch.equal(inputs[0], inputs[1])

@@ -18,8 +18,8 @@ COSTS = np.array([False, False, True, True, True, True])
 
 
 def rollouts(agent: ActorCritic, monkeypatch: pytest.MonkeyPatch, *progress: float) -> list[Any]:
-    """What the agent collects in updates at these shares of the training: (rewards, environments' rewards)."""
-    collect, step = agent.collector.collect, agent.env.step
+    """What the agent collects in updates at these shares of the training: (rewards, environments' rewards, R_t)."""
+    step = agent.env.step
     taken: list[Any] = []
     raw: list[np.ndarray] = []
 
@@ -28,18 +28,13 @@ def rollouts(agent: ActorCritic, monkeypatch: pytest.MonkeyPatch, *progress: flo
         raw.append(result.rewards.copy())
         return result
 
-    def collected(act: Any) -> Any:
-        raw.clear()
-        rollout, episodes = collect(act)
-        taken.append((rollout.rewards.numpy().copy(), np.stack(raw), rollout.accrued.numpy().copy()))
-        return rollout, episodes
-
-    monkeypatch.setattr(agent, "_can_be_compiled", lambda: False)  # compiled, no single step can be seen
     monkeypatch.setattr(agent.env, "step", stepped)
-    monkeypatch.setattr(agent.collector, "collect", collected)
     agent.begin()
     for each in progress:
+        raw.clear()
         agent.update(each)
+        storage = agent.collector.storage
+        taken.append((storage.rewards[0].numpy().copy(), np.stack(raw), storage.accrued[0].numpy().copy()))
     return taken
 
 
@@ -66,10 +61,11 @@ def test_episodes_are_reported_with_their_true_returns() -> None:
         agent.begin()
         agent.update(0.0)
     # The first rollouts are those of the same weights, so of the same episodes.
-    assert len(growing.episodes[0].lengths) > 0
-    np.testing.assert_array_equal(growing.episodes[0].returns, plain.episodes[0].returns)
-    assert (growing.episodes[0].returns[:, 1] < 0).all()  # time
-    np.testing.assert_array_equal(growing.episodes[0].discounted[:, 1], 0.0)
+    assert growing.episodes.totals[0, 0, 0] > 0
+    ((found,),), ((expected,),) = (agent.episodes.take() for agent in (growing, plain))
+    assert found == expected
+    assert found[f"return/{growing.env.objectives[1]}"] < 0
+    assert (growing.collector.storage.rewards[..., 1] == 0.0).all()
 
 
 def test_growth_that_is_over_learns_as_without() -> None:
@@ -93,6 +89,6 @@ def test_growth_without_costs_is_refused() -> None:
 def test_rewards_of_vehicles_that_do_not_learn_stay() -> None:
     agent = make_agent(PPO, INTERSECTION, cost_growth=0.5)
     agent.learners = agent.learners[:1]
-    shares = agent.reward_shares(0.25)
-    np.testing.assert_array_equal(shares[0], np.where(COSTS, 0.5, 1.0).astype(np.float32))
-    np.testing.assert_array_equal(shares[1], 1.0)
+    agent.grow_costs(0.5)
+    np.testing.assert_array_equal(agent.collector.shares[0], np.where(COSTS, 0.5, 1.0).astype(np.float32))
+    np.testing.assert_array_equal(agent.collector.shares[1], 1.0)

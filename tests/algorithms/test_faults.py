@@ -12,7 +12,7 @@ import torch
 
 from algorithms.experiments.build import build
 from algorithms.experiments.config import make_experiment
-from algorithms.rollouts.advantages import check_utility_gradient
+from algorithms.learning.advantages import check_utility_gradient
 from mo_deepdrive.evaluation import env_adapter, evaluate
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.faults import EndlessEpisode, Fault, NotFinite

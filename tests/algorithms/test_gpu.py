@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms import FrontAgent
-from algorithms.device import trainer as trainers
+from algorithms import FrontAgent, actor_critic
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.side_by_side import build_trainee
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
@@ -28,11 +27,11 @@ def test_seeds_determine_every_weight_and_a_resumed_training_is_the_uninterrupte
 ) -> None:
     first, second, resumed = (trainer(name, [3, 4], "cuda") for _ in range(3))
     rows = trained(first)
-    trained(second, after_update=lambda each: each.updates > trainers.WARM_UP)  # of which the last one was captured
+    trained(second, after_update=lambda each: each.updates > actor_critic.WARM_UP)  # of which the last one was captured
     paths = [tmp_path / f"{seed}.safetensors" for seed in range(2)]
     for seed, path in enumerate(paths):
-        second.save(seed, path)
-    resumed.load(paths)
+        second.save(path, seed)
+    resumed.load(*paths)
     rest = trained(resumed)
     for seed in range(2):
         assert rest[seed][-1] == rows[seed][-1]
@@ -44,7 +43,7 @@ def test_seeds_determine_every_weight_and_a_resumed_training_is_the_uninterrupte
 def test_a_captured_update_is_the_one_that_is_not_captured(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     captured, eager = trainer(name, [3, 4], "cuda"), trainer(name, [3, 4], "cuda")
     rows = trained(captured)
-    monkeypatch.setattr(trainers, "WARM_UP", 1_000)
+    monkeypatch.setattr(actor_critic, "WARM_UP", 1_000)
     others = trained(eager)
     for row, other in zip(rows[1], others[1], strict=True):
         assert row == pytest.approx(other, rel=1e-2, abs=1e-3)
@@ -61,27 +60,27 @@ def test_a_compiled_update_is_the_one_that_is_not_compiled(name: str) -> None:
 def test_the_first_update_of_a_seed_is_the_one_that_it_has_alone_but_for_rounding(name: str) -> None:
     rows = []
     for seeds in ([3, 4, 5], [4]):
-        trainee = trainer(name, seeds, "cuda")
-        trainee.collection.reset()
-        trainee.update(0.0)
-        rows.append(trainee.metrics()[seeds.index(4)])
+        agent = trainer(name, seeds, "cuda")
+        found = trained(agent, log_interval=1, after_update=lambda _: True)
+        rows.append(found[seeds.index(4)][0])
     assert rows[0] == pytest.approx(rows[1], rel=1e-3, abs=1e-4)
 
 
 @EVERY
 def test_a_policy_drives_on_the_cpu_as_it_does_on_the_gpu(name: str) -> None:
-    trainee = trainer(name, [3, 4], "cuda")
-    trained(trainee)
-    agent: Any = trainee.hand_over()[1]
+    several = trainer(name, [3, 4], "cuda")
+    trained(several)
+    agent: Any = several.of_seed(1)
     rng, vehicles = np.random.default_rng(0), agent.env.vehicles
     observations = rng.normal(0.0, 5.0, (200, vehicles, agent.env.observation_size)).astype(np.float32)
     accrued = AccruedReward.begin(len(observations), vehicles, len(agent.env.objectives))
     policy = agent.policy(agent.conditions()[0]) if isinstance(agent, FrontAgent) else agent
     chosen = policy.act(observations, accrued, None)
     assert chosen.shape[:2] == (200, vehicles)
-    assert agent.learners[0].optimiser.vector.device.type == "cpu"
-    size = len(agent.learners[0].optimiser.vector)
-    assert torch.equal(agent.learners[0].optimiser.vector.detach(), trainee.learners[0].networks.vector[1, :size].cpu())
+    for learner, own in zip(several.learners, agent.learners, strict=True):
+        assert own.vector.device.type == "cpu"
+        mine, theirs = own.get_weights("actor"), learner.get_weights("actor", 1)
+        assert all(torch.equal(mine[part], theirs[part].cpu()) for part in mine)
 
 
 def test_ten_seeds_of_mo_ppo_learn() -> None:

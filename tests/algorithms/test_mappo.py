@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -67,7 +67,7 @@ class TakeOrGive:
 
     name, vehicles, objectives, named, native = "take-or-give", 2, ("earned",), True, False
     cost_sign, actions, continuous, observation_size = "maximise", 2, False, 2
-    bare = None
+    bare, costs = None, np.zeros(1, np.bool_)
 
     def __init__(self, num_envs: int):
         self.num_envs = num_envs
@@ -127,34 +127,53 @@ def test_the_first_agent_minds_what_happens_after_its_own_end(joint: str, choice
     assert log_prob.exp().item() > 0.9
 
 
+def collected(agent: MAPPO, steer: Any = None) -> Any:
+    """The storage after a rollout of greedy actions, or of the one that all take, and what became of the team."""
+    agent.begin()
+    agent.collector.policy = Steered(agent, steer)
+    agent.collector.collect()
+    agent.before_learning(agent.collector.storage)
+    return agent.collector.storage, SimpleNamespace(**{name: each[0] for name, each in agent._team.items()})
+
+
+class Steered:
+    """Drives greedily, or by one action."""
+
+    def __init__(self, agent: MAPPO, action: int | None):
+        self.agent, self.action = agent, action
+        self.inputs, self.input_size = agent.inputs, agent.input_size
+
+    def decide(self, _t: int, at: Any, now: Any) -> None:
+        """Write the actions."""
+        observations, past = now.arrays(0)
+        actions = self.agent.act(observations, past, None)
+        at.actions[0] = torch.from_numpy(actions) if self.action is None else torch.full(actions.shape, self.action)
+
+
 @pytest.mark.usefixtures("two_agents")
 def test_the_rewards_of_an_episode_sum_to_the_utility_of_its_returns() -> None:
     env: Any = TakeOrGive(3)
     agent = MAPPO(env, EARNED, joint="worst_off", hidden=[4], steps=2 * (LAST + 1))
-    agent.begin()
-    rollout, _ = agent.collector.collect(lambda observations, _: np.full(observations.shape[:2], GIVE))
-    team = agent.team.follow(rollout)
+    storage, team = collected(agent, GIVE)
     assert team.terminated[:, 0].tolist() == [False, False, True] * 2
     assert not team.truncated.any()
-    assert team.rewards[:, 0].tolist() == [0.0, 0.0, 1.0] * 2  # min(1, 0) = 0 until the second is paid
+    assert team.rewards[:, 0, 0].tolist() == [0.0, 0.0, 1.0] * 2  # min(1, 0) = 0 until the second is paid
     # S_t: two observations of 2, two returns, and who has ended.
     assert team.states[:, 0, 4:].tolist() == [[0, 0, 0, 0], [1, 0, 1, 0], [1, 0, 1, 0]] * 2 + [[0, 0, 0, 0]]
     # The steps after its end are no samples of the first agent's policy, but are of its critic.
     for learner, acted in zip(agent.learners, (6, 18), strict=True):
-        learner.team = team  # type: ignore[attr-defined]
-        samples = learner.samples(rollout.of_vehicle(learner.vehicle, agent.device))  # type: ignore[attr-defined]
-        assert (int(samples.weights.sum()), len(samples.actions)) == (acted, 18)
+        samples = learner.compute(learner.prepare, agent.rollout_of(learner, storage))
+        assert (int(samples["weights"].sum()), samples["actions"].numel()) == (acted, 18)
 
 
 # ------------------------------------------------------------------------------------------------------ at the crossing
 
 
 @JOINT
-def test_the_teams_rewards_are_those_of_its_evaluated_episodes(joint: Any) -> None:
+def test_the_teams_rewards_are_those_of_its_evaluated_episodes(joint: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     agent = make_mappo(num_envs=3, env=SHORT, joint=joint, steps=41)
-    agent.collector.reset(5)
-    rollout, _ = agent.collector.collect(lambda observations, past: agent.act(observations, past, None))
-    team = agent.team.follow(rollout)
+    monkeypatch.setattr(type(agent), "env_seed", 5)
+    _, team = collected(agent)
     result = evaluate(agent, INTERSECTION, episodes=3, seed=5, env_kwargs=SHORT)
     nothing = joint_utility(joint, agent.utilities, torch.zeros(3, 2, 6))
     expected = joint_utility(joint, agent.utilities, torch.from_numpy(result.returns)) - nothing
@@ -167,45 +186,31 @@ def test_the_teams_rewards_are_those_of_its_evaluated_episodes(joint: Any) -> No
 
 def test_after_a_time_limit_the_critic_values_the_true_final_state() -> None:
     agent = make_mappo(num_envs=2, env={"time_limit": 0.5}, steps=7)
-    agent.collector.reset(0)
-    rollout, _ = agent.collector.collect(lambda observations, past: agent.act(observations, past, None))
-    team = agent.team.follow(rollout)
+    storage, team = collected(agent)
     assert team.truncated[:, 0].nonzero().flatten().tolist() == [4]
     assert not team.terminated.any()
+    final = storage.final_inputs[0, 4, 0].flatten()
+    torch.testing.assert_close(team.final_states[4, 0, : len(final)], final)
+    assert not torch.equal(final, storage.inputs[0, 5, 0].flatten())  # not what the next episode begins with
     for learner in agent.learners:
-        learner.team = team  # type: ignore[attr-defined]
         with torch.no_grad():
-            values = learner.values(team.states)
-            own = rollout.of_vehicle(learner.vehicle, agent.device)
-            found = learner.next_values(own, values)
-        size = agent.env.observation_size
-        final = torch.cat([rollout.final[4, 0, v] / learner.observation_scales for v in range(2)])
-        torch.testing.assert_close(team.final_states[4, 0, : 2 * size], final)
-        torch.testing.assert_close(found[4, 0], learner.values(team.final_states[4, 0]).detach())
+            values = agent.value_scales * learner.critic(team.states)
+            found = agent.next_values(learner.networks, team, values)
+            torch.testing.assert_close(found[4, 0], agent.value_scales * learner.critic(team.final_states[4, 0]))
         assert found[5, 0] == values[6, 0]
 
 
 def test_a_vehicle_that_ends_as_the_other_is_cut_has_ended_in_the_final_state() -> None:
     agent = make_mappo(num_envs=1, steps=2)
-    agent.collector.reset(0)
-    rollout, _ = agent.collector.collect(lambda observations, past: agent.act(observations, past, None))
-    rollout.terminated[1, 0, 0] = rollout.truncated[1, 0, 1] = True
-    team = agent.team.follow(rollout)
-    assert team.truncated[:, 0].tolist() == [False, True]
-    assert team.final_states[1, 0, -2:].tolist() == [1.0, 0.0]
-    assert team.states[1, 0, -2:].tolist() == [0.0, 0.0]
-
-
-@JOINT
-def test_a_resumed_run_is_the_same_bit_for_bit(joint: str, tmp_path: Path) -> None:
-    whole, part, resumed = (make_mappo(env=SHORT, joint=joint, seed=3) for _ in range(3))
-    whole.train(640)
-    part.train(640, after_update=lambda agent: agent.step >= 320)
-    part.save(tmp_path / "part")
-    resumed.load(tmp_path / "part")
-    resumed.train(640)
-    for name, tensor in whole.get_state().items():
-        assert torch.equal(tensor, resumed.get_state()[name]), name
+    storage, _ = collected(agent)
+    storage.terminated[0, 1, 0, 0] = storage.truncated[0, 1, 0, 1] = True
+    agent.returns.zero_()
+    agent.team_ended.zero_()
+    agent.before_learning(storage)
+    team = {name: each[0] for name, each in agent._team.items()}
+    assert team["truncated"][:, 0].tolist() == [False, True]
+    assert team["final_states"][1, 0, -2:].tolist() == [1.0, 0.0]
+    assert team["states"][1, 0, -2:].tolist() == [0.0, 0.0]
 
 
 def test_a_team_of_which_nobody_is_under_way_is_refused() -> None:

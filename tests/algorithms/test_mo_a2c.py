@@ -11,20 +11,27 @@ import torch
 from hypothesis import given
 
 from algorithms import A2C, MOA2C, MOCAC, MOPPO, PPO
-from algorithms.actor_critic import ActorCritic, Learner
-from algorithms.rollouts.advantages import generalised_advantages, utility_advantages
-from algorithms.rollouts.buffers import VehicleRollout
+from algorithms.actor_critic import ActorCritic
+from algorithms.learning.advantages import generalised_advantages
+from algorithms.learning.learner import NORM
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections, crooked
 from tests.helpers.agents import (
     ALL_FORMS,
     CONTINUOUS,
+    Handmade,
     exaggerate,
+    gradients_of,
     handmade,
     learner_of,
+    loss_of,
     make_agent,
     parameters_of,
+    same,
+    samples_of,
     seen_by,
+    state,
+    step_of,
     value_of,
     value_scale,
 )
@@ -40,13 +47,19 @@ def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:
         assert (len(actions) > 1) is depends
 
 
+@torch.no_grad()
+def next_values(agent: Any, made: Handmade) -> torch.Tensor:
+    """v(S_{t+1}), as the agent calculates it."""
+    rollout, networks = made.rollout(agent), agent.learners[0].networks
+    found: torch.Tensor = agent.next_values(networks, rollout, agent.value_scales * networks.critic(rollout.states))
+    return found
+
+
 @ALL_FORMS
 def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_state_after_truncation(form: str) -> None:
-    agent, learner = learner_of(form)
+    agent, _ = learner_of(form)
     r = handmade(agent)
-    inputs = learner.inputs(r.observations, r.accrued, r.discounts)
-    with torch.no_grad():
-        found = learner.next_values(r, learner.values(inputs))
+    found = next_values(agent, r)
     kinds = set()
     for t in range(len(r.rewards)):
         for i in range(r.rewards.shape[1]):
@@ -56,9 +69,9 @@ def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_sta
                 expected = torch.zeros_like(found[t, i])
             elif truncated:
                 accrued = r.accrued[t, i] + r.discounts[t, i] * r.rewards[t, i]
-                expected = value_of(learner, form, r.final[t, i], accrued, agent.accrued_discount * r.discounts[t, i])
+                expected = value_of(agent, form, r.final[t, i], accrued, agent.accrued_discount * r.discounts[t, i])
             else:
-                expected = value_of(learner, form, r.observations[t + 1, i], r.accrued[t + 1, i], r.discounts[t + 1, i])
+                expected = value_of(agent, form, r.observations[t + 1, i], r.accrued[t + 1, i], r.discounts[t + 1, i])
             torch.testing.assert_close(found[t, i], expected.reshape(-1), rtol=1e-4, atol=1e-4)
     assert len(kinds) == 4
 
@@ -67,11 +80,11 @@ def test_with_accrued_gamma_1_a_linear_utility_gives_the_advantages_of_a2c() -> 
     weights = torch.tensor([0.5, 1.0, 0.03, 0.001])
     utility = make_utility("linear", ("distance", "destination", "g_force", "jerk"), weights=weights.tolist())
     agent = make_agent(MOA2C, num_envs=3, utility=utility, gamma=0.9, gae_lambda=0.8, accrued_gamma=1.0)
-    learner, r = agent.learners[0], handmade(agent)
+    r = handmade(agent)
     assert (r.discounts == 1.0).all()
     rng = np.random.default_rng(2)
     values, following = (torch.tensor(rng.normal(size=r.rewards.shape), dtype=torch.float32) for _ in range(2))
-    advantages, targets = learner.advantages(r, values, following)
+    advantages, targets = agent.advantages(r.rollout(agent), values, following)
     deltas = (r.rewards + 0.9 * following - values) @ weights
     over = r.terminated | r.truncated
     steps, n = deltas.shape
@@ -91,29 +104,23 @@ def test_the_accrued_reward_can_have_its_own_discount(cls: type[ActorCritic]) ->
     assert (usual.gamma, full.gamma) == (0.9, 1.0)
     for agent in (usual, full):
         agent.train(64)
-    expected = 1.0 if full.collector.accrued_reward.discounts.size else None
-    assert (full.collector.accrued_reward.discounts == expected).all()
-    assert usual.collector.accrued_reward.discounts.max() < 1.0
+    assert (full.collector.now.discounts == 1.0).all()
+    assert usual.collector.now.discounts.max() < 1.0
     with pytest.raises(ValueError, match="accrued_gamma"):
         make_agent(cls, accrued_gamma=0.0)
 
 
 @ALL_FORMS
 def test_the_next_episode_does_not_enter_the_next_value(form: str) -> None:
-    agent, learner = learner_of(form)
+    agent, _ = learner_of(form)
     r = handmade(agent)
-
-    def next_values() -> torch.Tensor:
-        inputs = learner.inputs(r.observations, r.accrued, r.discounts)
-        return learner.next_values(r, learner.values(inputs))
-
     over = r.terminated | r.truncated
-    before = next_values()
+    before = next_values(agent, r)
     r.observations[1:][over] += 1.0
-    after = next_values()
+    after = next_values(agent, r)
     assert torch.equal(before[over], after[over])
     r.final[r.truncated & ~r.terminated] += 1.0
-    changed = (next_values() != after).reshape(*over.shape, -1).any(-1)
+    changed = (next_values(agent, r) != after).reshape(*over.shape, -1).any(-1)
     assert torch.equal(changed, r.truncated & ~r.terminated)
 
 
@@ -125,13 +132,10 @@ def u(returns: torch.Tensor) -> float:
     return 0.5 * d + r - (0.1 * g) ** 2 - (0.1 * j) ** 2
 
 
-def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient: float) -> dict[str, float]:
+def plain_losses(agent: Any, form: str, r: Handmade, entropy_coefficient: float) -> dict[str, float]:
     """The losses by loops over single samples."""
-    gamma, decay, g = (
-        learner.config.gamma,
-        learner.config.gae_lambda,
-        getattr(learner.config, "accrued_discount", learner.config.gamma),
-    )
+    config, actor = agent.config, agent.learners[0].actor
+    gamma, decay, g = config.gamma, config.gae_lambda, agent.accrued_discount
     steps, n = r.acted.shape
     policy, critic, entropies, advantages = [], [], [], []
     # The slope of u at EXPECTED_RETURN, by hand: there distance is above 2.
@@ -144,16 +148,16 @@ def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient
             vector: Any = 0.0
             for k in range(t, steps):
                 now = r.observations[k, i], r.accrued[k, i], r.discounts[k, i]
-                value = value_of(learner, form, *now)
+                value = value_of(agent, form, *now)
                 factor, reward = r.discounts[k, i], r.rewards[k, i]
                 if r.terminated[k, i]:
                     following = torch.zeros_like(value)
                 elif r.truncated[k, i]:
                     after = r.accrued[k, i] + factor * reward
-                    following = value_of(learner, form, r.final[k, i], after, g * factor)
+                    following = value_of(agent, form, r.final[k, i], after, g * factor)
                 else:
                     following = value_of(
-                        learner, form, r.observations[k + 1, i], r.accrued[k + 1, i], r.discounts[k + 1, i]
+                        agent, form, r.observations[k + 1, i], r.accrued[k + 1, i], r.discounts[k + 1, i]
                     )
                 gained = u(reward) if form == "a2c" else reward
                 vector = vector + (gamma * decay) ** (k - t) * (gained + gamma * following - value)
@@ -171,23 +175,23 @@ def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient
                     advantage = advantage + decay ** (k - t) * difference
                 if r.terminated[k, i] or r.truncated[k, i]:
                     break
-            scale = value_scale(learner, form)
+            scale = value_scale(agent, form)
             # The critic is at the value itself, so that its error is the advantage.
             critic.append(float(((vector / scale) ** 2).mean()))
-            x = seen_by(learner, form, r.observations[t, i], r.accrued[t, i], r.discounts[t, i])
-            distribution = torch.distributions.Categorical(logits=learner.actor.body(x).detach())
+            x = seen_by(agent, form, r.observations[t, i], r.accrued[t, i], r.discounts[t, i])
+            distribution = torch.distributions.Categorical(logits=actor.body(x).detach())
             policy.append(float(distribution.log_prob(r.actions[t, i])))
             entropies.append(float(distribution.entropy()))
             advantages.append(float(advantage))
     used = np.array(advantages)
-    if learner.config.normalise_advantages:
+    if config.normalise_advantages:
         used = (used - used.mean()) / used.std()
     losses = {
         "loss/policy": -float(np.mean(used * np.array(policy))),
         "loss/value": float(np.mean(critic)),
         "policy/entropy": float(np.mean(entropies)),
     }
-    total = losses["loss/policy"] + learner.config.value_coefficient * losses["loss/value"]
+    total = losses["loss/policy"] + config.value_coefficient * losses["loss/value"]
     return {"total": total - entropy_coefficient * losses["policy/entropy"], **losses}
 
 
@@ -196,7 +200,7 @@ def test_discounted_increases_sum_to_the_expected_utility_of_an_episode_cut_shor
     gamma: float, accrued_gamma: float
 ) -> None:
     discounts = {"gamma": gamma, "accrued_gamma": accrued_gamma}
-    agent, learner = learner_of("expected_utility", gae_lambda=1.0, **discounts)
+    agent, _ = learner_of("expected_utility", gae_lambda=1.0, **discounts)
     rollout = handmade(agent, seed=3)
     first_end = int(rollout.terminated[:, 0].int().argmax())
     rollout.terminated[:, 0] = rollout.truncated[:, 0] = False
@@ -205,7 +209,7 @@ def test_discounted_increases_sum_to_the_expected_utility_of_an_episode_cut_shor
         rollout.discounts[t + 1, 0] = accrued_gamma * rollout.discounts[t, 0]
     rollout.terminated[-1, 0] = True
     values = torch.zeros(*rollout.acted.shape, 1)
-    found = float(learner.advantages(rollout, values, values)[0][0, 0])
+    found = float(agent.advantages(rollout.rollout(agent), values, values)[0][0, 0])
     c, steps = gamma / accrued_gamma, len(rollout.rewards)
     ends = [c ** (t - 1) * (1.0 - c) for t in range(1, steps)] + [c ** (steps - 1)]  # after t decisions
     expected = sum(p * u(rollout.accrued[t, 0]) for t, p in enumerate(ends, start=1)) - u(rollout.accrued[0, 0])
@@ -216,67 +220,61 @@ def test_discounted_increases_sum_to_the_expected_utility_of_an_episode_cut_shor
 @pytest.mark.parametrize("normalised", [False, True])
 @pytest.mark.parametrize("masked", [False, True])
 def test_the_losses_equal_a_plain_loop_over_single_samples(form: str, normalised: bool, masked: bool) -> None:
-    agent, learner = learner_of(form, normalise_advantages=normalised, value_coefficient=0.3, gae_lambda=0.8)
+    agent, _ = learner_of(form, normalise_advantages=normalised, value_coefficient=0.3, gae_lambda=0.8)
     rollout = handmade(agent, masked=masked, seed=3)
     assert bool(rollout.acted.all()) is not masked
-    losses = learner.loss(learner.samples(rollout), 0.05)
-    found = {"total": float(losses.total), **losses.parts()}
-    expected = plain_losses(learner, form, rollout, 0.05)
+    losses = loss_of(agent, samples_of(agent, rollout))
+    found = {"total": losses.total, **losses.parts}
+    expected = plain_losses(agent, form, rollout, 0.05)
     assert found.keys() == expected.keys()
     for name, value in expected.items():
-        assert found[name] == pytest.approx(value, rel=1e-3, abs=1e-4), name
-
-
-def gradients(learner: Learner, rollout: VehicleRollout) -> list[torch.Tensor]:
-    learner.optimiser.zero_grad()
-    learner.loss(learner.samples(rollout), 0.05).total.backward()
-    return [parameter.grad.clone() for parameter in parameters_of(learner)]
+        assert found[name].item() == pytest.approx(value, rel=1e-3, abs=1e-4), name
 
 
 @ALL_FORMS
 @pytest.mark.parametrize("continuous", [False, True])
 def test_samples_that_did_not_act_have_no_influence_on_the_gradient(form: str, continuous: bool) -> None:
-    agent, learner = learner_of(form, env=CONTINUOUS if continuous else {})
+    agent, _ = learner_of(form, env=CONTINUOUS if continuous else {})
     rollout = handmade(agent, masked=True)
     masked = ~rollout.acted
     assert 0 < masked.sum() < masked.numel() / 2
-    before = gradients(learner, rollout)
+    before = gradients_of(agent, samples_of(agent, rollout))
     generator = torch.Generator().manual_seed(1)
     rollout.rewards[masked] = torch.randn(rollout.rewards[masked].shape, generator=generator) * 100
     rollout.actions[masked] = 1 - rollout.actions[masked].clamp(max=1)
     rollout.observations[:-1][masked] += 3.0
     rollout.accrued[:-1][masked] += 3.0
-    after = gradients(learner, rollout)
+    after = gradients_of(agent, samples_of(agent, rollout))
     for one, other in zip(before, after, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-7)
     rollout.rewards[rollout.acted] += 1.0 + torch.randn(rollout.rewards[rollout.acted].shape, generator=generator)
-    assert not all(torch.equal(one, other) for one, other in zip(after, gradients(learner, rollout), strict=True))
+    changed = gradients_of(agent, samples_of(agent, rollout))
+    assert not all(torch.equal(one, other) for one, other in zip(after, changed, strict=True))
 
 
-@pytest.mark.parametrize("cls", [A2C, MOA2C, MOCAC])
-def test_a_rollout_without_acting_vehicles_changes_nothing(cls: type[ActorCritic]) -> None:
+@pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO, MOCAC])
+def test_samples_of_which_none_counts_change_nothing(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, num_envs=3)
-    learner = agent.learners[0]
-    learner.update(handmade(agent), 0.003, 0.05, torch.Generator())
-    before = {name: tensor.clone() for name, tensor in learner.get_state().items()}
+    step_of(agent, samples_of(agent, handmade(agent)))
+    before = state(agent)
     rollout = handmade(agent, seed=1)
     rollout.acted[:] = False
-    assert learner.update(rollout, 0.003, 0.05, torch.Generator()) == {}
-    after = learner.get_state()
-    assert all(torch.equal(tensor, after[name]) for name, tensor in before.items())
+    step_of(agent, samples_of(agent, rollout))
+    assert same(before, state(agent))
 
 
 @pytest.mark.parametrize("cls", [A2C, MOA2C])
 def test_an_update_takes_one_clipped_step_of_adam(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, num_envs=3, max_grad_norm=0.01)
     learner = agent.learners[0]
-    rollout = handmade(agent)
-    raw = gradients(learner, rollout)
+    samples = samples_of(agent, handmade(agent))
+    raw = gradients_of(agent, samples)
     norm = torch.cat([gradient.flatten() for gradient in raw]).norm()
     assert norm > 0.01
     before = [parameter.detach().clone() for parameter in parameters_of(learner)]
-    metrics = learner.update(rollout, 0.003, 0.05, torch.Generator())
-    assert metrics.keys() == {"loss/policy", "loss/value", "policy/entropy"}
+    metrics = step_of(agent, samples, learning_rate=0.003)
+    assert metrics.keys() == {"loss/policy", "loss/value", "policy/entropy", NORM}
+    assert float(metrics[NORM]) == pytest.approx(float(norm), rel=1e-5)
     for parameter, old, gradient in zip(parameters_of(learner), before, raw, strict=True):
         clipped = gradient * 0.01 / norm
         # Adam's first step: its running means are corrected to the gradient itself.
@@ -286,13 +284,18 @@ def test_an_update_takes_one_clipped_step_of_adam(cls: type[ActorCritic]) -> Non
 
 def test_the_expected_return_is_a_running_mean_over_episodes() -> None:
     learner = make_agent(MOA2C, num_envs=1).learners[0]
-    learner.on_episodes_end(np.zeros((0, 4)))
-    assert learner.get_state()["expected_return"].tolist() == [0.0] * 4
-    learner.on_episodes_end(np.array([[1.0, 2.0, 3.0, 4.0], [3.0, 2.0, 1.0, 0.0]]))
-    assert learner.get_state()["expected_return"].tolist() == [2.0] * 4
-    learner.on_episodes_end(np.array([[12.0] * 4, [2.0] * 4]))
+
+    def note(*returns: list[float]) -> list[float]:
+        """One step of as many environments, and one in which no episode ends."""
+        ended = torch.tensor([True] * len(returns) + [False]).view(1, 1, -1)
+        learner.note_episodes(torch.tensor([*returns, [9.0] * 4]).view(1, 1, -1, 4), ended)
+        return learner.get_state()["expected_return"].tolist()
+
+    assert note() == [0.0] * 4
+    assert note([1.0, 2.0, 3.0, 4.0], [3.0, 2.0, 1.0, 0.0]) == [2.0] * 4
+    assert note() == [2.0] * 4
     expected = 0.99**2 * 2.0 + (1 - 0.99**2) * 7.0
-    assert learner.get_state()["expected_return"].tolist() == pytest.approx([expected] * 4)
+    assert note([12.0] * 4, [2.0] * 4) == pytest.approx([expected] * 4)
     assert int(learner.get_state()["episodes"]) == 4
 
 
@@ -312,19 +315,23 @@ def utility_differences(
     """U_t (T, ...) of MO-A2C and MO-PPO."""
     config = SimpleNamespace(
         gamma=gamma,
-        accrued_discount=gamma,
+        accrued_ratio=1.0,
         gae_lambda=0.0,
         advantage="as_printed" if as_printed else "utility_difference",
     )
     never = torch.zeros(discounts.shape, dtype=torch.bool)
     rollout: Any = SimpleNamespace(
         accrued=torch.cat([accrued, accrued[-1:]]),
+        next_accrued=accrued + discounts.unsqueeze(-1) * rewards,
         discounts=torch.cat([discounts, discounts[-1:]]),
         rewards=rewards,
-        terminated=never,
-        truncated=never,
+        ended=never,
+        utility=utility,
     )
-    return utility_advantages(rollout, values, next_values, utility, config, torch.zeros(3))[0]
+    agent: Any = SimpleNamespace(config=config)
+    of_a2c, of_ppo = (cls.advantages(agent, rollout, values, next_values)[0] for cls in (MOA2C, MOPPO))
+    assert torch.equal(of_a2c, of_ppo)
+    return of_a2c
 
 
 def differences(c: dict[str, torch.Tensor], utility: Utility, as_printed: bool) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""MOCAC: the optimum of ESR, targets and advantages against plain loops, resumed runs, and what it refuses."""
+"""MOCAC: the optimum of ESR, targets and advantages against plain loops, and what it refuses."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import pytest
 import torch
 
 from algorithms import MOCAC
+from algorithms.learning.return_distributions import project
 from tests.helpers.agents import (
-    INTERSECTION,
     NONLINEAR,
     ONE_WAYPOINT,
     SEA,
+    gradients_of,
     handmade,
     make_agent,
-    recorded,
-    same,
-    state,
+    parameters_of,
+    samples_of,
 )
 from tests.helpers.safe_or_risky import probability_of_risky
 
@@ -49,7 +49,7 @@ def learner_of(form: str, **arguments: Any) -> tuple[Any, Any]:
     return agent, agent.learners[0]
 
 
-def plain_ends(learner: Any, rollout: Any) -> list[list[Any]]:
+def plain_ends(rollout: Any) -> list[list[Any]]:
     """For each sample the state that follows its step, as the networks see it; None after termination."""
     steps, n = rollout.acted.shape
     found: list[list[Any]] = [[None] * n for _ in range(steps)]
@@ -68,13 +68,12 @@ def plain_ends(learner: Any, rollout: Any) -> list[list[Any]]:
 
 
 @ALL_FORMS
+@torch.no_grad()
 def test_targets_are_the_rewards_to_the_end_of_the_rollout_and_what_follows(form: str) -> None:
     agent, learner = learner_of(form)
     r = handmade(agent)
-    inputs = learner.inputs(r.observations, r.accrued, r.discounts)
-    numbers, end_inputs = learner.ends(r, inputs)
-    shifts, discounts, source = learner.targets(r, numbers)
-    following = plain_ends(learner, r)
+    samples = agent.samples(learner.networks, r.rollout(agent))
+    following = plain_ends(r)
     steps, n = r.acted.shape
     kinds = set()
     for t in range(steps):
@@ -86,38 +85,33 @@ def test_targets_are_the_rewards_to_the_end_of_the_rollout_and_what_follows(form
                 if e == steps - 1 or r.terminated[e, i] or r.truncated[e, i]:
                     break
                 e += 1
-            row = t * n + i
-            torch.testing.assert_close(shifts[row], total, rtol=1e-4, atol=1e-4)
+            torch.testing.assert_close(samples.shifts[t, i], total, rtol=1e-4, atol=1e-4)
             kinds.add((bool(r.terminated[e, i]), bool(r.truncated[e, i])))
             if r.terminated[e, i]:
-                assert float(discounts[row]) == 0.0
+                assert float(samples.discounts[t, i]) == 0.0
             else:
-                assert float(discounts[row]) == pytest.approx(discount, rel=1e-5)
-                torch.testing.assert_close(end_inputs[source[row]], learner.inputs(*following[e][i]))
+                assert float(samples.discounts[t, i]) == pytest.approx(discount, rel=1e-5)
+                expected = learner.networks.target_critic(agent.inputs(*following[e][i]))
+                torch.testing.assert_close(samples.following[t, i], expected, rtol=1e-4, atol=1e-4)
     assert len(kinds) == 4
 
 
 @ALL_FORMS
+@torch.no_grad()
 def test_advantages_sum_the_increases_of_the_expected_final_utility(form: str) -> None:
-    agent, learner = learner_of(form, gae_lambda=0.7)
+    agent, learner = learner_of(form, gae_lambda=0.7, normalise_advantages=False)
     r = handmade(agent)
 
     def value(observation: Any, accrued: Any, discount: Any) -> float:
-        with torch.no_grad():
-            outputs = learner.critic(learner.inputs(observation, accrued, discount).unsqueeze(0))
-        returns, masses = learner.distribution.support(outputs)
-        found = sum(
+        outputs = learner.critic(agent.inputs(observation, accrued, discount).unsqueeze(0))
+        returns, masses = agent.distribution.support(outputs)
+        return sum(
             float(mass) * float(NONLINEAR(accrued + discount * rest))
             for rest, mass in zip(returns[0], masses[0], strict=True)
         )
-        return found
 
-    inputs = learner.inputs(r.observations, r.accrued, r.discounts)
-    numbers, end_inputs = learner.ends(r, inputs)
-    with torch.no_grad():
-        outputs, end_outputs = learner.critic(inputs[:-1].flatten(0, 1)), learner.critic(end_inputs)
-    found = learner.advantages(r, outputs, numbers, end_outputs)
-    following = plain_ends(learner, r)
+    found = agent.samples(learner.networks, r.rollout(agent)).advantages
+    following = plain_ends(r)
     steps, n = r.acted.shape
     for i in range(n):
         later = 0.0
@@ -131,67 +125,36 @@ def test_advantages_sum_the_increases_of_the_expected_final_utility(form: str) -
 
 @ALL_FORMS
 def test_the_gradient_is_that_of_equation_6_by_autograd(form: str) -> None:
-    agent, learner = learner_of(form, max_grad_norm=1e9)
+    agent, learner = learner_of(form)
     r = handmade(agent, masked=True)
-    inputs = learner.inputs(r.observations, r.accrued, r.discounts)
-    weights = r.acted / r.acted.sum()
-    numbers, end_inputs = learner.ends(r, inputs)
-    outputs = learner.critic(inputs[:-1].flatten(0, 1))
-    with torch.no_grad():
-        end_outputs, targets = learner.critic(end_inputs), learner.target_critic(end_inputs)
-        advantages = learner.advantages(r, outputs.detach(), numbers, end_outputs)
-    chosen = advantages[r.acted]
-    advantages = (advantages - chosen.mean()) / chosen.std(correction=0)
-    shifts, discounts, source = learner.targets(r, numbers)
+    samples = samples_of(agent, r)
+    weights = r.acted.flatten() / r.acted.sum()
+    outputs = learner.critic(samples.inputs)
     if form == "categorical":
-        from algorithms.networks.return_distributions import project
-
-        masses = project(targets[source].softmax(-1), shifts, discounts, learner.distribution.values)
-        distances = -(masses * outputs.log_softmax(-1)).sum(-1)
+        parts = (samples.following.softmax(-1), samples.shifts, samples.discounts)
+        distances = -(project(*parts, agent.distribution.values) * outputs.log_softmax(-1)).sum(-1)
     else:
         x = outputs.unflatten(-1, (5, 4))
-        y = (shifts / learner.objective_scales).unsqueeze(1) + discounts[:, None, None] * targets[source].view_as(x)
+        targets = samples.discounts[:, None, None] * samples.following.view_as(x)
+        y = (samples.shifts / agent.objective_scales).unsqueeze(1) + targets
         norm = [((x[:, :, None] - z[:, None]).square().sum(-1) + 0.01**2).sqrt().mean((1, 2)) for z in (y, x)]
         distances = 2 * norm[0] - norm[1]
-    log_prob, entropies = learner.actor(inputs[:-1], r.actions)
-    loss = (weights * (-advantages * log_prob - 0.02 * entropies)).sum() + 0.5 * (weights.flatten() * distances).sum()
-    parameters = [*learner.actor.parameters(), *learner.critic.parameters()]
-    loss.backward()
-    expected = [parameter.grad.clone() for parameter in parameters]
-    learner.update(r, 1e-3, 0.02, torch.Generator())
-    for parameter, gradient in zip(parameters, expected, strict=True):
-        torch.testing.assert_close(parameter.grad, gradient, rtol=1e-3, atol=1e-5)
+    log_prob, entropies = learner.actor(samples.inputs, samples.actions)
+    loss = (weights * (-samples.advantages * log_prob - 0.02 * entropies)).sum() + 0.5 * (weights * distances).sum()
+    expected = torch.autograd.grad(loss, parameters_of(learner))
+    for mine, gradient in zip(gradients_of(agent, samples, 0.02), expected, strict=True):
+        torch.testing.assert_close(mine, gradient, rtol=1e-3, atol=1e-5)
 
 
 def test_the_slow_critic_moves_by_its_rate() -> None:
     agent, learner = learner_of("particles", target_rate=0.25)
-    before = [weight.clone() for weight in learner.target_critic.parameters()]
-    learner.update(handmade(agent), 1e-2, 0.0, torch.Generator())
-    pairs = zip(before, learner.critic.parameters(), learner.target_critic.parameters(), strict=True)
+    before = [weight.clone() for weight in learner.networks.target_critic.parameters()]
+    agent.begin()
+    agent.update(0.0)
+    pairs = zip(before, learner.critic.parameters(), learner.networks.target_critic.parameters(), strict=True)
     for old, weight, slow in pairs:
         assert not torch.equal(old, weight)
         torch.testing.assert_close(slow, 0.75 * old + 0.25 * weight)
-
-
-@pytest.mark.parametrize("env_id", [ONE_WAYPOINT, INTERSECTION, SEA])
-@pytest.mark.parametrize("form", FORMS)
-def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(form: str, env_id: str, tmp_path: Path) -> None:
-    def agent(seed: int) -> Any:
-        settings = {**FORMS[form], "centralised_critic": True} if env_id == INTERSECTION else FORMS[form]
-        return make_agent(MOCAC, env_id, seed=seed, steps=6, **settings)
-
-    total = 6 * 24
-    whole, first, second = agent(3), agent(3), agent(99)
-    lines = recorded(whole, total, log_interval=1)
-    start = recorded(first, total, log_interval=1, after_update=lambda each: each.updates == 3)
-    first.save(tmp_path / "checkpoint.safetensors")
-    second.load(tmp_path / "checkpoint.safetensors")
-    assert same(state(second), state(first))
-    if env_id == SEA:  # its environments cannot be saved
-        return
-    rest = recorded(second, total, log_interval=1)
-    assert same(state(second), state(whole))
-    assert start + rest == lines
 
 
 def test_a_checkpoint_of_another_critic_is_refused(tmp_path: Path) -> None:
@@ -221,9 +184,9 @@ def test_settings_that_do_not_fit_are_refused(env_id: str, settings: dict[str, A
 
 
 def test_bounds_default_to_nominal_scales() -> None:
-    scales = make_agent(MOCAC).learners[0].objective_scales.numpy()
-    learner = make_agent(MOCAC, critic="categorical", atoms=3).learners[0]
-    np.testing.assert_allclose(learner.distribution.values.numpy(), [-scales, 0 * scales, scales])
-    particles = make_agent(MOCAC).learners[0].distribution
+    scales = make_agent(MOCAC).objective_scales.numpy()
+    grid = make_agent(MOCAC, critic="categorical", atoms=3).distribution
+    np.testing.assert_allclose(grid.values.numpy(), [-scales, 0 * scales, scales])
+    particles = make_agent(MOCAC).distribution
     np.testing.assert_allclose(particles.maximum.numpy(), 10.0)
     np.testing.assert_allclose(particles.minimum.numpy(), -10.0)

@@ -13,7 +13,7 @@ from algorithms.experiments.build import build, load_policy, open_driver
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.files.checkpoints import read_checkpoint
-from algorithms.networks.threads import set_threads, wanted_threads
+from algorithms.learning.threads import set_threads
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
@@ -34,7 +34,7 @@ def test_one_vehicle_learns_and_the_other_is_driven(name: str) -> None:
     experiment = experiment_with(PARTNERS, name)
     agent = build(experiment)
     (learner,) = agent.learners
-    assert learner.vehicle == 0
+    assert learner.vehicles == (0,)
     before = {key: tensor.clone() for key, tensor in learner.get_state().items()}
     observations = agent.env.reset(0)
     past = AccruedReward.begin(8, 2, 6)
@@ -50,7 +50,7 @@ def test_one_vehicle_learns_and_the_other_is_driven(name: str) -> None:
 
 def test_the_other_vehicle_may_learn_instead() -> None:
     agent = trained(experiment_with({"vehicle_0": ["rule:gap_8"]}))
-    assert [learner.vehicle for learner in agent.learners] == [1]
+    assert [learner.vehicles for learner in agent.learners] == [(1,)]
     result = evaluate(agent, INTERSECTION, episodes=3, env_kwargs={"time_limit": 6.0})
     script = open_driver("rule:gap_8", 0, agent.env, "discrete")
     pair = evaluate(Team([script, agent]), INTERSECTION, episodes=3, env_kwargs={"time_limit": 6.0})
@@ -107,7 +107,7 @@ def test_a_partner_may_import_only_what_the_experiment_itself_names(
         return make_experiment(values | {"utility": {"name": f"partner_code:{function}"}})
 
     mine = saved_run(tmp_path / "mine", naming("mine"))
-    assert build(naming("mine", partners={"vehicle_1": [str(mine.path)]})).learners[0].vehicle == 0
+    assert build(naming("mine", partners={"vehicle_1": [str(mine.path)]})).learners[0].vehicles == (0,)
     refused = r"training.partners.vehicle_1: .*utility.name = 'partner_code:mine', code that .*; a run that drives in"
     for experiment in (
         naming("other", partners={"vehicle_1": [str(mine.path)]}),
@@ -156,7 +156,7 @@ def test_algorithms_that_learn_fronts_cannot_train_with_partners() -> None:
 def test_the_threads_of_partners_are_not_those_of_the_run() -> None:
     try:
         build(experiment_with({"vehicle_1": ZOO}, threads=2))
-        assert wanted_threads() == 2
+        assert torch.get_num_threads() == 2
     finally:
         set_threads(1)
 

@@ -64,7 +64,7 @@ def test_own_code_is_trained_and_a_run_that_fails_is_reported_with_its_reason(tm
     done = run_sweep(file, "--on", "ray", "--output", "sweep")
     assert (done.returncode, [status(run)["state"] for run in runs(tmp_path / "sweep")]) == (1, ["finished", "failed"])
     assert "1 done, 0 running, 1 failed" in done.stdout
-    assert "FAILED algorithm.name=reinforce:REINFORCE utility.name=broken:utility seed 0" in done.stdout
+    assert "FAILED algorithm.name=kl_penalty:KLPenalty utility.name=broken:utility seed 0" in done.stdout
     assert "no [red] licence on this node" in done.stdout
 
 

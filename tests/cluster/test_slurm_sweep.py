@@ -85,7 +85,7 @@ def test_own_code_is_trained_and_a_run_that_fails_is_reported_with_its_reason(
     done = run_sweep(file, "--on", "slurm", "--output", sweep, environment=cluster.environment)
     assert (done.returncode, [status(run)["state"] for run in runs(sweep)]) == (1, ["finished", "failed"]), log(sweep)
     assert "1 done, 0 running, 1 failed" in done.stdout
-    assert "FAILED algorithm.name=reinforce:REINFORCE utility.name=broken:utility seed 0" in done.stdout
+    assert "FAILED algorithm.name=kl_penalty:KLPenalty utility.name=broken:utility seed 0" in done.stdout
     assert "no [red] licence on this node" in done.stdout
 
 

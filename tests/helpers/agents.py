@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,9 @@ import pytest
 import torch
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
-from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.actor_critic import ActorCritic
 from algorithms.agent import Agent
-from algorithms.rollouts.buffers import VehicleRollout
+from algorithms.learning.storage import Rollout
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import Utility, make_utility
 
@@ -72,12 +73,17 @@ def state(agent: ActorCritic) -> dict[str, torch.Tensor]:
     }
 
 
-def experienced(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[ActorCritic, Any]:
+def experienced(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[Any, Any]:
     """An agent far from its initial weights, in which an episode has ended, and its learner."""
     agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **hyperparameters)
     exaggerate(agent)
-    agent.learners[0].on_episodes_end(np.array([[12.0, 0.9, -4.0, -30.0]]))
+    expect(agent)
     return agent, agent.learners[0]
+
+
+def expect(agent: Any) -> None:
+    """Set the running mean of returns."""
+    agent.learners[0].expected_return[:], agent.learners[0].episodes[:] = torch.tensor(EXPECTED_RETURN), 1
 
 
 def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
@@ -85,7 +91,7 @@ def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> boo
     return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
 
 
-def exaggerate(agent: ActorCritic, factor: float = 300.0) -> None:
+def exaggerate(agent: Any, factor: float = 300.0) -> None:
     """Take the policies far from their initial, nearly uniform ones."""
     with torch.no_grad():
         for learner in agent.learners:
@@ -108,8 +114,47 @@ def parameters_of(learner: Any) -> list[torch.nn.Parameter]:
     return [*learner.actor.parameters(), *learner.critic.parameters()]
 
 
-def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: int = 0) -> VehicleRollout:
-    """A rollout of one vehicle with random content and ends of every kind.
+@dataclass
+class Handmade:
+    """What one vehicle did and met, as environments hand it over: T steps of N environments.
+
+    Attributes:
+        observations: (T + 1, N, o).
+        final: (T, N, o) after each step.
+        accrued, discounts: (T + 1, N, ...); the others are (T, N, ...).
+    """
+
+    observations: torch.Tensor
+    final: torch.Tensor
+    rewards: torch.Tensor
+    accrued: torch.Tensor
+    discounts: torch.Tensor
+    terminated: torch.Tensor
+    truncated: torch.Tensor
+    acted: torch.Tensor
+    actions: torch.Tensor
+
+    def rollout(self, agent: Any) -> Rollout:
+        """As the agent's first policy learns from it."""
+        before = self.accrued[:-1], self.discounts[:-1]
+        after = before[0] + before[1].unsqueeze(-1) * self.rewards, agent.accrued_discount * before[1]
+        inputs, final = agent.inputs(self.observations, self.accrued, self.discounts), agent.inputs(self.final, *after)
+        expected = agent.learners[0].expected_return[0]
+        names = ("rewards", "accrued", "discounts", "terminated", "truncated", "acted", "actions")
+        return Rollout(
+            inputs=inputs,
+            states=inputs,
+            final_states=final,
+            **{name: getattr(self, name) for name in names},
+            preferences=self.rewards[..., :0],
+            expected_return=expected,
+            ideal=expected,
+            utility=agent.utilities[0].unchecked(),
+        )
+
+
+def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: int = 0) -> Handmade:
+    """Random content and ends of every kind.
 
     With ``masked`` a few samples follow every end that do not count, as of a vehicle that has left the road.
     """
@@ -149,51 +194,71 @@ def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: 
         "discounts": discounts,
     }
     flags = {"terminated": terminated, "truncated": truncated, "acted": acted}
-    nobody = np.zeros((steps + 1, n, 0), dtype=np.float32)
-    return VehicleRollout(
-        others=torch.from_numpy(nobody),
-        final_others=torch.from_numpy(nobody[1:]),
+    return Handmade(
         actions=actions,
         **{name: torch.tensor(array, dtype=torch.float32) for name, array in arrays.items()},
         **{name: torch.tensor(array) for name, array in flags.items()},
     )
 
 
+@torch.no_grad()
+def samples_of(agent: Any, made: Handmade) -> Any:
+    """The samples (M, ...) that the first policy learns from."""
+    samples = agent.samples(agent.learners[0].networks, made.rollout(agent))
+    return type(samples)(*(each if each is None else each.flatten(0, 1) for each in samples))
+
+
+def loss_of(agent: Any, samples: Any, entropy_coefficient: float = 0.05) -> Any:
+    """The loss of the first policy."""
+    return agent.loss(agent.learners[0].networks, samples, torch.tensor(entropy_coefficient))
+
+
+def gradients_of(agent: Any, samples: Any, entropy_coefficient: float = 0.05) -> list[torch.Tensor]:
+    """Those of the loss by the parameters of actor and critic."""
+    return [*torch.autograd.grad(loss_of(agent, samples, entropy_coefficient).total, parameters_of(agent.learners[0]))]
+
+
+def step_of(agent: Any, samples: Any, learning_rate: float = 0.003, entropy_coefficient: float = 0.05) -> Any:
+    """Take one gradient step of the first policy on all samples; the parts of the loss."""
+    tensors = {name: each.unsqueeze(0) for name, each in samples._asdict().items() if each is not None}
+    numbers = torch.tensor(learning_rate), torch.tensor(entropy_coefficient)
+    return agent.learners[0].minimise(agent._loss, tensors, [], *numbers)
+
+
 NONLINEAR = make_utility("one_waypoint_nonlinear", ("distance", "destination", "g_force", "jerk"))
 EXPECTED_RETURN = [12.0, 0.9, -4.0, -30.0]
 
 
-def learner_of(form: str, **hyperparameters: Any) -> tuple[ActorCritic, Any]:
+def learner_of(form: str, **hyperparameters: Any) -> tuple[Any, Any]:
     """An agent on OneWaypoint with a non-linear utility, and its learner with larger weights in the actor."""
     cls, settings = FORMS[form]
     agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **{"gamma": 0.9, **settings, **hyperparameters})
     exaggerate(agent)
-    learner = agent.learners[0]
-    learner.on_episodes_end(np.array([EXPECTED_RETURN]))
-    return agent, learner
+    expect(agent)
+    return agent, agent.learners[0]
 
 
-def seen_by(learner: Learner, form: str, observation: Any, accrued: Any, discount: Any) -> torch.Tensor:
+def seen_by(agent: Any, form: str, observation: Any, accrued: Any, discount: Any) -> torch.Tensor:
     """What the networks see, written out."""
-    parts = [observation / learner.observation_scales]
+    parts = [observation / agent.observation_scales]
     if form != "a2c":
-        parts.append(accrued / learner.objective_scales)
+        parts.append(accrued / agent.objective_scales)
         if form != "without discount":
             parts.append(torch.as_tensor(discount).reshape(1))
     return torch.cat(parts)
 
 
-def value_scale(learner: Any, form: str) -> Any:
-    return 10.0 if form == "a2c" or form.startswith("expected_utility") else learner.objective_scales
+def value_scale(agent: Any, form: str) -> Any:
+    return 10.0 if form == "a2c" or form.startswith("expected_utility") else agent.objective_scales
 
 
-def value_of(learner: Any, form: str, *what: Any) -> torch.Tensor:
-    scale = value_scale(learner, form)
-    value = (scale * learner.critic(seen_by(learner, form, *what))).detach()
+def value_of(agent: Any, form: str, *what: Any) -> torch.Tensor:
+    scale = value_scale(agent, form)
+    value: torch.Tensor = (scale * agent.learners[0].critic(seen_by(agent, form, *what))).detach()
     return value.squeeze(-1) if form == "a2c" else value
 
 
-def diversified(agent: ActorCritic) -> ActorCritic:
+def diversified(agent: Any) -> Any:
     """The agent with a policy that differs from state to state, far from uniform, and of ours one that moves.
 
     Of the 22 discrete actions every third one from 3 on is "increase speed".

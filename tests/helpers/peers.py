@@ -20,14 +20,13 @@ FIXED = {"fixed_destination": True, "time_limit": 3.0}
 def make_task(env_id: str = ONE_WAYPOINT, arguments: dict[str, Any] | None = None, **changes: Any) -> PeerTask:
     """A short task."""
     arguments = FIXED if arguments is None else arguments
-    env = EnvAdapter(make_env(env_id, 1, arguments))
+    env = EnvAdapter(make_env(env_id, 2, arguments))
     task = PeerTask(
         make_single_env=lambda **more: mo_gymnasium.make(env_id, **arguments, **more),
         env=env,
         config=PeerConfig(),
         utility=None,
         steps=50,
-        num_envs=1,
         seed=5,
         device="cpu",
         reference_point=None,

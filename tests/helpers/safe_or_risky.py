@@ -77,8 +77,7 @@ def probability_of_risky(
     }
     agent = cls(SafeOrRisky(num_envs, delay), PRODUCT, seed=seed, **{**settings, **hyperparameters})
     agent.train(total)
-    learner = agent.learners[0]
-    inputs = learner.inputs(torch.zeros(1, 3), torch.zeros(1, 2), torch.ones(1))
+    inputs = agent.inputs(torch.zeros(1, 3), torch.zeros(1, 2), torch.ones(1))
     with torch.no_grad():
-        log_prob, _ = learner.actor(inputs, torch.tensor([RISKY]))
+        log_prob, _ = agent.learners[0].actor(inputs, torch.tensor([RISKY]))
     return float(log_prob.exp())

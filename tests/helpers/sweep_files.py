@@ -134,8 +134,8 @@ def long_runs(folder: Path) -> dict[str, Any]:
 
 def own_algorithm(folder: Path) -> str:
     """Copy the worked example of an own algorithm; returns its name for the YAML file."""
-    (folder / "reinforce.py").write_bytes((ROOT / "docs" / "examples" / "reinforce.py").read_bytes())
-    return "reinforce:REINFORCE"
+    (folder / "kl_penalty.py").write_bytes((ROOT / "docs" / "examples" / "kl_penalty.py").read_bytes())
+    return "kl_penalty:KLPenalty"
 
 
 def eventually(condition: Callable[[], Any], seconds: float = PATIENCE) -> None:

@@ -22,14 +22,14 @@ def test_a_function_written_by_hand_arrives() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "library", "total_timesteps"),
-    [("sb3_agent.py", "stable_baselines3", 2048), ("torchrl_agent.py", "torchrl", 2048)],
+    ("name", "library", "total_timesteps", "objectives"),
+    [("sb3_agent.py", "stable_baselines3", 16_384, 6), ("torchrl_agent.py", "torchrl", 2048, 4)],
 )
 def test_an_agent_of_another_library_is_trained_and_scored(
-    name: str, library: str, total_timesteps: int, capsys: pytest.CaptureFixture[str]
+    name: str, library: str, total_timesteps: int, objectives: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip(library, reason=f"needs {library}: make test-integrations")
     evaluation = run_main(name, total_timesteps=total_timesteps, episodes=20)
-    assert evaluation.returns.shape == (20, 1, 4)
+    assert evaluation.returns.shape == (20, 1, objectives)
     assert np.isfinite(evaluation.episode_utilities()).all()
     assert "utility_esr" in capsys.readouterr().out

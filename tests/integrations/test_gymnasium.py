@@ -14,7 +14,7 @@ from gymnasium import wrappers
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import vector as vector_wrappers
 
-from mo_deepdrive.wrappers import UtilityReward
+from mo_deepdrive.wrappers import UtilityReward, VectorUtilityReward
 from tests.integrations.envs import INTERSECTION, ONE_WAYPOINT, SHORT, scalar, single, vector
 from tests.integrations.matrix import Library, row
 
@@ -209,11 +209,40 @@ def test_a_vector_wrapper_runs(name: str) -> None:
 
 @row(
     f"vector wrappers with one reward per environment: {names(VECTOR_SCALAR)}",
-    how="the utility first: `TransformReward(envs, lambda rewards: rewards @ weights)`; statistics also MO-Gymnasium's",
+    how="the utility first: `VectorUtilityReward`, or `TransformReward(envs, lambda rewards: rewards @ weights)`; "
+    "statistics of vector rewards: `VectorEpisodeStatistics`",
 )
 @pytest.mark.parametrize("name", VECTOR_SCALAR)
 def test_a_vector_wrapper_of_scalar_rewards_needs_the_utility(name: str) -> None:
     drive_vector(VECTOR_SCALAR[name](vector_wrappers.TransformReward(vector(), lambda r: r @ np.ones(4))), (3,))
+
+
+@row(
+    "vector `NormalizeReward`: which steps count",
+    how="every decision, and no reset; `SAME_STEP` begins every episode anew, `NEXT_STEP` adds one after a time limit "
+    "to the episode before",
+)
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_rewards_are_normalised_by_the_returns_of_decisions_alone(mode: str) -> None:
+    gamma, returns = 0.9, []
+    envs = VectorUtilityReward(vector(autoreset_mode=mode), "one_waypoint_linear")
+    env = vector_wrappers.NormalizeReward(envs, gamma=gamma)
+    plain = VectorUtilityReward(vector(autoreset_mode=mode), "one_waypoint_linear")
+    env.reset(seed=0)
+    plain.reset(seed=0)
+    total, over = np.zeros(3), np.zeros(3, dtype=np.bool_)
+    for _ in range(STEPS):
+        env.step(np.array([3, 6, 0]))
+        _, rewards, terminated, truncated, _ = plain.step(np.array([3, 6, 0]))
+        decided = ~over
+        total[decided] = gamma * total[decided] + rewards[decided]
+        returns.extend(total[decided])
+        over = terminated | truncated
+        if mode == "SameStep":
+            total[over], over = 0.0, np.zeros(3, dtype=np.bool_)
+    assert len(returns) == 3 * (STEPS if mode == "SameStep" else STEPS - 2)
+    assert env.return_rms.count == pytest.approx(len(returns), abs=0.01)
+    assert env.return_rms.var == pytest.approx(np.var(returns), rel=0.01)
 
 
 @row(

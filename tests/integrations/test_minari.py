@@ -42,6 +42,8 @@ def steer(observations: Any, accrued: Any, discounts: Any) -> Any:
     [
         (ONE_WAYPOINT, first_action, {"time_limit": 3.0}),
         (ONE_WAYPOINT, steer, {"time_limit": 3.0, "action_type": "continuous"}),
+        (ONE_WAYPOINT, first_action, {"time_limit": 0.1}),  # episodes of one decision
+        (ONE_WAYPOINT, steer, {"time_limit": 0.1, "action_type": "continuous"}),
         (SEA, lambda *inputs: np.array([1]), {}),
     ],
 )
@@ -64,6 +66,7 @@ def test_a_data_set_has_the_trajectories_of_the_environment(
             assert (episode.terminations[t], episode.truncations[t]) == (terminated, truncated)
         assert terminated or truncated
         np.testing.assert_array_equal(episode.observations, observations)
+        assert len(observations) == len(episode) + 1 == len(episode.actions) + 1
         assert episode.rewards.dtype == np.float32
         assert episode.observations.dtype == env.observation_space.dtype
         assert episode.actions.dtype == env.action_space.dtype

@@ -20,6 +20,7 @@ from mo_deepdrive.wrappers import (
     ParallelUtilityReward,
     ScaledObservation,
     UtilityReward,
+    VectorEpisodeStatistics,
     VectorScaledObservation,
     VectorUtilityReward,
 )
@@ -367,6 +368,74 @@ def test_a_vector_environment_without_vector_rewards_is_refused() -> None:
     turns = MOSyncVectorEnv([lambda: mo_gymnasium.make(INTERSECTION)])
     with pytest.raises(ValueError, match=r"take turns .*make_vec"):
         VectorUtilityReward(turns, "intersection_linear").reset()
+
+
+# --------------------------------------------------------------------------------------------------------- statistics
+
+
+def native(mode: str, env_id: str = ONE_WAYPOINT) -> Any:
+    return gymnasium.make_vec(env_id, num_envs=3, autoreset_mode=mode, time_limit=5.0)
+
+
+def of_mo_gymnasium() -> Any:
+    return MOSyncVectorEnv([lambda: mo_gymnasium.make(ONE_WAYPOINT, time_limit=5.0)] * 3)
+
+
+STATISTICS = {
+    "NextStep": lambda: native("NextStep"),
+    "SameStep": lambda: native("SameStep"),
+    "Disabled": lambda: native("Disabled"),
+    "two vehicles, NextStep": lambda: native("NextStep", INTERSECTION),
+    "two vehicles, SameStep": lambda: native("SameStep", INTERSECTION),
+    "two vehicles, Disabled": lambda: native("Disabled", INTERSECTION),
+    "MO-Gymnasium's": of_mo_gymnasium,
+}
+
+
+@pytest.mark.parametrize("kind", STATISTICS)
+def test_the_statistics_of_every_episode_are_those_of_its_rewards(kind: str) -> None:
+    gamma = 0.9
+    env, plain = VectorEpisodeStatistics(STATISTICS[kind](), gamma), STATISTICS[kind]()
+    mode = plain.metadata["autoreset_mode"]
+    env.reset(seed=7)
+    plain.reset(seed=7)
+    rewards: list[list[Any]] = [[], [], []]
+    resets = np.zeros(3, dtype=np.bool_)
+    episodes = np.zeros(3, dtype=int)
+    for joint in actions_of(6).reshape(-1, 3, 2)[:300]:
+        actions = joint if plain.action_space.shape == (3, 2) else joint[:, 0]
+        *step, infos = env.step(actions)
+        for mine, theirs in zip(step, plain.step(actions), strict=False):
+            np.testing.assert_array_equal(mine, theirs)
+        over = (step[2] | step[3]).reshape(3, -1).all(axis=1)
+        np.testing.assert_array_equal(infos.get("_episode", np.zeros(3, dtype=np.bool_)), over)
+        for row in np.flatnonzero(~resets):
+            rewards[row].append(step[1][row].astype(np.float64))
+        for row in np.flatnonzero(over):
+            found, expected = infos["episode"], np.array(rewards[row])
+            assert found["l"][row] == len(expected)
+            np.testing.assert_allclose(found["r"][row], expected.sum(axis=0))
+            discounts = gamma ** np.arange(len(expected))
+            np.testing.assert_allclose(found["dr"][row], np.tensordot(discounts, expected, axes=1))
+            rewards[row] = []
+        episodes += over
+        resets = over & (mode is AutoresetMode.NEXT_STEP)
+        if mode is AutoresetMode.DISABLED and over.any():
+            for each in (env, plain):
+                each.reset(options={"reset_mask": over})
+    assert episodes.min() >= 3
+
+
+def test_the_statistics_of_an_episode_that_is_broken_off_do_not_count() -> None:
+    env = VectorEpisodeStatistics(native("SameStep"))
+    env.reset(seed=1)
+    for _ in range(30):
+        env.step(np.array([0, 0, 0]))
+    env.reset(seed=1)
+    lengths = [env.step(np.array([0, 0, 0]))[4].get("episode", {}).get("l") for _ in range(50)]
+    assert lengths[-1].tolist() == [50, 50, 50]
+    with pytest.raises(ValueError, match=r"gamma = 1\.1 must be between 0 and 1"):
+        VectorEpisodeStatistics(native("SameStep"), gamma=1.1)
 
 
 # ------------------------------------------------------------------------------------------------------- observations

@@ -99,7 +99,7 @@ def make_task(name: str, env_id: str = ONE_WAYPOINT, *, kind: str | None = None,
         arguments = {"fixed_destination": True, "time_limit": 6.0, "action_type": kind or peer.actions[0]}
         if peer.objectives is not None:
             arguments["objectives"] = ("distance", "jerk")
-    env = EnvAdapter(make_env(env_id, 1, arguments))
+    env = EnvAdapter(make_env(env_id, 2 if peer.parallel else 1, arguments))
     d = len(env.objectives)
     utility = None
     if peer.known_utility:
@@ -111,7 +111,6 @@ def make_task(name: str, env_id: str = ONE_WAYPOINT, *, kind: str | None = None,
         config=peer.Config(**{**SMALL[name], **settings}),
         utility=utility,
         steps=STEPS,
-        num_envs=2 if peer.parallel else 1,
         seed=0,
         device="cpu",
         reference_point=-100.0 * env.objective_scales,

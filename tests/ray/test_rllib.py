@@ -262,6 +262,27 @@ def test_rllib_bootstraps_at_the_time_limit_and_nowhere_else(time_limit: float) 
     assert time_limit < 5 or seen["vehicle_0", False] > 0
 
 
+@pytest.mark.parametrize("options", [{}, {"scenario": "roundabout", "vehicles": 5}, {"harmful_g_force": 0.2}])
+def test_every_vehicle_has_its_last_observation_and_reward_in_rllibs_episode(options: dict[str, Any]) -> None:
+    config = {"time_limit": 3.0, **options}
+    env, parallel = DrivingMultiAgentEnv(config), DrivingParallelEnv(**config)
+    episode = recorded(env, 3)
+    last: dict[str, Any] = {}
+    rewards: Counter[str] = Counter()
+    parallel.reset(seed=3)
+    for actions, _ in play(DrivingMultiAgentEnv(config), 3):
+        observations, vectors, *_ = parallel.step(actions)
+        for agent, vector in vectors.items():
+            last[agent] = observations[agent], float(env.utilities[agent](vector))
+            rewards[agent] += 1
+    assert set(last) == set(env.possible_agents)
+    for agent, (observation, reward) in last.items():
+        single = episode.agent_episodes[agent]
+        np.testing.assert_array_equal(single.get_observations(-1), observation)
+        assert single.get_rewards(-1) == reward
+        assert len(single.get_observations()) == len(single.get_rewards()) + 1 == rewards[agent] + 1
+
+
 def small(config: PPOConfig, runners: int = 0) -> PPOConfig:
     """PPO in the smallest possible configuration."""
     return (

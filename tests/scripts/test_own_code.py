@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from safetensors.torch import load_file
 
 from algorithms.experiments.build import build, load_policy
 from algorithms.experiments.config import load_experiment, make_experiment
@@ -29,7 +30,7 @@ from tests.helpers.short_runs import assert_same_run
 from tests.helpers.sweep_files import forked_workers
 
 EXAMPLES = REPOSITORY / "docs" / "examples"
-MODULES = ("reinforce", "commute", "constants", "plain_ppo")
+MODULES = ("reinforce", "kl_penalty", "commute", "constants", "plain_ppo")
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +56,7 @@ def shorten(path: Path, changes: dict[str, dict[str, Any]]) -> None:
 
 SHORT: dict[str, dict[str, Any]] = {
     "environment": {"arguments": {"time_limit": 2}},
-    "algorithm": {"steps": 20, "hidden": [8]},
+    "algorithm": {"hidden": [8]},
     "training": {"total_timesteps": 960, "num_envs": 4},
     "evaluation": {"episodes": 2, "final_episodes": 4, "interval": 320},
     "logging": {"interval": 2, "checkpoint_interval": 80, "save_figures": False},
@@ -72,6 +73,7 @@ def test_examples_are_as_short_as_the_documentation_says() -> None:
     for name in ("reinforce.py", "plain_ppo.py"):
         lines = [line for line in (EXAMPLES / name).read_text().splitlines() if line.strip()]
         assert 40 <= len(lines) <= 80
+    assert len([line for line in (EXAMPLES / "kl_penalty.py").read_text().splitlines() if line.strip()]) <= 25
     for document, example in (("own_algorithm", "reinforce"), ("own_environment", "commute")):
         text = (REPOSITORY / "docs" / f"{document}.md").read_text()
         shown = yaml.safe_load(re.findall(r"^```yaml\n(environment:.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)[0])
@@ -95,12 +97,20 @@ def test_ppo_in_plain_pytorch_trains_and_returns_a_policy(monkeypatch: pytest.Mo
 def test_the_keys_of_an_own_algorithm_are_listed_with_their_descriptions(folder: Path, call: Call) -> None:
     code, out, _ = call("keys", "--algorithm", "reinforce:REINFORCE")
     assert code == 0
-    assert "\nalgorithm.gamma: float >= 0, <= 1, default 1.0\n    The discount g.\n" in out
+    assert "\nalgorithm.learning_rate: float > 0, <= 1, default 0.005\n    Adam's step size.\n" in out
     text = (folder / "reinforce.py").read_text()
-    (folder / "reinforce.py").write_text(text.replace('        """The discount g."""\n', ""))
+    (folder / "reinforce.py").write_text(text.replace('        """Adam\'s step size."""\n', ""))
     del sys.modules["reinforce"]
     out = call("keys", "--algorithm", "reinforce:REINFORCE")[1]
-    assert "\nalgorithm.gamma: float >= 0, <= 1, default 1.0\nalgorithm.steps: " in out
+    assert out.endswith("\nalgorithm.learning_rate: float > 0, <= 1, default 0.005\n\n")
+
+
+def test_the_keys_of_a_subclass_are_its_own_and_those_that_it_inherits(call: Call) -> None:
+    own, inherited = (call("keys", "--algorithm", name)[1] for name in ("kl_penalty:KLPenalty", "mo_ppo"))
+    keys = inherited.partition("\nalgorithm.hidden: ")[2].rstrip("\n") + "\n"
+    assert keys in own
+    assert "equations: help('kl_penalty')" in own
+    assert own.partition(keys)[2] == "algorithm.beta: float >= 0, default 3.0\n    Weight of the penalty.\n\n"
 
 
 @pytest.mark.slow
@@ -114,7 +124,7 @@ def test_the_commands_of_the_tutorial_train_resume_evaluate_sweep_and_plot_an_ow
     printed = []
     with forked_workers():
         for program, name, *words in documented_commands("docs/own_algorithm.md"):
-            if name == "suite":
+            if name == "suite" or "--algorithm.name=kl_penalty:KLPenalty" in words:
                 continue
             code, out, error = call(name, *words)
             assert (program, code, error) == ("mo-deepdrive", 0, ""), out + error
@@ -129,6 +139,41 @@ def test_the_commands_of_the_tutorial_train_resume_evaluate_sweep_and_plot_an_ow
     assert "1 of 1 cells" in printed[4]
     (figure,) = folder.glob("*.png")
     assert figure.name in printed[5]
+
+
+@pytest.mark.slow
+def test_an_own_loss_trains_with_several_seeds_and_becomes_onnx(folder: Path, call: Call) -> None:
+    sections = {name: SHORT[name] for name in ("training", "evaluation", "logging")}
+    options = [f"--{name}.{key}={value}" for name, values in sections.items() for key, value in values.items()]
+    command = next(words for words in documented_commands("docs/own_algorithm.md") if "--config" in words)
+    with forked_workers():
+        code, out, error = call(*command[1:], *options, "--training.seeds=[3, 4]", "--output", "runs")
+    assert code == 0, out + error
+    weights = [load_file(folder / "runs" / f"seed-{seed}" / "checkpoint.safetensors") for seed in (3, 4)]
+    assert not torch.equal(*(each["vehicle_0.actor.body.0.weight"] for each in weights))
+    pytest.importorskip("onnxruntime")
+    assert call("export", "runs/seed-3", "--trust", "--output", "policy.onnx")[0] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("config", "options"),
+    [
+        ("one_waypoint/mo_ppo_linear", {"seeds": [0, 1]}),
+        ("intersection/strangers_vehicle_0", {}),
+        ("left_turn/mo_ppo_risk_averse", {}),
+    ],
+    ids=["seeds side by side", "partners", "a utility that is averse to risk"],
+)
+def test_an_own_loss_is_the_one_that_runs(config: str, options: dict[str, Any]) -> None:
+    penalties = ("--algorithm.beta=0", "--algorithm.beta=30")
+    name, short = "--algorithm.name=kl_penalty:KLPenalty", ("--training.num_envs=20", "--algorithm.hidden=[8]")
+    policies = []
+    for penalty in penalties:
+        agent = build(load_experiment(config, [name, penalty, *short]), **options)
+        agent.train(2 * 20 * agent.config.steps)
+        policies.append(agent.get_policy())
+    assert any(not torch.equal(each, policies[1][name]) for name, each in policies[0].items())
 
 
 @pytest.mark.slow
@@ -178,7 +223,7 @@ def test_the_example_learns_in_environments_of_others(env_id: str) -> None:
         {
             "environment": {"id": env_id},
             "utility": {"name": "linear", "arguments": {"weights": weights}},
-            "algorithm": {"name": "reinforce:REINFORCE", "steps": 30 if env_id.startswith("deep") else 10},
+            "algorithm": {"name": "reinforce:REINFORCE"},
             "training": {"total_timesteps": 10_000, "num_envs": 16, "seed": 3},
         }
     )
@@ -189,36 +234,33 @@ def test_the_example_learns_in_environments_of_others(env_id: str) -> None:
     assert np.mean(utilities[-5:]) > np.mean(utilities[:5]) + 2.0
 
 
-def test_an_episode_counts_with_the_utility_of_its_whole_return(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The loss of one update against plain sums over the episodes."""
-    experiment = load_experiment("reinforce.yaml", ["--training.num_envs=3", "--algorithm.gamma=0.9"])
-    agent = build(experiment)
-    taken: list[Any] = []
-    collect = agent.collector.collect
-    monkeypatch.setattr(agent.collector, "collect", lambda act: taken.append(collect(act)) or taken[-1])
-    initial = {name: tensor.clone() for name, tensor in agent.actor.state_dict().items()}
-    loss = agent.update(0.0)["policy_loss"]
-    agent.actor.load_state_dict(initial)
-    rollout, _ = taken[0]
-    values, log_probs, count = [], [], 0
+def test_an_episode_counts_with_the_utility_of_its_whole_return() -> None:
+    """The loss of one update against plain sums over the episodes, each of which is driven to its end."""
+    experiment = load_experiment("reinforce.yaml", ["--training.num_envs=3"])
+    agent, actor = build(experiment), build(experiment).actor
+    steps: list[Any] = []
+    step = agent.env.step
+    agent.env.step = lambda actions: steps.append((actions, step(actions))) or steps[-1][1]  # type: ignore[method-assign]
+    observations = [agent.env.reset(agent.env_seed)]
+    loss = float(agent.update(0.0)["loss/policy"])
+    observations += [taken.observations for _, taken in steps]
+    values, log_probs = [], []
     for n in range(3):
-        ended = (rollout.terminated | rollout.truncated)[:, n, 0].nonzero()
-        length = int(ended[0]) + 1 if len(ended) else len(rollout.rewards)
-        total = sum(0.9**t * rollout.rewards[t, n, 0] for t in range(length))
-        values.append(float(agent.utilities[0](total)))
-        x = agent.inputs(rollout.observations[:length, n, 0], rollout.accrued[:length, n, 0])
-        log_probs.append(float(agent.actor(x, rollout.actions[:length, n, 0])[0].sum().detach()))
-        count += length
+        accrued, log_prob = np.zeros(len(agent.env.objectives), np.float32), 0.0
+        for seen, (actions, taken) in zip(observations, steps, strict=False):
+            x = agent.inputs(seen[n, 0], accrued)
+            log_prob += float(actor(x, torch.as_tensor(actions[n, 0]))[0])
+            accrued = accrued + taken.rewards[n, 0]
+            if taken.terminated[n, 0] or taken.truncated[n, 0]:
+                break
+        values.append(float(agent.utilities[0](torch.from_numpy(accrued))))
+        log_probs.append(log_prob)
     weights = (np.array(values) - np.mean(values)) / (np.std(values) + 1e-8)
-    assert loss == pytest.approx(-float(weights @ log_probs) / count, rel=1e-3, abs=1e-6)
+    assert loss == pytest.approx(-float(weights @ log_probs) / 3, rel=1e-3, abs=1e-6)
 
 
 def test_an_own_algorithm_drives_both_vehicles_and_the_other_one_in_play(folder: Path) -> None:
-    changes = [
-        "--environment.id=mo-deepdrive-intersection-v0",
-        "--utility.name=intersection_linear",
-        "--algorithm.steps=5",
-    ]
+    changes = ["--environment.id=mo-deepdrive-intersection-v0", "--utility.name=intersection_linear"]
     experiment = load_experiment("reinforce.yaml", [*changes, "--training.num_envs=2", "--training.total_timesteps=20"])
     run = Run.create(experiment, folder / "run")
     agent = build(experiment)
@@ -240,7 +282,7 @@ def test_an_own_algorithm_drives_both_vehicles_and_the_other_one_in_play(folder:
             "algorithm.name = 'reinforce:Reinforce': 'reinforce' has no 'Reinforce'",
         ),
         ("--algorithm.name=reinforced:REINFORCE", "'reinforced' cannot be imported: ModuleNotFoundError: "),
-        ("--algorithm.name=reinforce:Collector", "algorithm.name = 'reinforce:Collector' must be a subclass of"),
+        ("--algorithm.name=reinforce:Learner", "algorithm.name = 'reinforce:Learner' must be a subclass of"),
         ("--algorithm.learning_rat=1", "hyperparameters of algorithm 'reinforce:REINFORCE': 'learning_rat' is unknown"),
         (
             "--algorithm.network=reinforce:nothing",
@@ -303,7 +345,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from algorithms import FrontAgent
-from algorithms.rollouts.buffers import Episodes
 from mo_deepdrive.config import Settings
 
 class Constants(FrontAgent):

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import csv
+import hashlib
+import os
+import subprocess
 from collections.abc import Callable
+from fnmatch import fnmatchcase
 from types import ModuleType
 
 import pytest
 
 from mo_deepdrive import suite
+from tests.helpers.paths import REPOSITORY
+
+RESULTS = REPOSITORY / "docs" / "results"
+NO_RESULTS = {"provenance.csv", "changes.csv", "views.sql"}
 
 
 @pytest.fixture
@@ -22,7 +31,7 @@ def test_the_documentation_has_the_numbers_of_its_files(script: ModuleType) -> N
     made = 0
     for path in script.documents():
         text = path.read_text(encoding="utf-8")
-        assert script.refresh(text, database) == text, f"python scripts/result_tables.py changes {path}"
+        assert script.refresh(text, database, path.parent) == text, f"python scripts/result_tables.py changes {path}"
         made += len(script.MADE.findall(text))
     assert made
 
@@ -35,6 +44,64 @@ def test_a_table_is_made_whole_from_a_query(script: ModuleType) -> None:
     assert script.refresh(made, database) == made
     with pytest.raises(ValueError, match="no such column: x"):
         script.refresh("<!-- table: SELECT x -->\n\n", database)
+
+
+def read(name: str) -> list[dict[str, str]]:
+    with (RESULTS / name).open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_file_of_results_has_a_commit_a_command_and_its_digest() -> None:
+    files = {str(path.relative_to(RESULTS)): path for path in sorted(RESULTS.rglob("*")) if path.is_file()}
+    files = {name: path for name, path in files.items() if name not in NO_RESULTS}
+    rows = read("provenance.csv")
+    assert not [name for name in files if not any(fnmatchcase(name, row["file"]) for row in rows)], "no row"
+    for row in rows:
+        found = [path.read_bytes() for name, path in files.items() if fnmatchcase(name, row["file"])]
+        assert found, f"{row['file']}: no such file"
+        assert row["commit"], row["file"]
+        assert row["command"], row["file"]
+        digest = hashlib.sha256(b"".join(found)).hexdigest()[:8]
+        message = f"{row['file']} has changed: its row needs the commit that made it, and the digest {digest}"
+        assert row["digest"] == digest, message
+
+
+@pytest.mark.slow
+def test_the_code_of_a_result_has_the_changes_that_its_row_says() -> None:
+    def git(*arguments: str) -> str:
+        command, environment = ["git", "-C", str(REPOSITORY), *arguments], {**os.environ, "TZ": "UTC"}
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+    if not (REPOSITORY / ".git").exists() or git("rev-parse", "--is-shallow-repository").strip() != "false":
+        pytest.skip("the history is not here")
+    changes, results = read("changes.csv"), read("provenance.csv")
+    for row in [*changes, *results]:
+        first, *others = row["commit"].split()
+        date = git("log", "-1", "--format=%ad", "--date=format-local:%Y-%m-%d %H:%M", first, "--")
+        assert date.strip() == row["date"], row
+        for commit in others:
+            git("cat-file", "-e", f"{commit}^{{commit}}")
+    for row in results:
+        before = "\n" + git("rev-list", row["commit"].split()[0], "--")
+        within = [f"\n{change['commit']}" in before for change in changes]
+        assert int(row["changes"]) == [*within, False].index(False), row
+
+
+def test_a_table_of_results_says_which_commits_made_them(script: ModuleType) -> None:
+    database = script.sqlite3.connect(":memory:")
+    script.fill(database, "runs", ["task", "score"], [["a", "0.5"]])
+    script.fill(database, "tasks", ["task"], [["a"]])
+    script.fill(database, "result_files", ["name", "file"], [["runs", "runs.csv"]])
+    script.fill(database, "provenance", ["file", "commit", "date"], [["runs.csv", "414765e9", "2026-11-24 01:58"]])
+    database.execute("CREATE VIEW best AS SELECT task, max(score) AS score FROM runs GROUP BY task")
+    line = "Results of commit `414765e9` ([what changed since](provenance.md)).\n\n"
+    for table, said in (("best", line), ("tasks", "")):
+        text = f"<!-- table: SELECT task FROM {table} -->\n\n"
+        made = script.refresh(text + "| old |\nafter\n", database, REPOSITORY / "docs")
+        assert made == f"{text}| task |\n| --- |\n| a |\n\n{said}after\n"
+        assert script.refresh(made, database, REPOSITORY / "docs") == made
+    script.fill(database, "provenance", ["file", "commit", "date"], [["*", c, c] for c in ("b1", "c2 d3", "a0")])
+    assert "of commits `a0` to `d3` (" in script.refresh("<!-- table: SELECT * FROM best -->\n\n", database)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms import zoo
+from algorithms import A2C, zoo
 from algorithms.actor_critic import ActorCritic
 from algorithms.commands import export
 from algorithms.experiments import onnx_export
@@ -158,7 +158,7 @@ def test_what_cannot_be_exported_is_refused(
 
 
 def test_an_algorithm_that_acts_in_its_own_way_is_refused(tmp_path: Path) -> None:
-    class Own(ActorCritic):
+    class Own(A2C):
         name = "own"
 
         def act(self, *_: Any) -> Any:

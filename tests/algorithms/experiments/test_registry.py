@@ -108,7 +108,7 @@ class Front(FrontAgent):
     def get_state(self): ...
     def set_state(self, state): ...
 
-class NoLearner(ActorCritic):
+class NoLoss(ActorCritic):
     Config = Learner.Config
 
 class Unknown(Learner):
@@ -160,7 +160,7 @@ def test_an_algorithm_has_the_name_of_its_class_unless_it_defines_one() -> None:
         ),
         ("users_agents:Partial", "= 'users_agents:Partial' does not define get_state, set_state"),
         ("users_agents:Front", "= 'users_agents:Front' does not define condition_names, conditions, policies"),
-        ("users_agents:NoLearner", "= 'users_agents:NoLearner' does not define learner"),
+        ("users_agents:NoLoss", "= 'users_agents:NoLoss' does not define advantages, loss"),
         ("users_agents:Unknown", "known_utility = False needs a subclass of algorithms.FrontAgent"),
         ("users_agents:WithoutConfig", "WithoutConfig': Config = <class 'dict'> must be a subclass of"),
         ("algorithms:Agent", "= 'algorithms:Agent' does not define Config, act, get_state, set_state, update"),

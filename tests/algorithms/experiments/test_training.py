@@ -138,11 +138,11 @@ def test_a_crash_between_the_note_and_the_checkpoint_loses_nothing(
     wanted = job(tmp_path)
     save, saves = MOA2C.save, []
 
-    def crash(agent: Any, path: Path) -> None:
+    def crash(agent: Any, path: Path, seed: int) -> None:
         saves.append(agent.step)
         if len(saves) == 3:
             raise KeyboardInterrupt
-        save(agent, path)
+        save(agent, path, seed)
 
     with monkeypatch.context() as patch:
         patch.setattr(MOA2C, "save", crash)

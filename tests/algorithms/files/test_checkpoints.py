@@ -363,8 +363,8 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
     ),
     "episodes": (
         "ppo",
-        lambda t: {"unlogged.lengths": torch.zeros(99, dtype=torch.int64)},
-        "the fields of the episodes do not fit together: ",
+        lambda t: {"episodes": torch.zeros(1, 3, dtype=torch.float64)},
+        "has 'episodes' of shape (1, 3); this agent needs (1, 8)",
     ),
     "weights": (
         "mo_a2c, continuous",
@@ -418,8 +418,8 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
     ),
     "counts": (
         "pcn",
-        lambda t: {"counts": torch.tensor([1, 4, -5])},
-        "counts = [1, 4, -5] of updates, episodes and seed must not be negative",
+        lambda t: {"counts": torch.tensor([1, -4])},
+        "counts = [1, -4] of updates and episodes must not be negative",
     ),
 }
 
@@ -450,4 +450,4 @@ def test_a_buffer_that_is_gone_is_refused(tmp_path: Path) -> None:
 def test_a_number_of_steps_that_no_update_ends_at_is_refused(ppo: Path, tmp_path: Path) -> None:
     tensors, identity = contents(ppo)
     odd = write(tmp_path / "odd", tensors, {**identity, "step": 13})
-    assert refusal(odd) == "step = 13 must be a multiple of the 4 steps of an update"
+    assert refusal(odd) == "step = 13 must be the 4 steps of each of 3 updates"

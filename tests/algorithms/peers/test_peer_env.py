@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from algorithms.peers import PeerConfig
-from algorithms.peers.peer_env import PeerEnv, Recorder
+from algorithms.peers.peer_env import PeerEnv, RecordedEpisodes, Recorder
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.peers import FIXED, ONE_WAYPOINT, make_task
 
@@ -96,3 +96,30 @@ def test_steps_are_counted_and_finished_episodes_are_logged() -> None:
     assert lines[1][1]["train/success"] == 0.0
     assert lines[1][1]["train/return/distance"] == pytest.approx(returns[0], rel=1e-5)
     assert lines[1][1]["train/utility"] == pytest.approx(float(utility(returns)), rel=1e-5)
+
+
+def test_a_vector_environment_is_recorded_like_single_ones() -> None:
+    lines: list[list[tuple[int, dict[str, float]]]] = [[], []]
+    tasks = []
+    for log in lines:
+        recorder = Recorder(
+            ("distance", "destination", "g_force", "jerk"), None, 40, lambda *line, log=log: log.append(line)
+        )
+        tasks.append(make_task(recorder=recorder))
+    envs = RecordedEpisodes(tasks[0].env, tasks[0].recorder)
+    envs.reset(seed=5)
+    singles = [tasks[1].make(i) for i in range(2)]
+    for env in singles:
+        env.reset()
+    for _ in range(70):
+        *_, infos = envs.step(np.array([3, 6]))
+        assert "episode" not in infos
+        for env, action in zip(singles, (3, 6), strict=True):
+            if any(env.step(action)[2:4]):
+                env.reset()
+    assert len(lines[0]) == len(lines[1]) == 3
+    for (step, metrics), (expected_step, expected) in zip(*lines, strict=True):
+        assert step == expected_step
+        for each in (metrics, expected):
+            del each["time/steps_per_second"]
+        assert metrics == pytest.approx(expected)

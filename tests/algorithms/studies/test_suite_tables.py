@@ -29,7 +29,7 @@ def results() -> list[Row]:
     rows = [scored(task, "lintune", 0.4 + 0.01 * seed, seed) for task in ("K1", "K3") for seed in range(3)]
     rows += [scored(task, "mo_ppo", 0.8 + 0.01 * seed, seed) for task in ("K1", "K3") for seed in range(3)]
     other = [replace(row, policy="greedy", value=0.0) for row in rows]
-    rows[-1] = Row("K3", "mo_ppo", 2, "", "", None, state="failed")
+    rows[-1] = Row("K3", "mo_ppo", 2, "", "", None, state="failed", version=VERSION)
     return [*rows, *other[:-1]]
 
 

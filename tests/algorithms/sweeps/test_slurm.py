@@ -228,12 +228,12 @@ def test_where_there_is_accounting_it_is_asked_about_jobs_that_are_gone(
     ("states", "requeued"),
     [({"4_1": "RUNNING"}, True), ({"4_1": "CANCELLED"}, False), ({}, False)],
 )
-def test_a_task_that_was_stopped_requeues_itself_unless_it_was_cancelled(
+def test_a_task_that_was_stopped_requeues_itself_alone_unless_it_was_cancelled(
     tmp_path: Path, fake: FakeSlurm, monkeypatch: pytest.MonkeyPatch, states: dict[str, str], requeued: bool
 ) -> None:
     monkeypatch.setenv("SLURM_ARRAY_JOB_ID", "4")
     monkeypatch.setenv("SLURM_ARRAY_TASK_ID", "1")
-    monkeypatch.setenv("SLURM_JOB_ID", "4")
+    monkeypatch.setenv("SLURM_JOB_ID", "4")  # one task has the id of the array, by which Slurm would requeue all tasks
     monkeypatch.setenv("SUBMITIT_EXECUTOR", "slurm")
     fake.states = states
     handlers: list[Callable[[int, None], None]] = []
@@ -246,7 +246,12 @@ def test_a_task_that_was_stopped_requeues_itself_unless_it_was_cancelled(
 
     monkeypatch.setattr(slurm, "perform_all", perform_all)
     assert slurm.ArrayTask((), side_by_side=1, retries=0)() == []
-    assert fake.calls("scontrol") == ([["scontrol", "requeue", "4_1"]] if requeued else [])
+    by_itself = [["scontrol", "requeue", "4_1"]]
+    assert fake.calls("scontrol") == (by_itself if requeued else [])
+    near_the_time_limit: list[list[str]] = []
+    monkeypatch.setattr(subprocess, "check_call", lambda command, **_: near_the_time_limit.append(command))
+    slurm.submitit.JobEnvironment()._requeue(1)
+    assert near_the_time_limit == by_itself
 
 
 # ------------------------------------------------------------------------------------------------------ without waiting

@@ -166,7 +166,7 @@ def test_a_folder_describes_the_origin_of_its_policy(trained: Trained, kind: str
     about = json.loads((path / "about.json").read_text())
     step = whole_agent(run).step
     assert step >= 256
-    made_with = {name: versions()[name] for name in ("python", "packages")}
+    made_with = {name: versions()[name] for name in ("commit", "python", "packages")}
     assert about == {"seed": 3, "step": step, **made_with, "chosen": "best of five seeds"}
     with safe_open(path / zoo.CHECKPOINT, framework="pt") as file:
         stated = json.loads(file.metadata()["checkpoint"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -35,6 +36,7 @@ def test_a_shipped_policy_loads_and_acts(name: str) -> None:
     run = Run.open(name)
     assert about["seed"] == run.experiment.training.seed
     assert about["step"] > 0
+    assert re.fullmatch("[0-9a-f]{40}", about["commit"])
     assert run.experiment.training.device == "cpu"
     agent = policy_of(path)
     policy = agent

@@ -97,6 +97,24 @@ def test_the_stamp_depends_on_the_names_and_the_contents_of_all_sources(tmp_path
     assert len(stamps) == 4
 
 
+@pytest.mark.slow
+def test_sources_that_are_written_anew_with_the_same_contents_need_no_compilation(
+    cache: Path, run_python: Callable[[str], str]
+) -> None:
+    """As in a container that is built again; Numba's own stamp is the time of the last change."""
+    (cache / "code").mkdir()
+    found = []
+    for seconds in (1_000_000_000, 1_500_000_000):
+        source = cache / "code" / "rebuilt.py"
+        source.unlink(missing_ok=True)
+        source.write_text("from mo_deepdrive.simulation.jit import jit\n@jit\ndef double(x):\n    return 2.0 * x\n")
+        os.utime(source, (seconds, seconds))
+        setting = f"import sys, numba\nnumba.config.CACHE_DIR = {str(cache)!r}\n"
+        path = f"sys.path.insert(0, {str(source.parent)!r})\nfrom rebuilt import double\n"
+        found.append(run_python(f"{setting}{path}print(double(2.0), sum(double.stats.cache_hits.values()))").split())
+    assert found == [["4.0", "0"], ["4.0", "1"]]
+
+
 CALLED = (
     "from mo_deepdrive.simulation.jit import separate_jit\n@separate_jit\ndef called(x):\n    return {factor} * x\n"
 )

@@ -12,8 +12,8 @@ from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.params import make_params
 from mo_deepdrive.routes import Segment
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation import roads
-from mo_deepdrive.simulation.state import NEVER, VEHICLE
+from mo_deepdrive.simulation import road_traffic, roads
+from mo_deepdrive.simulation.state import CAR, NEVER, VEHICLE
 
 PARAMS = make_params(EnvConfig(scenario="roundabout"))[0]
 ROUTES = SCENARIOS["roundabout"].routes
@@ -107,6 +107,25 @@ def test_lane_distances_are_those_of_the_box(route: int) -> None:
             lefts = -((sides - points[near][nearest]) * np.exp(-1j * headings[near][nearest])).real
             assert vehicle.left_lane_distance == pytest.approx(2.25 - lefts.max(), abs=2e-4)
             assert vehicle.right_lane_distance == pytest.approx(2.25 + lefts.min(), abs=2e-4)
+
+
+@pytest.mark.parametrize("route", range(3))
+def test_a_driver_sees_whoever_is_ahead_beyond_the_joints_of_its_segments(route: int) -> None:
+    car = np.zeros(1, dtype=CAR)[0]
+    car.route = route
+    seen = 0
+    for joint in joints(route)[:-1]:
+        for behind, beyond in ((0.1, 0.1), (1.0, 7.0), (4.0, 0.0), (15.0, 15.0)):
+            car.route_distance = joint - behind
+            ahead = joint + beyond
+            if car.route_distance > 0.0 and ahead < ROUTES[route].length:
+                point, _ = line(route, ahead)
+                gap = road_traffic.gap_on_route(PARAMS, car, point.real, point.imag, 1.5)
+                assert gap == pytest.approx(ahead - car.route_distance - 1.5, abs=1e-9)
+                back, _ = line(route, joint - behind - 0.5)
+                assert road_traffic.gap_on_route(PARAMS, car, back.real, back.imag, 1.5) > 1e6
+                seen += 1
+    assert seen >= 4
 
 
 def test_a_segment_ends_where_its_curvature_leads() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -15,8 +16,9 @@ import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from algorithms.rollouts.buffers import Episodes, Rollout, Samples
-from algorithms.rollouts.collector import Act, Collector
+from algorithms.learning.collector import Collector, Running
+from algorithms.learning.storage import EpisodeSums, RolloutStorage
+from algorithms.learning.worlds import EnvWorlds
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from tests.helpers.toy_env import toy_worlds
@@ -25,6 +27,7 @@ ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"
 INTERSECTION = "mo-deepdrive-intersection-v0"
 SEA = "deep-sea-treasure-v0"
+Act = Callable[[np.ndarray, AccruedReward], np.ndarray]
 GAMMA = 0.95
 SEED = 2**32 + 17
 DESTINATION = 1  # index of this objective in every scenario of ours
@@ -83,8 +86,43 @@ def one_waits(adapter: EnvAdapter) -> Act:
     return act
 
 
-def copied(rollout: Rollout) -> Rollout:
-    return Rollout(**{name: tensor.clone() for name, tensor in vars(rollout).items()})
+class Drives:
+    """Drives by what arrays say; actors would see what the environment gives."""
+
+    def __init__(self, act: Act, input_size: int):
+        self.act, self.input_size = act, input_size
+
+    def inputs(self, observations: torch.Tensor, *_: Any) -> torch.Tensor:
+        return observations
+
+    def decide(self, t: int, at: RolloutStorage, now: Running) -> None:
+        del t
+        at.actions[0] = torch.from_numpy(self.act(*now.arrays(0)))
+
+
+def collector_of(adapter: EnvAdapter, act: Act, steps: int, seed: int = SEED) -> Collector:
+    sums = EpisodeSums(1, adapter.vehicles, adapter.objectives, [], torch.device("cpu"))
+    drives, shape = Drives(act, adapter.observation_size), (1, steps, adapter.num_envs)
+    collector = Collector(drives, adapter, EnvWorlds(adapter, seed), shape, sums, static=False)
+    collector.accrued_discounts[:] = GAMMA
+    collector.reset()
+    return collector
+
+
+def rollout_of(collector: Collector) -> tuple[SimpleNamespace, SimpleNamespace]:
+    """The next rollout, and the episodes that ended in it."""
+    collector.collect()
+    storage = SimpleNamespace(**{name: each[0].clone() for name, each in vars(collector.storage).items()})
+    ended = storage.ended.numpy()
+    succeeded, lengths, *returns = np.moveaxis(storage.ended_sums.numpy()[ended], -1, 0)
+    episodes = SimpleNamespace(
+        vehicles=np.nonzero(ended)[2],
+        returns=np.stack(returns, axis=-1),
+        discounted=storage.ended_values.numpy()[ended],
+        lengths=lengths,
+        succeeded=succeeded.astype(bool),
+    )
+    return storage, episodes
 
 
 @dataclass
@@ -92,8 +130,8 @@ class Collected:
     """Several successive rollouts and the episodes that ended in them."""
 
     env: EnvAdapter
-    rollouts: list[Rollout]
-    parts: list[Episodes]
+    rollouts: list[SimpleNamespace]
+    parts: list[SimpleNamespace]
 
     def all(self, name: str) -> np.ndarray:
         """A field over all rollouts, time-major; of the fields with T + 1 rows the first T."""
@@ -117,13 +155,11 @@ def collect(
     **arguments: Any,
 ) -> Collected:
     adapter = EnvAdapter(make_env(env_id, num_envs, arguments))
-    collector = Collector(adapter, GAMMA, steps)
-    collector.reset(SEED)
-    act = policy(adapter)
+    collector = collector_of(adapter, policy(adapter), steps)
     collected = Collected(adapter, [], [])
     for _ in range(rollouts):
-        rollout, episodes = collector.collect(act)
-        collected.rollouts.append(copied(rollout))
+        rollout, episodes = rollout_of(collector)
+        collected.rollouts.append(rollout)
         collected.parts.append(episodes)
     return collected
 
@@ -206,7 +242,7 @@ def test_accrued_rewards_and_discounts_follow_their_recurrence_and_reset_after_e
 def test_a_rollout_continues_the_previous_one(collected: Callable[[str], Collected], situation: str) -> None:
     rollouts = collected(situation).rollouts
     for before, after in itertools.pairwise(rollouts):
-        for name in ("observations", "accrued", "discounts"):
+        for name in ("inputs", "accrued", "discounts"):
             assert torch.equal(getattr(before, name)[-1], getattr(after, name)[0])
 
 
@@ -218,7 +254,7 @@ def test_a_single_environment_replays_the_rollout_including_final_observations(
     env_id, arguments = SITUATIONS[situation]
     options = {name: value for name, value in arguments.items() if name not in ("policy", "rollouts")}
     single = gymnasium.make(env_id, disable_env_checker=True, **options).unwrapped
-    observations, final = c.all("observations"), c.all("final")
+    observations, final = c.all("inputs"), c.all("final_inputs")
     actions, rewards = c.all("actions"), c.all("rewards")
     assert c.all("acted").all()
     for i in range(c.env.num_envs):
@@ -228,8 +264,9 @@ def test_a_single_environment_replays_the_rollout_including_final_observations(
             observation, reward, terminated, truncated, _ = single.step(actions[t, i, 0])
             np.testing.assert_array_equal(rewards[t, i, 0], reward)
             assert (c.all("terminated")[t, i, 0], c.all("truncated")[t, i, 0]) == (terminated, truncated)
-            if terminated or truncated:
+            if truncated:
                 np.testing.assert_array_equal(final[t, i, 0], observation)
+            if terminated or truncated:
                 observation, _ = single.reset()
 
 
@@ -264,13 +301,14 @@ def test_a_single_copy_of_another_environment_replays_all_but_the_masked_steps(
             if not acted[t, i, 0]:
                 observation, _ = single.reset()
                 continue
-            np.testing.assert_array_equal(c.all("observations")[t, i, 0], observation.astype(np.float32))
+            np.testing.assert_array_equal(c.all("inputs")[t, i, 0], observation.astype(np.float32))
             observation, reward, terminated, truncated, _ = single.step(int(c.all("actions")[t, i, 0]))
             np.testing.assert_array_equal(c.all("rewards")[t, i, 0], np.float32(reward))
             assert (c.all("terminated")[t, i, 0], c.all("truncated")[t, i, 0]) == (terminated, truncated)
             returns, length = returns + reward, length + 1
+            if truncated:
+                np.testing.assert_array_equal(c.all("final_inputs")[t, i, 0], observation.astype(np.float32))
             if terminated or truncated:
-                np.testing.assert_array_equal(c.all("final")[t, i, 0], observation.astype(np.float32))
                 ended.append((t, i, returns, length))
                 returns, length = np.zeros(len(c.env.objectives)), 0
     ended.sort(key=lambda episode: episode[:2])
@@ -315,11 +353,11 @@ def test_two_vehicles_replay_the_rollout_including_final_observations(
         alone = gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **options)
         observation, _ = alone.reset(seed=SEED + i)
         for t in range(len(actions)):
-            np.testing.assert_array_equal(c.all("observations")[t, i], observation[0])
+            np.testing.assert_array_equal(c.all("inputs")[t, i], observation[0])
             observation, reward, terminated, truncated, _ = alone.step(actions[t, i][None])
             np.testing.assert_array_equal(c.all("rewards")[t, i], reward[0])
-            for k in np.flatnonzero(over[t, i]):
-                np.testing.assert_array_equal(c.all("final")[t, i, k], observation[0, k])
+            for k in np.flatnonzero(c.all("truncated")[t, i]):
+                np.testing.assert_array_equal(c.all("final_inputs")[t, i, k], observation[0, k])
             if (terminated | truncated).all():
                 assert over[t, i].any()
                 observation, _ = alone.reset()
@@ -374,33 +412,19 @@ def test_an_episode_has_succeeded_if_its_vehicle_arrived(collected: Callable[[st
     np.testing.assert_array_equal(c.episodes("succeeded"), arrived)
 
 
-def test_a_rollout_in_which_no_episode_ends_gives_empty_episodes_of_the_right_shape() -> None:
-    (part,) = collect(ONE_WAYPOINT, steps=2, rollouts=1).parts
-    assert part.returns.shape == part.discounted.shape == (0, 4)
-    assert len(part.vehicles) == len(part.lengths) == len(part.succeeded) == 0
-    assert part.succeeded.dtype == np.bool_
+def test_a_rollout_in_which_no_episode_ends_has_no_means() -> None:
+    collector = collector_of(adapter := EnvAdapter(make_env(ONE_WAYPOINT, 4)), random_policy(adapter), 2)
+    collector.collect()
+    assert collector.sums.take() == [[{}]]
 
 
 def started(env_id: str, arguments: dict[str, Any], seed: int = SEED) -> Collector:
     options = {name: value for name, value in arguments.items() if name not in ("policy", "rollouts")}
-    collector = Collector(EnvAdapter(make_env(env_id, 4, options)), GAMMA, 17)
-    collector.reset(seed)
-    return collector
+    adapter = EnvAdapter(make_env(env_id, 4, options))
+    return collector_of(adapter, reflex(adapter), 17, seed)
 
 
 OURS = pytest.mark.parametrize("situation", [s for s in SITUATIONS if "deepdrive" in SITUATIONS[s][0]])
-
-
-def assert_goes_on_alike(first: Collector, second: Collector) -> None:
-    for _ in range(4):
-        one, ended = first.collect(reflex(first.env))
-        other, also_ended = second.collect(reflex(second.env))
-        counted = (one.terminated | one.truncated) & one.acted
-        for name, tensor in vars(one).items():
-            kept = counted if name == "final" else slice(None)
-            assert torch.equal(tensor[kept], getattr(other, name)[kept]), name
-        for name, array in vars(ended).items():
-            np.testing.assert_array_equal(array, getattr(also_ended, name), err_msg=name)
 
 
 @OURS
@@ -408,41 +432,24 @@ def assert_goes_on_alike(first: Collector, second: Collector) -> None:
 def test_a_collector_resumes_exactly_from_the_state_of_another(situation: str, rollouts: int) -> None:
     first = started(*SITUATIONS[situation])
     for _ in range(rollouts):
-        first.collect(reflex(first.env))
-    state = {name: np.array(array) for name, array in first.get_state().items()}
+        first.collect()
+    state = {name: tensor.clone() for name, tensor in first.get_state(0).items()}
     second = started(*SITUATIONS[situation], seed=3)
-    second.collect(random_policy(second.env))
-    second.set_state(state)
-    assert_goes_on_alike(first, second)
-
-
-def test_the_state_of_other_environments_is_refused() -> None:
-    state = started(ONE_WAYPOINT, {}).get_state()
-    for other in (EnvAdapter(make_env(ONE_WAYPOINT, 3)), EnvAdapter(make_env(STATIC_OBSTACLE, 4))):
-        with pytest.raises(ValueError, match="shape"):
-            Collector(other, GAMMA, 5).set_state(state)
+    second.collect()
+    second.set_state([state], 4 * 17 * rollouts)
+    for _ in range(4):
+        one, ended = rollout_of(first)
+        other, also_ended = rollout_of(second)
+        for name, tensor in vars(one).items():
+            kept = {"final_inputs": one.truncated, "ended_sums": one.ended}.get(name, slice(None))
+            assert torch.equal(tensor[kept], getattr(other, name)[kept]), name
+        for name, array in vars(ended).items():
+            np.testing.assert_array_equal(array, getattr(also_ended, name), err_msg=name)
 
 
 def test_episodes_of_other_environments_end_and_succeed_as_these_say() -> None:
     adapter = toy_worlds(spaces.Discrete(2))
-    collector = Collector(adapter, GAMMA, 8)
-    collector.reset(0)
-    rollout, episodes = collector.collect(random_policy(adapter))
+    rollout, episodes = rollout_of(collector_of(adapter, random_policy(adapter), 8, seed=0))
     assert rollout.acted[:, 0, 0].tolist() == [True, True, True, False, True, True, True, False]
     assert episodes.succeeded.tolist() == [True] * 4
     assert episodes.lengths.tolist() == [3] * 4
-
-
-# What is learnt from.
-
-
-def test_a_critic_that_sees_more_than_the_actor_keeps_what_it_sees() -> None:
-    """Also where both begin at the same address."""
-    everything = torch.arange(12.0).view(4, 3)
-    one = torch.zeros(4)
-    rows = torch.tensor([0, 2, 3])
-    found = Samples(everything[:, :2], everything, one, one, one, one).at(rows)
-    assert torch.equal(found.inputs, everything[rows][:, :2])
-    assert torch.equal(found.critic_inputs, everything[rows])
-    same = Samples(everything, everything, one, one, one, one).at(rows)
-    assert same.critic_inputs is same.inputs

@@ -13,7 +13,7 @@ import torch
 from torch import nn
 
 from algorithms.hyperparameters import NetworkSettings
-from algorithms.networks.modules import CommandNetwork, make_network, mlp
+from algorithms.learning.networks import CommandNetwork, make_network, mlp
 
 
 def seeded(seed: int) -> torch.Generator:

@@ -1,8 +1,7 @@
-"""Policies, compiled and torch's, against probabilities written down and torch's own distributions."""
+"""Policies against probabilities written down and torch's own distributions."""
 
 from __future__ import annotations
 
-import contextlib
 import math
 import random
 from collections.abc import Callable
@@ -14,15 +13,17 @@ import scipy.stats
 import torch
 from torch import distributions, nn
 
-from algorithms.networks.actors import Actor, CategoricalActor, GaussianActor, StateGaussianActor
-from algorithms.networks.compiled import plain_torch
-from algorithms.networks.compiled.distributions import (
+from algorithms.learning.actors import (
     HIGHEST_LOG_STD,
     INITIAL_LOG_STD,
     LOG_STD_GAIN,
     LOWEST_LOG_STD,
+    Actor,
+    CategoricalActor,
+    GaussianActor,
+    StateGaussianActor,
 )
-from algorithms.networks.modules import mlp
+from algorithms.learning.networks import mlp
 
 # A test that samples with a fixed seed passes or fails for good; a correct sampler fails one seed in ten thousand.
 SIGNIFICANCE = 1e-4
@@ -42,7 +43,6 @@ def state_gaussian(inputs: int, hidden: list[int], actions: int, generator: torc
 
 ACTORS = pytest.mark.parametrize("kind", [categorical, gaussian, state_gaussian])
 GAUSSIAN = pytest.mark.parametrize("kind", [gaussian, state_gaussian])
-COMPILED = pytest.mark.parametrize("compiled", [True, False])
 
 
 def seeded(seed: int) -> torch.Generator:
@@ -62,33 +62,27 @@ def with_outputs(actor: Actor, outputs: list[float]) -> Actor:
     return actor
 
 
-@COMPILED
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize(
     "probabilities",
     [[0.5, 0.5], [0.1, 0.2, 0.3, 0.4], [0.97, 0.01, 0.01, 0.01], [1 / 22] * 22, [0.9] + [0.1 / 21] * 21],
 )
-def test_actions_are_drawn_as_often_as_their_probabilities_say(
-    probabilities: list[float], seed: int, compiled: bool
-) -> None:
+def test_actions_are_drawn_as_often_as_their_probabilities_say(probabilities: list[float], seed: int) -> None:
     actor = categorical(3, [4], len(probabilities), seeded(0))
     with_outputs(actor, [math.log(p) + 5.0 for p in probabilities])
     draws = 50_000
-    with contextlib.nullcontext() if compiled else plain_torch():
-        actions = actor.sample(torch.zeros(draws, 3), seeded(seed))
+    actions = actor.act(torch.zeros(draws, 3), seeded(seed))
     counts = np.bincount(actions.numpy(), minlength=len(probabilities))
     assert scipy.stats.chisquare(counts, draws * np.array(probabilities)).pvalue > SIGNIFICANCE
 
 
-@COMPILED
-def test_every_row_is_drawn_independently_from_its_own_probabilities(compiled: bool) -> None:
+def test_every_row_is_drawn_independently_from_its_own_probabilities() -> None:
     actor = categorical(2, [], 3, seeded(0))
     logits = torch.tensor([[1.0, -1.0, 0.0], [-2.0, 0.5, 0.0]])
     with torch.no_grad():
         linear_layers(actor.body)[0].weight.copy_(logits.T)
     rounds = 20_000
-    with contextlib.nullcontext() if compiled else plain_torch():
-        actions = actor.sample(torch.eye(2).repeat(rounds, 1, 1), seeded(3))
+    actions = actor.act(torch.eye(2).repeat(rounds, 1, 1), seeded(3))
     assert actions.shape == (rounds, 2)
     pairs = np.bincount(3 * actions[:, 0].numpy() + actions[:, 1].numpy(), minlength=9)
     first, second = logits.softmax(-1).double().numpy()
@@ -96,20 +90,15 @@ def test_every_row_is_drawn_independently_from_its_own_probabilities(compiled: b
     assert scipy.stats.chisquare(pairs, rounds * expected / expected.sum()).pvalue > SIGNIFICANCE
 
 
-@COMPILED
 @pytest.mark.parametrize("never", range(3))
-def test_an_action_without_probability_is_never_drawn(never: int, compiled: bool) -> None:
+def test_an_action_without_probability_is_never_drawn(never: int) -> None:
     actor = with_outputs(categorical(3, [4], 3, seeded(0)), [-200.0 if k == never else 0.0 for k in range(3)])
-    with contextlib.nullcontext() if compiled else plain_torch():
-        assert not (actor.sample(torch.zeros(20_000, 3), seeded(0)) == never).any()
+    assert not (actor.act(torch.zeros(20_000, 3), seeded(0)) == never).any()
 
 
-@COMPILED
 @GAUSSIAN
 @pytest.mark.parametrize("seed", range(3))
-def test_continuous_actions_are_drawn_from_the_normal_distribution(
-    kind: Callable[..., Any], seed: int, compiled: bool
-) -> None:
+def test_continuous_actions_are_drawn_from_the_normal_distribution(kind: Callable[..., Any], seed: int) -> None:
     actor = kind(3, [4], 2, seeded(0))
     if kind is gaussian:
         with_outputs(actor, [0.3, -2.0])
@@ -117,8 +106,7 @@ def test_continuous_actions_are_drawn_from_the_normal_distribution(
             actor.log_std.copy_(torch.tensor([-0.5, 0.7]))
     else:
         with_outputs(actor, [0.3, -2.0, *((log_std - INITIAL_LOG_STD) / LOG_STD_GAIN for log_std in (-0.5, 0.7))])
-    with contextlib.nullcontext() if compiled else plain_torch():
-        actions = actor.sample(torch.zeros(20_000, 3), seeded(seed)).detach().numpy()
+    actions = actor.act(torch.zeros(20_000, 3), seeded(seed)).detach().numpy()
     for axis, (mean, log_std) in enumerate([(0.3, -0.5), (-2.0, 0.7)]):
         assert scipy.stats.kstest(actions[:, axis], "norm", (mean, math.exp(log_std))).pvalue > SIGNIFICANCE
     assert scipy.stats.pearsonr(actions[:, 0], actions[:, 1]).pvalue > SIGNIFICANCE
@@ -189,35 +177,14 @@ def test_the_gradient_of_the_log_prob_is_that_of_torch(kind: Callable[..., Any])
         torch.testing.assert_close(mine, other)
 
 
-@ACTORS
-@pytest.mark.parametrize("shape", [(1,), (7,), (3, 300), (1000,)])
-def test_compiled_policies_and_their_gradients_are_torchs(kind: Callable[..., Any], shape: tuple[int, ...]) -> None:
-    actor, reference = randomised(kind, 6, 5).float(), randomised(kind, 6, 5).float()
-    x, by_log_prob, by_entropy = (torch.randn(*shape, *more, generator=seeded(2)) for more in ((6,), (), ()))
-    actions = torch.randint(5, shape, generator=seeded(3)) if kind is categorical else 2.0 * x[..., :5]
-    with plain_torch():
-        expected = reference(x, actions)
-        (by_log_prob * expected[0] + by_entropy * expected[1]).sum().backward()
-    for graph in (False, True):
-        with torch.set_grad_enabled(graph):
-            log_prob, entropy = actor(x, actions)
-        for mine, other in zip((log_prob, entropy), expected, strict=True):
-            torch.testing.assert_close(mine, other, rtol=1e-5, atol=1e-5)
-    (by_log_prob * log_prob + by_entropy * entropy).sum().backward()
-    for mine, other in zip(actor.parameters(), reference.parameters(), strict=True):
-        torch.testing.assert_close(mine.grad, other.grad, rtol=1e-5, atol=1e-5 * float(other.grad.abs().max()))
-
-
-@COMPILED
-def test_a_nearly_certain_policy_has_finite_log_probabilities_entropy_and_gradients(compiled: bool) -> None:
+def test_a_nearly_certain_policy_has_finite_log_probabilities_entropy_and_gradients() -> None:
     actor = with_outputs(categorical(2, [4], 3, seeded(0)), [1e4, 0.0, -1e4])
-    with contextlib.nullcontext() if compiled else plain_torch():
-        log_prob, entropy = actor(torch.zeros(3, 2), torch.arange(3))
+    log_prob, entropy = actor(torch.zeros(3, 2), torch.arange(3))
     assert log_prob.tolist() == [0.0, -1e4, -2e4]
     assert entropy.tolist() == [0.0, 0.0, 0.0]
     (log_prob + entropy).sum().backward()
     assert all(parameter.grad.isfinite().all() for parameter in actor.parameters())
-    assert actor.sample(torch.zeros(100, 2), seeded(0)).tolist() == [0] * 100
+    assert actor.act(torch.zeros(100, 2), seeded(0)).tolist() == [0] * 100
 
 
 def test_deviations_that_depend_on_the_state_have_bounds_beyond_which_nothing_is_learnt() -> None:
@@ -233,13 +200,13 @@ def test_deviations_that_depend_on_the_state_have_bounds_beyond_which_nothing_is
 def test_greedy_takes_the_most_probable_action_and_the_mean() -> None:
     softmax, normal = randomised(categorical, 6, 22), randomised(gaussian, 6, 3)
     x = torch.randn(50, 6, generator=seeded(4), dtype=torch.float64)
-    assert torch.equal(softmax.greedy(x), softmax.body(x).argmax(-1))
-    assert len(set(softmax.greedy(x).tolist())) > 1
-    assert torch.equal(normal.greedy(x), normal.body(x))
+    assert torch.equal(softmax.act(x, None), softmax.body(x).argmax(-1))
+    assert len(set(softmax.act(x, None).tolist())) > 1
+    assert torch.equal(normal.act(x, None), normal.body(x))
     of_state = randomised(state_gaussian, 6, 3)
-    assert torch.equal(of_state.greedy(x), of_state.body(x)[:, :3])
+    assert torch.equal(of_state.act(x, None), of_state.body(x)[:, :3])
     fixed = with_outputs(categorical(3, [4], 4, seeded(0)), [0.0, 0.3, 2.0, 0.1])
-    assert fixed.greedy(torch.zeros(2, 5, 3)).tolist() == [[2] * 5] * 2
+    assert fixed.act(torch.zeros(2, 5, 3), None).tolist() == [[2] * 5] * 2
 
 
 @ACTORS
@@ -249,7 +216,7 @@ def test_the_generator_determines_weights_and_samples(kind: Callable[..., Any]) 
     assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
     assert not torch.equal(states[0]["body.0.weight"], states[2]["body.0.weight"])
     x = torch.zeros(100, 6)
-    samples = [actors[0].sample(x, seeded(seed)) for seed in (7, 7, 8)]
+    samples = [actors[0].act(x, seeded(seed)) for seed in (7, 7, 8)]
     assert torch.equal(samples[0], samples[1])
     assert not torch.equal(samples[0], samples[2])
 
@@ -259,7 +226,7 @@ def test_policies_begin_nearly_uniform_and_nearly_centred() -> None:
     probabilities = categorical(15, [64, 32], 22, seeded(0)).body(x).softmax(-1)
     assert (probabilities * 22 - 1).abs().max() < 0.1
     means = gaussian(15, [64, 32], 3, seeded(0))
-    assert means.greedy(x).abs().max() < 0.1
+    assert means.act(x, None).abs().max() < 0.1
     assert torch.equal(means.log_std, torch.full((3,), -0.5))
     of_state = normal_of(state_gaussian(15, [64, 32], 3, seeded(0)), x)
     assert (of_state.stddev.log() + 0.5).abs().max() < 0.1
@@ -269,8 +236,8 @@ def everything(kind: Callable[..., Any]) -> Callable[[], None]:
     def use() -> None:
         actor = kind(6, [8], 4, seeded(0))
         x = torch.zeros(10, 6)
-        actions = actor.sample(x, seeded(1))
-        actor.greedy(x)
+        actions = actor.act(x, seeded(1))
+        actor.act(x, None)
         log_prob, entropy = actor(x, actions)
         (log_prob + entropy).sum().backward()
         mlp(6, [8, 8], 2, seeded(0), output_gain=1.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import math
 
@@ -10,9 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.networks import return_distributions
-from algorithms.networks.compiled import plain_torch
-from algorithms.networks.return_distributions import CategoricalGrid, Particles, energy_score, project
+from algorithms.learning import return_distributions
+from algorithms.learning.return_distributions import CategoricalGrid, Particles, energy_score, project
 from mo_deepdrive.utilities import Utility
 
 LOW, HIGH, ATOMS = (-1.0, 0.0, 2.0), (1.0, 4.0, 3.0), 4
@@ -79,8 +77,7 @@ def test_the_loss_of_a_grid_is_the_cross_entropy_of_the_projected_target() -> No
     torch.testing.assert_close(grid().distance(outputs, shifts, discounts, following), expected)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_the_energy_score_and_its_gradient_are_those_of_plain_sums(compiled: bool) -> None:
+def test_the_energy_score_and_its_gradient_are_those_of_plain_sums() -> None:
     rng = np.random.default_rng(2)
     x, y = (torch.tensor(rng.normal(size=(4, size, 3)), dtype=torch.float32) for size in (5, 7))
     weights = torch.tensor([0.5, 0.0, 0.2, 0.3])
@@ -90,8 +87,7 @@ def test_the_energy_score_and_its_gradient_are_those_of_plain_sums(compiled: boo
         to_targets = sum(((a - b).square().sum() + 0.01**2).sqrt() for a in x[m] for b in y[m]) / 35
         to_each_other = sum(((a - b).square().sum() + 0.01**2).sqrt() for a in x[m] for b in x[m]) / 25
         total = total + weights[m] * (2 * to_targets - to_each_other)
-    with contextlib.nullcontext() if compiled else plain_torch():
-        found = (weights * energy_score(x, y)).sum()
+    found = (weights * energy_score(x, y)).sum()
     torch.testing.assert_close(found, total)
     gradients = [torch.autograd.grad(each, x)[0] for each in (found, total)]
     torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from algorithms.experiments.build import build, load_policy, open_population
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.hyperparameters import GuideSettings
-from algorithms.rollouts.guides import Guide
+from algorithms.learning.guides import Guide
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.team import Population
@@ -84,8 +85,9 @@ def test_the_guide_drives_its_vehicle_until_it_hands_over_and_its_samples_do_not
     agent = agent_with(guide, 16, steps=24, hidden=[16])
     agent.begin()
     guide.begin_rollout(0.0)
-    rollout, _ = agent.collector.collect(agent._explore)
-    guide.hide(rollout)
+    agent._draw(0)
+    agent.collector.collect()
+    rollout = SimpleNamespace(**{name: each[0] for name, each in vars(agent.collector.storage).items()})
     handover = guide.get_state()["handover"].numpy()
     ended = (rollout.terminated | rollout.truncated)[:, :, 0].numpy().any(axis=0)
     assert (~ended).sum() >= 8  # episodes that run through the whole rollout
@@ -104,11 +106,11 @@ def test_nothing_is_learnt_from_what_the_guide_does(kind: Any) -> None:
     guide = guide_of(4, share=1.0, until=1.0, decisions=4096)
     agent = agent_with(guide, 4, kind, steps=4, hidden=[16])
     agent.begin()
-    guided, other = ([tensor.clone() for tensor in learner.get_policy().values()] for learner in agent.learners)
+    guided, other = ([tensor.clone() for tensor in learner.get_weights("actor").values()] for learner in agent.learners)
     agent.update(0.0)
     assert (guide.get_state()["handover"] > 4).all()
-    assert all(map(torch.equal, guided, agent.learners[0].get_policy().values()))
-    assert not all(map(torch.equal, other, agent.learners[1].get_policy().values()))
+    assert all(map(torch.equal, guided, agent.learners[0].get_weights("actor").values()))
+    assert not all(map(torch.equal, other, agent.learners[1].get_weights("actor").values()))
 
 
 @pytest.mark.parametrize("name", ["a2c", "ppo", "mo_a2c", "mo_ppo", "mocac"])
@@ -144,7 +146,7 @@ def test_a_policy_needs_no_guide(tmp_path: Path) -> None:
     trained(run.experiment).save(run.checkpoint)
     run.unlock()
     pair.checkpoint.unlink()
-    assert not list(load_policy(run).guides)
+    assert not list(load_policy(run).guides[0])
     with pytest.raises(ValueError, match=r"training.guides.vehicle_0: checkpoint .* cannot be read"):
         build(run.experiment)
 
@@ -213,7 +215,7 @@ def test_a_guide_observes_rewards_that_are_accrued_as_here() -> None:
     guide = Guide(Population([observer], 0), GuideSettings(driver="observer"), 4)
     with pytest.raises(ValueError, match=r"accrued with the discount 0.9; here it is 0.95"):
         agent_with(guide, 4, gamma=0.95)
-    assert list(agent_with(guide, 4, gamma=0.9).guides) == [guide]
+    assert list(agent_with(guide, 4, gamma=0.9).guides[0]) == [guide]
     with pytest.raises(ValueError, match=r"cost_growth = 0.5 must be 0 with a guide that observes the accrued reward"):
         agent_with(guide, 4, gamma=0.9, cost_growth=0.5)
 
@@ -223,7 +225,7 @@ def test_a_guide_that_was_trained_with_a_partner_observes_the_same_discount() ->
     partner = Population([Constant(env)], 1)
     observer = MOPPO(make_env(INTERSECTION, 4), "intersection_linear", gamma=0.9, partners={1: partner})
     guide = Guide(Population([observer], 0), GuideSettings(driver="observer"), 4)
-    assert list(agent_with(guide, 4, gamma=0.9).guides) == [guide]
+    assert list(agent_with(guide, 4, gamma=0.9).guides[0]) == [guide]
 
 
 def test_a_trained_pair_may_be_the_guide() -> None:

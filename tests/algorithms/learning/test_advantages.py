@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from algorithms.rollouts.advantages import generalised_advantages, normalise, utility_gradient
+from algorithms.learning.advantages import generalised_advantages, normalise, utility_gradient
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections
 
 
@@ -106,4 +106,5 @@ def test_steps_without_weight_do_not_count_in_the_normalisation() -> None:
 
 
 def test_equal_advantages_are_normalised_to_zero() -> None:
-    assert normalise(torch.full((4,), 7.0), torch.ones(4)).tolist() == [0.0] * 4
+    for weights in (torch.ones(4), None):
+        assert normalise(torch.full((4,), 7.0), weights).tolist() == [0.0] * 4

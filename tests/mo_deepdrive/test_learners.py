@@ -1,0 +1,85 @@
+"""The learners have a name that no folder ``algorithms`` of another project hides."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import algorithms
+import algorithms.learning.actors
+from mo_deepdrive import learners
+from tests.helpers.paths import REPOSITORY
+
+LEARNS = """
+import numpy as np
+from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.learners import Agent
+from mo_deepdrive.learners.experiments.build import load_policy
+from mo_deepdrive.learners.experiments.run_directory import Run
+
+policy = load_policy(Run.open("one_waypoint_linear-ppo"))
+assert isinstance(policy, Agent)
+print(type(policy).__module__)
+"""
+MINE = "from algorithms import mine\nfrom algorithms.ppo import PPO\nprint(PPO)\n"
+
+
+def printed(folder: Path, script: str) -> list[str]:
+    """What a script in ``folder`` prints, where Python looks for packages before all others."""
+    (folder / "main.py").write_text(script)
+    done = subprocess.run(
+        [sys.executable, "main.py"],
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", [LEARNS + MINE, MINE + LEARNS], ids=["ours first", "theirs first"])
+def test_a_project_with_a_package_algorithms_uses_both(tmp_path: Path, script: str) -> None:
+    (tmp_path / "algorithms").mkdir()
+    for name, text in (("__init__", ""), ("mine", ""), ("ppo", "PPO = 'their PPO'")):
+        (tmp_path / "algorithms" / f"{name}.py").write_text(text)
+    assert sorted(printed(tmp_path, script)) == ["mo_deepdrive.learners.ppo", "their PPO"]
+
+
+def test_where_no_other_package_has_the_name_both_names_are_the_same_modules() -> None:
+    from mo_deepdrive.learners.learning import actors
+
+    assert learners.MOPPO is algorithms.MOPPO
+    assert actors is algorithms.learning.actors
+    assert actors.__spec__ is not None
+    assert actors.__spec__.name == "algorithms.learning.actors"
+    with pytest.raises(ImportError, match=r"No module named 'mo_deepdrive\.learners\.dqn'"):
+        import mo_deepdrive.learners.dqn  # noqa: F401
+
+
+def test_importing_the_name_imports_no_algorithm(tmp_path: Path) -> None:
+    script = "import sys, mo_deepdrive.learners\nprint('torch' in sys.modules, len(mo_deepdrive.learners.ALGORITHMS))"
+    assert printed(tmp_path, script) == ["False 8"]
+
+
+def test_without_the_package_or_under_another_one_the_error_is_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mo_deepdrive import importing
+
+    monkeypatch.setattr(importing, "__file__", str(tmp_path / "mo_deepdrive" / "importing.py"))
+    with pytest.raises(ImportError, match="has no package algorithms: reinstall mo-deepdrive"):
+        importing.own_algorithms()
+    (tmp_path / "algorithms").mkdir()
+    (tmp_path / "algorithms" / "__init__.py").touch()
+    spec = importing.own_algorithms()
+    monkeypatch.setitem(sys.modules, "algorithms", algorithms)
+    with pytest.raises(ImportError, match="is another project's, installed over mo-deepdrive's: separate them"):
+        importing.load_own(spec)
