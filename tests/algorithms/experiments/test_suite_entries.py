@@ -199,7 +199,7 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
     table = (tmp_path / "scores.csv").read_text()
     (tmp_path / "scores.csv").write_text(table.replace("score,0.0,0.0,0.0", "score,0.5,0.4,0.6"))
     assert run("suite", verify, "mo-deepdrive {}") == 1
-    assert "policy.py on K6-ESR, score (greedy), test split: its value = 0.5, found 0.0" in capsys.readouterr().out
+    assert "policy.py on K6-ESR, score (stochastic), test split: its value = 0.5, found 0.0" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
