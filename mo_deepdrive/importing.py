@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 import sysconfig
+import traceback
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import module_from_spec
 from pathlib import Path
@@ -49,11 +50,25 @@ def import_module(what: str, name: str) -> ModuleType:
     """
     try:
         return importlib.import_module(name)
-    except Exception as error:  # a user's module may raise anything, such as SyntaxError
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    except (Exception, SystemExit) as error:  # a user's module may raise anything, such as SyntaxError
+        reason = failure(error)
         if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
             reason += f"; looked for in {', '.join([*_own_folders(), 'the installed packages'])}"
         raise ValueError(f"{what}: {name!r} cannot be imported: {reason}") from error
+
+
+def failure(error: BaseException) -> str:
+    """An error of a user's code in one line, with the file and the line of that code, where they are known.
+
+    Args:
+        error: as caught by whoever imported or called the code.
+    """
+    ours = ("<frozen ", str(importlib.__file__), str(Path(__file__).parent))
+    frames = traceback.extract_tb(error.__traceback__)[1:]  # without the caller
+    own = [each for each in frames if not each.filename.startswith(ours)]
+    last = next((each for each in reversed(own) if each.filename == own[0].filename), None)
+    where = f" at {Path(last.filename).name}:{last.lineno}" if last else ""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
 
 
 def own_algorithms() -> ModuleSpec:

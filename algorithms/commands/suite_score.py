@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from algorithms.experiments.cli import add_trust_argument, check_file
@@ -62,14 +63,20 @@ def suite_score(options: Namespace) -> int:
     if options.episodes is not None and options.episodes < 1:
         raise ValueError(f"--episodes {options.episodes} must be at least 1")
     tasks = suite.load().tasks
-    options.tasks = [
+    options.tasks = dict.fromkeys(
         each
         for task_id in options.tasks or ()
         for each in ([name for name, task in tasks.items() if task.core] if task_id == CORE else [task_id])
-    ]
+    )
     for task_id in options.tasks:
         suite.load().task(task_id)
     entries = [open_entry(source, trust=options.trust) for source in options.policies]
+    runs = Counter((task_id, each.learner, each.seed) for each in entries for task_id in _tasks(each, options))
+    if options.output and (twice := [run for run, count in runs.items() if count > 1]):
+        task_id, learner, seed = twice[0]
+        raise ValueError(
+            f"--output {options.output!r}: two policies are {learner!r} with seed {seed} on {task_id}; a file for each"
+        )
     console, rows = make_console(), []
     with compilation_noted(lambda text: print_line(console, text)):
         found = [
@@ -138,7 +145,11 @@ def suite_verify(options: Namespace) -> int:
 
     for task_id in options.tasks or ():
         suite.load().task(task_id)
-    recorded = [row for row in recorded_rows(options.entry) if not options.tasks or row.task in options.tasks]
+    recorded = [
+        row
+        for row in recorded_rows(options.entry, trust=options.trust)
+        if not options.tasks or row.task in options.tasks
+    ]
     if not recorded:
         raise ValueError(f"{options.entry!r} has no scores of {', '.join(options.tasks)}")
     pairs = dict.fromkeys((row.source, row.task) for row in recorded)

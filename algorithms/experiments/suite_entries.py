@@ -17,8 +17,9 @@ from mo_deepdrive.evaluation.env_adapter import find_spec
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE, split_name
 from mo_deepdrive.evaluation.splits import SPLITS
-from mo_deepdrive.importing import import_named
+from mo_deepdrive.importing import failure, import_named
 from mo_deepdrive.names import nearest
+from mo_deepdrive.suite.scoring import FAILED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -84,7 +85,8 @@ def open_entry(source: str, *, trust: bool = False) -> Entry:
 
 
 def _own(source: str, policy: Any) -> Entry:
-    label = getattr(policy, "__name__", source)
+    path, _, name = source.partition(":")
+    label = Path(path).stem if name in ("", *OWN_NAMES) else name
 
     def made(task_id: str) -> Any:
         if not isinstance(policy, type):
@@ -92,8 +94,8 @@ def _own(source: str, policy: Any) -> Entry:
         try:
             return policy(task_id)
         except (Exception, SystemExit) as error:  # a user's class may raise anything
-            reason = " ".join(f"{type(error).__name__}: {error}".split())
-            raise ValueError(f"policy {source!r}: {label}({task_id!r}) cannot be made: {reason}") from error
+            call = f"{policy.__name__}({task_id!r})"
+            raise ValueError(f"policy {source!r}: {call} cannot be made: {failure(error)}") from error
 
     return Entry(source, label, 0, (), made)
 
@@ -109,8 +111,7 @@ def _of_file(source: str, path: Path, name: str) -> Any:
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # a user's module may raise anything
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ValueError(f"policy {source!r} cannot be imported: {reason}") from error
+        raise ValueError(f"policy {source!r} cannot be imported: {failure(error)}") from error
     found = [each for each in ([name] if name else OWN_NAMES) if hasattr(module, each)]
     if not found:
         own = [each for each, value in vars(module).items() if getattr(value, "__module__", None) == path.stem]
@@ -131,6 +132,8 @@ def _of_run(source: str, *, trust: bool) -> Entry:
 
     def policy(task_id: str) -> Any:
         check_experiment(experiment, task_id, source)
+        if status.get("state") == FAILED:
+            raise ValueError(f"{source!r} failed in training: it has the lowest score, and no other")
         if not agents:
             agents.append(load_policy(run, partners=False))
         scored = experiment.evaluation.model_copy(update={"task": task_id})
@@ -179,6 +182,8 @@ def check_experiment(experiment: Experiment, task_id: str, source: str) -> None:
     task, training = suite.load().task(task_id), experiment.training
     if differences := _differences(experiment, task):
         raise ValueError(f"{source!r} was not trained on task {task_id}: {', '.join(differences)}")
+    if (steps := training.total_timesteps) > task.steps:
+        raise ValueError(f"{source!r} trained for {steps:,} environment steps; task {task_id} allows {task.steps:,}")
     if training.seed in SPLITS["test"]:
         raise ValueError(
             f"{source!r} was trained on the test split: training.seed = {training.seed:,} is a seed of it; choose one "
@@ -190,17 +195,20 @@ def check_experiment(experiment: Experiment, task_id: str, source: str) -> None:
             raise ValueError(f"{source!r} met partners of task {task_id} in training: {', '.join(met)}")
 
 
-def recorded_rows(entry: str) -> list[Row]:
+def recorded_rows(entry: str, *, trust: bool = False) -> list[Row]:
     """The rows that an entry claims: of a table that ``suite score`` wrote, or of a run that was scored at its end.
 
     Args:
         entry: the CSV file, or the run's directory.
+        trust: as for :meth:`algorithms.experiments.run_directory.Run.open`.
 
     Raises:
         ValueError: if there are none, or they are of another version of the suite.
     """
     path = Path(entry)
-    rows = _rows_of_run(path) if path.is_dir() else [_found_from(path, row) for row in suite.read_rows(path)]
+    rows = (
+        _rows_of_run(path, trust=trust) if path.is_dir() else [_found_from(path, row) for row in suite.read_rows(path)]
+    )
     rows = [row for row in rows if row.value is not None]
     if not rows:
         raise ValueError(f"{entry!r} has no scores")
@@ -227,10 +235,10 @@ def _found_from(table: Path, row: Row) -> Row:
     return replace(row, source=str(beside)) if row.source and beside.exists() else row
 
 
-def _rows_of_run(path: Path) -> list[Row]:
+def _rows_of_run(path: Path, *, trust: bool) -> list[Row]:
     from algorithms.experiments.run_directory import Run
 
-    experiment, evaluation = Run.open(path).experiment, read_evaluation(path)
+    experiment, evaluation = Run.open(path, trust=trust).experiment, read_evaluation(path)
     if evaluation is None:
         raise ValueError(f"{str(path)!r} has no final evaluation: there is no {EVALUATION_FILE}")
     return [
@@ -265,16 +273,23 @@ def disagreement(recorded: Row, found: Row | None, *, fresh: bool) -> str:
         found: what the policy has now; None if the task has no such number.
         fresh: whether it was found on other scenarios. On the same ones both must be equal, but for the last bits of
             another kind of processor, which may change a few episodes: by a twentieth of the interval's width. On
-            others they are two samples, which differ by at most three standard errors of their difference.
+            others they are two samples, which differ by at most three standard errors of their difference; what has no
+            interval has no standard error, and is compared on the same ones alone.
     """
     if found is None or found.value is None:
         return "the task has no such number"
     assert recorded.value is not None
+    if recorded.seed != found.seed and not is_own_code(recorded.source):  # a run says by which it was trained
+        return f"its seed = {recorded.seed}, found {found.seed}"
     allowed = 1e-6 * max(1.0, abs(found.value))
     errors = [0.0 if row.low is None or row.high is None else (row.high - row.low) / 3.92 for row in (recorded, found)]
+    if fresh and found.low is None:
+        return ""
     if fresh:
         # The recorded interval is taken for no wider than twice the one that is found.
-        return _beyond(recorded.value, found.value, 3.0 * math.hypot(min(errors[0], 2.0 * errors[1]), errors[1]))
+        return _beyond(
+            recorded.value, found.value, allowed + 3.0 * math.hypot(min(errors[0], 2.0 * errors[1]), errors[1])
+        )
     allowed = max(allowed, 0.05 * 3.92 * errors[1])
     for name in ("value", "low", "high"):
         one, other = getattr(recorded, name), getattr(found, name)

@@ -18,6 +18,7 @@ from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE, split_name
 from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.suite import Row, write_rows
+from mo_deepdrive.suite.scoring import FAILED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.statistics import Estimate
 
 RESULTS_FILE, TUNING_FILE, TABLES_FILE = "results.csv", "tuning.csv", "results.md"
-FINISHED, FAILED, WAITING = "finished", "failed", "waiting"
+FINISHED, WAITING = "finished", "waiting"
 NOTE = (
     "Means over seeds with 95% bootstrap intervals. Runs that failed or are not finished have no score and are counted."
 )

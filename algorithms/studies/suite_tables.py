@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from algorithms.studies.results import FAILED, FINISHED
+from algorithms.studies.results import FINISHED
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.statistics import (
     Estimate,
@@ -19,6 +19,7 @@ from mo_deepdrive.evaluation.statistics import (
 )
 from mo_deepdrive.names import nearest
 from mo_deepdrive.suite.scorers import SCORE
+from mo_deepdrive.suite.scoring import FAILED
 from mo_deepdrive.suite.tasks import LOWEST
 
 if TYPE_CHECKING:

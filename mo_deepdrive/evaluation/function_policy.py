@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import inspect
-import traceback
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
+
+from mo_deepdrive.importing import failure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -71,13 +71,8 @@ class FunctionPolicy:
         try:
             returned = self._function(seen, accrued, discounts)
         except (Exception, SystemExit) as error:  # a user's function may raise anything
-            frames = traceback.extract_tb(error.__traceback__)
-            where = frames[min(1, len(frames) - 1)]
-            raise ValueError(
-                f"the policy failed for observations {seen.shape}, accrued rewards {accrued.shape} and discounts "
-                f"{discounts.shape} at {Path(where.filename).name}:{where.lineno}: "
-                f"{type(error).__name__}: {' '.join(str(error).split())}"
-            ) from error
+            given = f"observations {seen.shape}, accrued rewards {accrued.shape} and discounts {discounts.shape}"
+            raise ValueError(f"the policy failed for {given}: {failure(error)}") from error
         return self.env.policy_actions(self._checked(returned, len(observations)))
 
     def _checked(self, returned: Any, episodes: int) -> NDArray[Any]:

@@ -18,6 +18,7 @@ from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.splits import SPLITS, first_seed
 from mo_deepdrive.evaluation.statistics import Estimate, resample
+from mo_deepdrive.importing import failure
 from mo_deepdrive.names import nearest
 from mo_deepdrive.suite.scorers import (
     CONTROLLABILITY,
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 
     from mo_deepdrive.suite.scorers import Drives
     from mo_deepdrive.suite.tasks import Task
+
+FAILED = "failed"  # the state of a run that has the lowest score
 
 
 @dataclass(frozen=True)
@@ -163,7 +166,10 @@ def _members(policy: Any, task: Task) -> list[Any]:
     if isinstance(found, list):
         return found
     d = len(task.objectives())
-    return [found(np.full(d, 1.0 / d))]
+    try:
+        return [found(np.full(d, 1.0 / d))]
+    except (Exception, SystemExit) as error:  # a user's object may raise anything
+        raise ValueError(f"the policy failed for weights ({d},): {failure(error)}") from error
 
 
 def _is_agent(policy: Any) -> bool:
@@ -233,6 +239,8 @@ def check_row(row: Row) -> None:
     if row.value is None:
         if row.low is not None:
             raise ValueError(f"low = {row.low} without a value")
+    elif row.state == FAILED:
+        raise ValueError(f"value = {row.value} of a run that failed, which has none")
     elif row.low is not None and row.high is not None and not row.low <= row.value <= row.high:
         raise ValueError(f"value = {row.value} must be from low = {row.low} to high = {row.high}")
 
@@ -248,6 +256,8 @@ def check_of_suite(row: Row) -> None:
         raise ValueError(f"version {row.version} of the suite; this is version {suite.version}")
     if row.task not in suite.tasks:
         raise ValueError(f"task = {row.task!r} is unknown; {nearest(row.task, list(suite.tasks))}")
+    if row.steps is not None and row.steps > (limit := suite.task(row.task).steps):
+        raise ValueError(f"steps = {row.steps:,}; task {row.task} allows {limit:,}")
     known = [SCORE, CVAR, WORST, CONTROLLABILITY, *suite.perturbations]
     if row.value is not None and row.column.partition("/")[0] not in known:
         raise ValueError(f"column = {row.column!r} is unknown; {nearest(row.column, known)}")

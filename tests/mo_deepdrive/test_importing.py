@@ -31,9 +31,13 @@ def test_a_module_that_is_not_found_is_refused_with_the_places_looked_at(folder:
 def test_a_mistake_in_a_module_is_one_line_without_places(folder: Path) -> None:
     (folder / "needs_more.py").write_text("import not_installed\n")
     (folder / "two_lines.py").write_text("raise KeyError('one\\ntwo')\n")
-    with pytest.raises(ValueError, match=r"'needs_more' cannot be imported: .* No module named 'not_installed'$"):
+    with pytest.raises(
+        ValueError, match=r"'needs_more' cannot be imported: .* No module named 'not_installed' at needs_more.py:1$"
+    ):
         import_named("utility", "needs_more:u")
-    with pytest.raises(ValueError, match=r"^utility = 'two_lines:u': 'two_lines' cannot be imported: KeyError: .*$"):
+    with pytest.raises(
+        ValueError, match=r"^utility = 'two_lines:u': 'two_lines' cannot be imported: KeyError: .* at two_lines.py:1$"
+    ):
         import_named("utility", "two_lines:u")
 
 
