@@ -28,7 +28,7 @@ from algorithms.experiments.cli import (
     warn_of_changes,
 )
 from algorithms.experiments.config import check_loggers, load_experiment, parse_overrides
-from algorithms.experiments.run_directory import resume_options
+from algorithms.experiments.run_directory import imported_paths, resume_options
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -93,10 +93,11 @@ def next_steps(run: Run, program: str) -> str:
     """What to do with a finished run, in two lines."""
     path = shlex.quote(str(run.path))
     shown = "table" if run.experiment.known_utility else "explore"
+    trust = " --trust" if imported_paths(run.experiment.to_dict()) else ""
     commands = (
-        f"mo-deepdrive evaluate {path} --video drive.mp4",
+        f"mo-deepdrive evaluate {path} --video drive.mp4{trust}",
         f"mo-deepdrive plot {path}",
-        f"mo-deepdrive {shown} {path}",
+        f"mo-deepdrive {shown} {path}{trust if shown == 'explore' else ''}",
     )
     return as_called(f"next: {'; '.join(commands)}\n      tensorboard --logdir {path}", program)
 

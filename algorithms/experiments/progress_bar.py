@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 SHOWN = (STEPS_PER_SECOND, *(evaluation_prefix(FRONT) + name for name in (HYPERVOLUME, CARDINALITY)))
 REFRESH_INTERVAL = 0.1  # s between refreshes of the bar
 FIRST_UPDATES = 2  # in which code may be compiled; the time left is known from later ones
-COMPILING = "compiling the simulator and the training loop (once, about 20 s)"
+COMPILING = "compiling the simulator (once, about 20 s)"
 
 
 class _CompilationListener(event.Listener):

@@ -309,8 +309,9 @@ def _difference_rows(groups: Sequence[ScoreGroup], about: Sequence[str], columns
     for first, second in (members for members in alike.values() if len(members) == 2):
         texts = [(first.about.get(name, ""), second.about.get(name, "")) for name in about]
         labels = [old if old == new else f"{new or 'none'} minus {old or 'none'}" for old, new in texts]
+        seeds = first.seeds_text if first.seeds_text == second.seeds_text else ""
         for policy, vehicle in product(first.policies, first.vehicles):
-            row = [*labels, policy, vehicle, ""]
+            row = [*labels, policy, vehicle, seeds]
             for metric in columns:
                 place = MetricName(policy, vehicle, UTILITY_ESR if metric == UTILITY_IQM else metric)
                 samples = [np.array(group.values(place)) for group in (second, first) if place in group.scores]

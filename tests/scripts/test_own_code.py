@@ -188,7 +188,8 @@ def test_an_own_algorithm_that_is_killed_resumes_to_the_same_run_and_needs_trust
     refused(call("train", *arguments, "--output", "killed"), hint)
     untrusted = ("config.yaml' has algorithm.name = 'reinforce:REINFORCE', code that", "add --trust if")
     refused(call("train", "--resume", "killed"), *untrusted)
-    assert call("train", "--resume", "killed", "--trust")[0] == 0
+    code, printed, _ = call("train", "--resume", "killed", "--trust")
+    assert (code, "next: mo-deepdrive evaluate killed --video drive.mp4 --trust; " in printed) == (0, True)
     assert_same_run(folder / "whole", folder / "killed")
 
     for arguments in (
