@@ -375,7 +375,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         return {**super().get_policy(seed), "ideal": self.ideal[seed]}
 
     def set_policy(self, state: dict[str, torch.Tensor]) -> None:
-        """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
+        """Act as the agent of :meth:`get_policy` or :meth:`~algorithms.agent.Agent.get_state`."""
         super().set_policy(state)
         self.ideal[0] = state["ideal"]
 

@@ -25,6 +25,8 @@ def build_trainee(experiments: Sequence[Experiment]) -> Any:
         ValueError: if it cannot be built, or the experiments cannot be trained side by side.
     """
     first = experiments[0]
+    if len(seeds := first.training.seeds or []) > 1:
+        raise ValueError(f"training.seeds = {seeds}: mo-deepdrive train alone trains several")
     if len(experiments) == 1 and not first.is_resident:
         return build(first)
     check_resident(first)
