@@ -68,7 +68,7 @@ FRONTS: dict[str, Callable[[], Experiment]] = {
     "pcn, continuous": lambda: FRONT({"time_limit": 3, "fixed_destination": True, "action_type": "continuous"}),
     # Costs grow in, or it would learn to stand still under every preference.
     CONDITIONED: lambda: ONE(
-        CONDITIONED, arguments={"time_limit": 3}, learning_rate=2e-2, cost_growth=1.0, max_policies=20
+        CONDITIONED, arguments={"time_limit": 3}, learning_rate=1e-2, cost_growth=1.0, max_policies=20
     ),
 }
 EVERY_ACTOR_CRITIC = pytest.mark.parametrize("kind", ACTOR_CRITICS)

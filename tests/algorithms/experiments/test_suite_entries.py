@@ -219,7 +219,7 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
             r"failed for observations \(2, 19\), accrued rewards \(2, 6\) and discounts \(2,\): IndexError: too many "
             r"indices.* at mine.py:2",
         ),
-        ("import sys\ndef policy(*_):\n    sys.exit()\n", "SystemExit:  at mine.py:3"),
+        ("import sys\ndef policy(*_):\n    sys.exit(3)\n", "SystemExit: 3 at mine.py:3"),
         (
             "import numpy as np\ndef policy(observations, *_):\n    return np.ma.masked_equal([0, 1], 1)\n",
             "the policy returned masked actions",
