@@ -142,8 +142,8 @@ test-install: $(READY)
 # table. Versions of Numba do not share a cache.
 LOWEST_TESTS = $(addprefix tests/,mo_deepdrive/envs mo_deepdrive/evaluation algorithms/test_agent.py algorithms/test_pcn.py \
 	algorithms/test_mocac.py algorithms/test_mappo.py algorithms/test_conditioned_mo_ppo.py \
-	algorithms/files/test_checkpoints.py algorithms/experiments/test_key_listing.py \
-	algorithms/experiments/test_loggers.py mo_deepdrive/test_utilities.py scripts/test_table.py)
+	algorithms/learning/test_checkpoints.py algorithms/runs/test_key_listing.py \
+	algorithms/runs/test_loggers.py mo_deepdrive/test_utilities.py scripts/test_table.py)
 test-lowest: $(LOWEST_READY)
 	NUMBA_CACHE_DIR=$(abspath $(LOWEST_VENV))/numba $(LOWEST_VENV)/bin/python -m pytest $(LOWEST_TESTS) \
 		-m "not slow and not processes" --hypothesis-profile fast

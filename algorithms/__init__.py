@@ -57,7 +57,7 @@ def __getattr__(name: str) -> Any:
     """Import a class when it is first asked for."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from mo_deepdrive.extras import needed_for
+    from mo_deepdrive.support.extras import needed_for
 
     with needed_for(f"algorithms.{name}"):
         value = globals()[name] = getattr(importlib.import_module(_MODULES[name]), name)

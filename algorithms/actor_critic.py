@@ -28,10 +28,10 @@ import numpy as np
 import torch
 
 from algorithms.agent import ACTIONS, LEARNING, Agent
-from algorithms.files.checkpoints import ACCRUED_GAMMA, GUIDES, OBJECTIVE_SCALES, PARTNERS, SHARED, strip_prefix
 from algorithms.hyperparameters import schedules
 from algorithms.learning.actors import make_actor
 from algorithms.learning.advantages import bootstrapped, normalise
+from algorithms.learning.checkpoints import ACCRUED_GAMMA, GUIDES, OBJECTIVE_SCALES, PARTNERS, SHARED, strip_prefix
 from algorithms.learning.collector import Collector
 from algorithms.learning.compiling import pure
 from algorithms.learning.guides import Guides
@@ -43,7 +43,7 @@ from algorithms.learning.worlds import DeviceWorlds, EnvWorlds
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
 from mo_deepdrive.evaluation.policy import check_same_task
-from mo_deepdrive.faults import NotFinite
+from mo_deepdrive.support.faults import NotFinite
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

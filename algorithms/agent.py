@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 import torch
 
-from algorithms.files.checkpoints import (
+from algorithms.hyperparameters import a_twentieth
+from algorithms.learning.checkpoints import (
     GUIDES,
     PARTNERS,
     POLICY_ONLY,
@@ -28,11 +29,9 @@ from algorithms.files.checkpoints import (
     read_checkpoint,
     write_checkpoint,
 )
-from algorithms.hyperparameters import a_twentieth
 from algorithms.learning.compiling import WORTHWHILE, has_compiler, origin
 from algorithms.learning.storage import EpisodeSums
 from algorithms.learning.threads import limited_threads
-from mo_deepdrive.config import Settings, parse
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import evaluate, evaluate_each, vehicle_utilities
 from mo_deepdrive.evaluation.front import Front, measure_front
@@ -48,7 +47,8 @@ from mo_deepdrive.evaluation.metrics import (
     vehicle_prefix,
 )
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
-from mo_deepdrive.faults import Fault, check_numbers
+from mo_deepdrive.support.faults import Fault, check_numbers
+from mo_deepdrive.world.config import Settings, parse
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -96,7 +96,7 @@ class Agent(ABC):
 
     An algorithm defines
 
-    - ``Config``, a subclass of :class:`mo_deepdrive.config.Settings` with its hyperparameters: the keys of the
+    - ``Config``, a subclass of :class:`mo_deepdrive.world.config.Settings` with its hyperparameters: the keys of the
       ``algorithm`` section. ``gamma`` is the discount of the accrued reward that ``act`` is given; 1 without it.
     - ``__init__(self, env, utility, **options)``, which calls that of this class with the same arguments and makes
       networks and optimisers.

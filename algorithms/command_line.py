@@ -12,7 +12,7 @@ import signal
 import sys
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.interrupts import INTERRUPTED
+from algorithms.runs.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -27,7 +27,7 @@ def run(name: str | None, arguments: list[str], program: str) -> int:
     Args:
         name: of the command; None if ``arguments`` begin with it.
         arguments: the command line.
-        program: how commands are called; see :data:`algorithms.experiments.cli.INSTALLED`.
+        program: how commands are called; see :data:`algorithms.runs.cli.INSTALLED`.
 
     Returns:
         The exit code.
@@ -38,7 +38,7 @@ def run(name: str | None, arguments: list[str], program: str) -> int:
     if hasattr(signal, "SIGHUP"):
         handlers[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        from algorithms.experiments.lenient_output import lost_output, make_standard_streams_lenient
+        from algorithms.runs.lenient_output import lost_output, make_standard_streams_lenient
 
         make_standard_streams_lenient()
         try:
@@ -82,8 +82,8 @@ def _run_command(name: str | None, arguments: list[str], program: str) -> int:
     """Import and run a command; a package that is not installed is an error of the user's input."""
     import importlib
 
-    from algorithms.experiments.cli import INVALID_INPUT, PROCESS_DEFAULTS, prepare_process, warn
-    from mo_deepdrive.extras import MissingExtraError, needed_for
+    from algorithms.runs.cli import INVALID_INPUT, PROCESS_DEFAULTS, prepare_process, warn
+    from mo_deepdrive.support.extras import MissingExtraError, needed_for
 
     if name is None:
         name, arguments = _command(arguments, program), arguments[1:]
@@ -104,7 +104,7 @@ def _command(arguments: list[str], program: str) -> str:
 
     import mo_deepdrive
     from algorithms.commands import COMMANDS
-    from algorithms.experiments.cli import Parser
+    from algorithms.runs.cli import Parser
 
     parser = Parser(
         prog=program.format("").strip(),

@@ -83,9 +83,9 @@ from pydantic import Field
 
 from algorithms.actor_critic import ActorCritic
 from algorithms.agent import DRAWS, FrontAgent, PolicyOfFront
-from algorithms.files.checkpoints import PARTNERS, PRICE, RHO
 from algorithms.hyperparameters import Count, Fraction, NonNegative, PositiveFraction, ProximalSettings
 from algorithms.learning.advantages import generalised_advantages
+from algorithms.learning.checkpoints import PARTNERS, PRICE, RHO
 from algorithms.learning.losses import Loss, mean, policy_change
 from algorithms.learning.preferences import (
     CHEBYSHEV,

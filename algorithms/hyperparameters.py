@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from mo_deepdrive.config import Settings
+from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -29,9 +29,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
-from algorithms.files.checkpoints import strip_prefix
 from algorithms.hyperparameters import Fraction, Positive, ProximalSettings
 from algorithms.learning.advantages import generalised_advantages
+from algorithms.learning.checkpoints import strip_prefix
 from algorithms.learning.losses import Loss, mean, policy_change
 from algorithms.ppo import PPO
 from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS

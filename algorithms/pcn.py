@@ -43,7 +43,6 @@ from pydantic import Field
 from torch import nn
 
 from algorithms.agent import DRAWS, FrontAgent, PolicyOfFront
-from algorithms.files.checkpoints import strip_prefix
 from algorithms.hyperparameters import (
     FinalLearningRate,
     HiddenSizes,
@@ -55,16 +54,17 @@ from algorithms.hyperparameters import (
     schedules,
 )
 from algorithms.learning.actors import check_outputs
+from algorithms.learning.checkpoints import strip_prefix
 from algorithms.learning.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.learning.learner import NORM, Learner, Networks
 from algorithms.learning.losses import Loss
 from algorithms.learning.networks import CommandNetwork
 from algorithms.learning.optimiser import linear_schedule
-from mo_deepdrive.config import Settings
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
-from mo_deepdrive.faults import check_numbers
+from mo_deepdrive.support.faults import check_numbers
+from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv

@@ -13,16 +13,16 @@ import importlib
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from mo_deepdrive.objectives import Objective, register_objective
-from mo_deepdrive.routes import Route, Segment
-from mo_deepdrive.scenarios import SCENARIOS, Scenario, register_id, register_scenario
+from mo_deepdrive.world.objectives import Objective, register_objective
+from mo_deepdrive.world.routes import Route, Segment
+from mo_deepdrive.world.scenarios import SCENARIOS, Scenario, register_id, register_scenario
 
 if TYPE_CHECKING:
     from pettingzoo import AECEnv
 
     from mo_deepdrive.envs.parallel import DrivingParallelEnv
-    from mo_deepdrive.reference_fronts import reference_front
-    from mo_deepdrive.reference_points import reference_point
+    from mo_deepdrive.fronts.reference_fronts import reference_front
+    from mo_deepdrive.fronts.reference_points import reference_point
 
 __all__ = [
     "Objective",
@@ -42,8 +42,8 @@ __version__ = "0.2.0"
 
 # Attributes that are imported on first use, and their modules.
 _LAZY = {
-    "reference_front": "mo_deepdrive.reference_fronts",
-    "reference_point": "mo_deepdrive.reference_points",
+    "reference_front": "mo_deepdrive.fronts.reference_fronts",
+    "reference_point": "mo_deepdrive.fronts.reference_points",
 }
 
 for _scenario in SCENARIOS.values():
@@ -67,7 +67,7 @@ def parallel_env(**kwargs: Any) -> DrivingParallelEnv:
     Args:
         **kwargs: arguments of :class:`mo_deepdrive.envs.parallel.DrivingParallelEnv`: ``scenario`` (default:
             "intersection"), ``render_mode``, ``keep_finished`` and every field of
-            :class:`mo_deepdrive.config.EnvConfig`.
+            :class:`mo_deepdrive.world.config.EnvConfig`.
     """
     return raw_env(**kwargs)
 

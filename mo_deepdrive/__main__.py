@@ -11,7 +11,7 @@ import importlib
 import sys
 from typing import TYPE_CHECKING
 
-from mo_deepdrive.importing import load_own, own_algorithms
+from mo_deepdrive.support.importing import load_own, own_algorithms
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,7 +44,7 @@ def run(name: str | None, program: str) -> int:
 
     Args:
         name: of the command; None if the command line begins with it.
-        program: as of :data:`algorithms.experiments.cli.INSTALLED`.
+        program: as of :data:`algorithms.runs.cli.INSTALLED`.
     """
     code: int = importlib.import_module("algorithms.command_line").run(name, sys.argv[1:], program)
     return code

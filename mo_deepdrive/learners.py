@@ -15,7 +15,7 @@ from importlib.machinery import FileFinder, ModuleSpec, SourceFileLoader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mo_deepdrive.importing import load_own, own_algorithms
+from mo_deepdrive.support.importing import load_own, own_algorithms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,10 +17,10 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from mo_deepdrive import actions as action_sets
-from mo_deepdrive.quiet_pygame import INVISIBLE_DRIVERS, pygame
+from mo_deepdrive.drawing.quiet_pygame import INVISIBLE_DRIVERS, pygame
 from mo_deepdrive.simulation.actions import DECREASE, INCREASE, MAINTAIN, decode_discrete
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Record
+from mo_deepdrive.world import actions as action_sets
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -80,7 +80,7 @@ def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
     Args:
         keys: the keys that are down.
         vehicle: record of dtype VEHICLE.
-        action_type: a key of ``mo_deepdrive.actions.DISCRETE``.
+        action_type: a key of ``mo_deepdrive.world.actions.DISCRETE``.
     """
     names = action_sets.action_names(action_type)
     if not any(keys):

@@ -21,12 +21,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mo_deepdrive.faults import NotFinite
-from mo_deepdrive.importing import import_named
-from mo_deepdrive.names import nearest
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
-from mo_deepdrive.plain_values import finite_numbers, is_finite
 from mo_deepdrive.simulation.state import GRAVITY
+from mo_deepdrive.support.faults import NotFinite
+from mo_deepdrive.support.importing import import_named
+from mo_deepdrive.support.names import nearest
+from mo_deepdrive.support.plain_values import finite_numbers, is_finite
+from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 Function = Callable[[Any], Any]
 

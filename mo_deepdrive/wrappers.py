@@ -12,8 +12,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from pettingzoo.utils import BaseParallelWrapper
 
-from mo_deepdrive.names import nearest
-from mo_deepdrive.plain_values import finite_numbers
+from mo_deepdrive.support.names import nearest
+from mo_deepdrive.support.plain_values import finite_numbers
 from mo_deepdrive.utilities import Utility, make_utility
 
 if TYPE_CHECKING:

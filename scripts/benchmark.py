@@ -39,17 +39,17 @@ from rich.progress import track
 from rich.table import Table
 
 import mo_deepdrive
-from algorithms.experiments.build import build
-from algorithms.experiments.cli import make_parser
-from algorithms.experiments.config import load_experiment
-from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.learning.threads import set_threads
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
+from algorithms.runs.build import build
+from algorithms.runs.cli import make_parser
+from algorithms.runs.config import load_experiment
+from algorithms.runs.policy_evaluation import evaluate_front
 from mo_deepdrive.evaluation.pareto import hypervolume
-from mo_deepdrive.machine import available_cores, check_device
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.support.machine import available_cores, check_device
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace

@@ -28,19 +28,19 @@ import numpy as np
 from rich.console import Console
 
 from algorithms import ConditionedMOPPO
-from algorithms.experiments.build import load_policy, open_driver
-from algorithms.experiments.cli import add_trust_argument, check_directory, make_parser, named_numbers
-from algorithms.experiments.config import find_environment, is_ours
-from algorithms.experiments.console import make_console
-from algorithms.experiments.run_directory import Run
 from algorithms.reporting.cross_play_report import matrix_rows, plot_encounters, summary_rows, write_encounters
 from algorithms.reporting.wide_tables import print_rows
+from algorithms.runs.build import load_policy, open_driver
+from algorithms.runs.cli import add_trust_argument, check_directory, make_parser, named_numbers
+from algorithms.runs.config import find_environment, is_ours
+from algorithms.runs.console import make_console
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.cross_play import cross_play, roles_of
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     import argparse

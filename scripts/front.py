@@ -3,7 +3,7 @@
     python scripts/front.py --scenario one_waypoint --action-type discrete --decisions 300000000 --seed 0
     python scripts/front.py --scenario static_obstacle --from RUN RUN ...
 
-An evolutionary search over action sequences (`algorithms.planning`) that starts from the shipped front, from the
+An evolutionary search over action sequences (`scripts.bounds`) that starts from the shipped front, from the
 policies of trained runs and from random driving rules. Every sequence is evaluated in the simulation. The policies
 that make up most of the hypervolume replace the shipped front, unless that would make its hypervolume smaller. The
 same arguments, runs and shipped front give the same front.
@@ -20,11 +20,11 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from algorithms.experiments.cli import add_trust_argument, make_parser
-from algorithms.planning.front_improvement import FrontSearchSettings, improve_front, shipped_front_file
-from algorithms.planning.plans import CRITERIA
-from mo_deepdrive.config import ActionType
-from mo_deepdrive.scenarios import SCENARIOS
+from algorithms.runs.cli import add_trust_argument, make_parser
+from mo_deepdrive.world.config import ActionType
+from mo_deepdrive.world.scenarios import SCENARIOS
+from scripts.bounds.front_improvement import FrontSearchSettings, improve_front, shipped_front_file
+from scripts.bounds.plans import CRITERIA
 
 if TYPE_CHECKING:
     import argparse
@@ -56,7 +56,7 @@ def main(arguments: list[str]) -> int:
     runs, output, trust = options.pop("runs"), options.pop("output"), options.pop("trust")
     settings = FrontSearchSettings(**options)
     shipped = shipped_front_file(settings.scenario, settings.action_type)
-    from algorithms.planning.trained_runs import record_run  # not earlier: it imports torch
+    from scripts.bounds.trained_runs import record_run  # not earlier: it imports torch
 
     try:
         recordings = [

@@ -21,15 +21,15 @@ sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 from typing import TYPE_CHECKING
 
 from algorithms.driving.named_rules import is_rule, scripted_policy
-from algorithms.experiments.build import load_policy
-from algorithms.experiments.cli import add_trust_argument, check_file, make_parser
-from algorithms.experiments.config import find_environment
-from algorithms.experiments.run_directory import Run
 from algorithms.reporting.animated_gif import write_gif
 from algorithms.reporting.videos import Frame, episode_frames, make_render_env
-from mo_deepdrive.config import EnvironmentSettings
+from algorithms.runs.build import load_policy
+from algorithms.runs.cli import add_trust_argument, check_file, make_parser
+from algorithms.runs.config import find_environment
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.config import EnvironmentSettings
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     import argparse

@@ -141,8 +141,8 @@ def training(
 
 def shipped(config: str, updates: int, place: Place | None = None) -> float:
     """As :func:`training`, of a shipped experiment."""
-    from algorithms.experiments.build import build
-    from algorithms.experiments.config import load_experiment
+    from algorithms.runs.build import build
+    from algorithms.runs.config import load_experiment
 
     where = place or ONE_CORE
     experiment = load_experiment(config, [f"--training.threads={where.threads}", f"--training.device={where.device}"])
@@ -155,8 +155,8 @@ def shipped(config: str, updates: int, place: Place | None = None) -> float:
 
 def _training_there(values: dict[str, Any], updates: int, place: Place) -> float:
     """Environment steps per second of SEEDS trainings side by side, whose worlds and learners stay on a device."""
-    from algorithms.experiments.config import make_experiment
-    from algorithms.experiments.side_by_side import build_trainee
+    from algorithms.runs.config import make_experiment
+    from algorithms.runs.side_by_side import build_trainee
 
     values["training"] |= {"seeds": [*range(SEEDS)], "compiled": True}
     experiment = make_experiment(values)

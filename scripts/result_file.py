@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace

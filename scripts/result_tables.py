@@ -26,13 +26,13 @@ from paired_benchmark import REPOSITORY
 
 from algorithms.commands.suite import minutes_per_run
 from algorithms.commands.suite_results import REFERENCE
-from algorithms.experiments.cli import make_parser
+from algorithms.runs.cli import make_parser
 from algorithms.studies.settings import load_study
 from algorithms.studies.suite_tables import Scoreboard
 from algorithms.zoo import ZOO
 from mo_deepdrive import suite
-from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.statistics import interquartile_mean
+from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -22,11 +22,14 @@ from rich.console import Console
 from rich.progress import track
 
 from algorithms.driving.roundabout_rules import ROUNDABOUTS
-from algorithms.experiments.cli import make_parser
-from algorithms.experiments.run_directory import Run
-from algorithms.planning.driver_table import LEARNER, bounds, driver_rows, drives_in, learner
-from algorithms.planning.suite_bounds import ceiling, floor
-from algorithms.planning.suite_plans import (
+from algorithms.runs.cli import make_parser
+from algorithms.runs.run_directory import Run
+from mo_deepdrive import suite
+from mo_deepdrive.evaluation.splits import SPLITS
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
+from scripts.bounds.driver_table import LEARNER, bounds, driver_rows, drives_in, learner
+from scripts.bounds.suite_bounds import ceiling, floor
+from scripts.bounds.suite_plans import (
     HORIZON,
     plan_file,
     plan_task,
@@ -34,9 +37,6 @@ from algorithms.planning.suite_plans import (
     worth_driving,
     write_plans,
 )
-from mo_deepdrive import suite
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes
-from mo_deepdrive.evaluation.splits import SPLITS
 
 if TYPE_CHECKING:
     import argparse

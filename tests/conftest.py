@@ -21,8 +21,8 @@ import torch
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from algorithms.commands import COMMANDS
 from algorithms.learning.threads import set_threads
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.world.scenarios import SCENARIOS
 from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, read_golden
 from tests.helpers.paths import REPOSITORY
 

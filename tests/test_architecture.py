@@ -30,12 +30,12 @@ root_package = "mo_deepdrive"
 id = "upside_down"
 name = "upside down"
 type = "layers"
-layers = ["mo_deepdrive.objectives", "mo_deepdrive.envs"]
+layers = ["mo_deepdrive.world.objectives", "mo_deepdrive.envs"]
 """
     (tmp_path / "pyproject.toml").write_text(contracts)
     monkeypatch.chdir(tmp_path)
     assert lint_imports(config_filename=str(tmp_path / "pyproject.toml"), no_cache=True, no_logo=True) == 1
-    assert "mo_deepdrive.envs is not allowed to import mo_deepdrive.objectives" in capsys.readouterr().out
+    assert "mo_deepdrive.envs is not allowed to import mo_deepdrive.world.objectives" in capsys.readouterr().out
 
 
 def samples_without_generator(tree: ast.AST) -> Iterator[str]:

@@ -19,8 +19,8 @@ import pytest
 import yaml
 
 from algorithms.commands import COMMANDS
-from algorithms.experiments.config import load_experiment
-from algorithms.experiments.shipped import find_config
+from algorithms.runs.config import load_experiment
+from algorithms.runs.shipped import find_config
 from tests.helpers.paths import REPOSITORY
 
 # Of `make docs`, from the code and from files at the root; tests/docs tests them.

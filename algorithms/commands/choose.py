@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.experiments.cli import (
+from algorithms.runs.cli import (
     CHOICE_EPISODES,
     CHOICE_SPLIT,
     INSTALLED,
@@ -30,9 +30,7 @@ from algorithms.experiments.cli import (
     named_numbers,
     warn_of_changes,
 )
-from algorithms.experiments.run_directory import Run
-from algorithms.files.yaml import read_value
-from mo_deepdrive.config import UtilityChoice, parse
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.choice import (
     ChoiceCriterion,
     distance_to_target,
@@ -40,7 +38,9 @@ from mo_deepdrive.evaluation.choice import (
     rank_policies,
     weighted_sum,
 )
+from mo_deepdrive.support.yaml import read_value
 from mo_deepdrive.utilities import check_utility, make_utility
+from mo_deepdrive.world.config import UtilityChoice, parse
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -164,10 +164,10 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
 
-    from algorithms.experiments.agent_report import film_policies_of_front
-    from algorithms.experiments.build import load_policy
-    from algorithms.experiments.console import make_console
-    from algorithms.experiments.policy_evaluation import evaluate_front_policies
+    from algorithms.runs.agent_report import film_policies_of_front
+    from algorithms.runs.build import load_policy
+    from algorithms.runs.console import make_console
+    from algorithms.runs.policy_evaluation import evaluate_front_policies
     from mo_deepdrive.evaluation.front import Front
 
     console = make_console()

@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import (
+from algorithms.runs.cli import (
     INSTALLED,
     add_evaluation_arguments,
     add_trust_argument,
@@ -22,7 +22,7 @@ from algorithms.experiments.cli import (
     refuse_beside,
     warn_of_changes,
 )
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.run_directory import Run
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -50,7 +50,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
 
-    from algorithms.experiments.console import make_console
+    from algorithms.runs.console import make_console
 
     console = make_console()
     with exit_on_error(ValueError, OSError, program=program):
@@ -60,8 +60,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             table = zoo_table()
             console.print(table if table.row_count else "the zoo is empty")
             return 0
-        from algorithms.experiments.agent_report import report_agent
-        from algorithms.experiments.build import load_policy
+        from algorithms.runs.agent_report import report_agent
+        from algorithms.runs.build import load_policy
 
         run = Run.open(options.run, trust=options.trust)
         episodes, seed = evaluation_arguments(options, run.experiment)

@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import (
+from algorithms.runs.cli import (
     CHOICE_EPISODES,
     CHOICE_SPLIT,
     INSTALLED,
@@ -28,7 +28,7 @@ from algorithms.experiments.cli import (
     make_parser,
     warn_of_changes,
 )
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.run_directory import Run
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -54,10 +54,10 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
 
-    from algorithms.experiments.accessories import sole_purpose
-    from algorithms.experiments.front_explorer import BEST_KNOWN, explorable_best_known
     from algorithms.reporting.explorer.page import write_page
     from algorithms.reporting.run_records import LEFT_OUT
+    from algorithms.runs.accessories import sole_purpose
+    from algorithms.runs.front_explorer import BEST_KNOWN, explorable_best_known
 
     with exit_on_error(ValueError, program=program), sole_purpose("the page could not be written"):
         check_file("--output", options.output, ".html")
@@ -89,8 +89,8 @@ def _explorable_run(name: str, options: Namespace, program: str) -> ExplorableFr
     Raises:
         ValueError: if it has no front, or its files do not fit this version.
     """
-    from algorithms.experiments.build import load_policy
-    from algorithms.experiments.front_explorer import choose_command, explorable
+    from algorithms.runs.build import load_policy
+    from algorithms.runs.front_explorer import choose_command, explorable
     from mo_deepdrive.evaluation.front import Front
 
     run = Run.open(name, trust=options.trust)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import (
+from algorithms.runs.cli import (
     INSTALLED,
     add_trust_argument,
     check_file,
@@ -22,7 +22,7 @@ from algorithms.experiments.cli import (
     make_parser,
     warn_of_changes,
 )
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.run_directory import Run
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -42,8 +42,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
 
-    from algorithms.experiments.build import load_policy
-    from algorithms.experiments.onnx_export import CHECKED_STATES, export_onnx
+    from algorithms.runs.build import load_policy
+    from algorithms.runs.onnx_export import CHECKED_STATES, export_onnx
     from mo_deepdrive.evaluation.front import Front
 
     with exit_on_error(ValueError, OSError, program=program):

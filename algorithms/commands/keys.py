@@ -12,12 +12,12 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from algorithms.experiments.cli import INSTALLED, exit_on_error, make_parser
-from algorithms.experiments.config import load_experiment
-from algorithms.experiments.key_listing import Key, differing_values, experiment_keys, model_keys
-from algorithms.experiments.registry import agent_class, algorithm_names, find_algorithm
+from algorithms.runs.cli import INSTALLED, exit_on_error, make_parser
+from algorithms.runs.config import load_experiment
+from algorithms.runs.key_listing import Key, differing_values, experiment_keys, model_keys
+from algorithms.runs.registry import agent_class, algorithm_names, find_algorithm
 from algorithms.studies.settings import Learner, Study, StudyTask
-from algorithms.sweeps.sweep_settings import SweepSettings
+from algorithms.studies.sweep_settings import SweepSettings
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -69,7 +69,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
 
-    from algorithms.experiments.console import make_console, print_line
+    from algorithms.runs.console import make_console, print_line
 
     console = make_console()
     with exit_on_error(ValueError, program=program):

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import (
+from algorithms.runs.cli import (
     INSTALLED,
     add_training_arguments,
     exit_on_error,
@@ -21,13 +21,13 @@ from algorithms.experiments.cli import (
     parse_training_arguments,
     refuse_beside,
 )
-from algorithms.experiments.config import check_effects, check_loggers, load_experiment
-from mo_deepdrive.names import nearest
+from algorithms.runs.config import check_effects, check_loggers, load_experiment
+from mo_deepdrive.support.names import nearest
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
-    from algorithms.experiments.config import Experiment
+    from algorithms.runs.config import Experiment
 
 
 # Keys of an experiment by which this package's own training goes.
@@ -76,9 +76,9 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options, overrides = parse_arguments(arguments, program)
 
-    from algorithms.experiments.console import make_console
     from algorithms.peers.listing import peers_table
     from algorithms.peers.running import run_peer
+    from algorithms.runs.console import make_console
 
     console = make_console()
     if options.list:

@@ -20,7 +20,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.experiments.cli import (
+from algorithms.runs.cli import (
     INSTALLED,
     add_trust_argument,
     check_file,
@@ -28,10 +28,10 @@ from algorithms.experiments.cli import (
     make_parser,
     warn_of_changes,
 )
-from algorithms.experiments.config import find_environment, is_ours
-from algorithms.experiments.run_directory import Run
-from mo_deepdrive.extras import needed_for
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from algorithms.runs.config import find_environment, is_ours
+from algorithms.runs.run_directory import Run
+from mo_deepdrive.support.extras import needed_for
+from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
     import argparse
@@ -113,7 +113,7 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Pol
 
 def open_rule(options: argparse.Namespace, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
     """A scripted driver of all vehicles, the arguments of its environment, and nobody that drives beside it."""
-    from algorithms.experiments.build import open_driver
+    from algorithms.runs.build import open_driver
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 
     seat = 1 - options.vehicle if options.vehicle in (0, 1) else 1
@@ -127,7 +127,7 @@ def open_run(options: argparse.Namespace, env_id: str) -> tuple[Policy, dict[str
     Raises:
         ValueError: if there is none, or it drives in another environment.
     """
-    from algorithms.experiments.build import load_policy
+    from algorithms.runs.build import load_policy
 
     run = Run.open(options.against, trust=options.trust)
     theirs = run.experiment.environment
@@ -175,8 +175,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     with exit_on_error(ValueError, program=program):
         options = parse_arguments(arguments, program)
 
+    from mo_deepdrive.drawing.quiet_pygame import pygame
     from mo_deepdrive.play import HumanPlayEnv, describe_controls, open_display, play_in_window
-    from mo_deepdrive.quiet_pygame import pygame
 
     with exit_on_error(ValueError, OSError, pygame.error, program=program):
         env, policy, seats = open_environment(options)

@@ -6,7 +6,8 @@
 A folder stands for the runs in it. Of a sweep (a directory with a manifest, made by mo-deepdrive sweep) the best cells
 are drawn, ranked by the utility or the hypervolume of their final evaluations; these scores of all runs are drawn
 against each key that varies into FILE-cells.png. The collected scores and metrics of the runs are kept for other
-programs in SWEEP/collected/ as Parquet files, which are updated here; algorithms/sweeps/collection.py describes them.
+programs in SWEEP/collected/ as Parquet files, which are updated here; algorithms/studies/sweep_collection.py describes
+them.
 
 A run whose files cannot be read is left out with a line on standard error; if nothing can be drawn, the exit code is 2.
 """
@@ -17,8 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import INSTALLED, check_file, exit_on_error, make_parser, warn, warn_of_changes
-from algorithms.sweeps.manifest import is_sweep
+from algorithms.runs.cli import INSTALLED, check_file, exit_on_error, make_parser, warn, warn_of_changes
+from algorithms.studies.sweep_manifest import is_sweep
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -41,14 +42,14 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     options = parse_arguments(arguments, program)
     tell = partial(warn, program=program)
 
-    from algorithms.experiments.accessories import sole_purpose
-    from algorithms.experiments.console import make_console, print_line
+    from algorithms.runs.accessories import sole_purpose
+    from algorithms.runs.console import make_console, print_line
 
     say = partial(print_line, make_console())
     with exit_on_error(ValueError, program=program), sole_purpose("the curves could not be drawn"):
         from algorithms.reporting.learning_curves import FORMATS, describe, load_groups, plot
         from algorithms.reporting.seed_tables import find_runs
-        from algorithms.sweeps.plots import plot_sweep
+        from algorithms.studies.sweep_plots import plot_sweep
 
         check_file("--output", options.output, *FORMATS)
         if not any(is_sweep(run) for run in options.runs):

@@ -14,9 +14,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import INSTALLED, check_directory, make_parser, warn
-from algorithms.experiments.interrupts import Stopped
-from algorithms.reproduction import CLAIM_NUMBERS, FIGURES
+from algorithms.runs.cli import INSTALLED, check_directory, make_parser, warn
+from algorithms.runs.interrupts import Stopped
+from algorithms.studies import CLAIM_NUMBERS, FIGURES
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -70,10 +70,10 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments`` and return the exit code."""
     given = parse_arguments(arguments, program)
 
-    from algorithms.experiments.console import make_console
-    from algorithms.reproduction.pipeline import ReproductionOptions, reproduce
-    from algorithms.reproduction.plan import load_plan
-    from mo_deepdrive.machine import available_cores
+    from algorithms.runs.console import make_console
+    from algorithms.studies.paper_pipeline import ReproductionOptions, reproduce
+    from algorithms.studies.paper_plan import load_plan
+    from mo_deepdrive.support.machine import available_cores
 
     try:
         check_options(given)

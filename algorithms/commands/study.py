@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING
 
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import add_run_arguments, run_command
-from algorithms.experiments.cli import INSTALLED, make_parser, refuse_beside
+from algorithms.runs.cli import INSTALLED, make_parser, refuse_beside
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
     from rich.console import Console
 
-    from algorithms.sweeps.runner import Backend, Runner
+    from algorithms.studies.sweep_runner import Backend, Runner
 
 
 def add_study_arguments(parser: ArgumentParser) -> None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from algorithms.commands.suite_results import PUBLISHED, add_suite_run, add_suite_table, suite_run, suite_table
 from algorithms.commands.suite_score import add_suite_score, add_suite_verify, suite_score, suite_verify
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
-from algorithms.experiments.cli import INSTALLED, exit_on_error, make_parser
+from algorithms.runs.cli import INSTALLED, exit_on_error, make_parser
 
 if TYPE_CHECKING:
     import argparse
@@ -85,7 +85,7 @@ def task_table(suite: Suite, minutes: Mapping[str, float]) -> Table:
 
 
 def _list(_options: argparse.Namespace) -> int:
-    from algorithms.experiments.console import make_console
+    from algorithms.runs.console import make_console
     from mo_deepdrive.suite import load, read_rows
 
     known = minutes_per_run(read_rows(PUBLISHED)) if PUBLISHED.is_file() else {}

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from algorithms.commands.study import add_study_arguments
 from algorithms.commands.sweep import run_command
-from algorithms.experiments.cli import check_file
-from algorithms.experiments.config import parse_overrides
-from algorithms.experiments.shipped import CONFIGS
-from algorithms.sweeps.manifest import short_names
+from algorithms.runs.cli import check_file
+from algorithms.runs.config import parse_overrides
+from algorithms.runs.shipped import CONFIGS
+from algorithms.studies.sweep_manifest import short_names
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.studies.plan import StudyPlan
-    from algorithms.sweeps.runner import Backend, Runner
+    from algorithms.studies.sweep_runner import Backend, Runner
     from mo_deepdrive.suite import Row
 
 REFERENCE = "studies/suite"  # the study of the reference results
@@ -78,7 +78,7 @@ def plan_of(learners: list[str], tasks: list[str], seeds: int, overrides: Mappin
     """
     from algorithms.studies.plan import StudyPlan
     from algorithms.studies.settings import ELSEWHERE, Learner, StudyTask, load_study, problems_of
-    from algorithms.sweeps.sweep_settings import key_problems, keys_in
+    from algorithms.studies.sweep_settings import key_problems, keys_in
     from mo_deepdrive import suite
 
     if seeds < 1:
@@ -129,13 +129,13 @@ def add_suite_table(parser: ArgumentParser) -> None:
 
 def suite_table(options: Namespace) -> int:
     """Print the tables of the suite, and write them if asked to; returns the exit code."""
-    from algorithms.experiments.console import make_console, print_line
     from algorithms.reporting.table_files import FORMATS, markdown, write_table
     from algorithms.reporting.wide_tables import print_rows
+    from algorithms.runs.console import make_console, print_line
     from algorithms.studies.settings import load_study
     from algorithms.studies.suite_tables import MEANS_NOTE, NOTE, Scoreboard
     from mo_deepdrive import suite
-    from mo_deepdrive.atomic_io import atomic_write
+    from mo_deepdrive.support.atomic_io import atomic_write
 
     check_file("--figure", options.figure)
     check_file("--output", options.output, *FORMATS)

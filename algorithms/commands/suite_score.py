@@ -6,14 +6,14 @@ import secrets
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from algorithms.experiments.cli import add_trust_argument, check_file
+from algorithms.runs.cli import add_trust_argument, check_file
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
     from rich.table import Table
 
-    from algorithms.experiments.suite_entries import Entry
+    from algorithms.runs.suite_entries import Entry
     from mo_deepdrive.suite import Row
 
 
@@ -54,9 +54,9 @@ def add_suite_verify(parser: ArgumentParser) -> None:
 def suite_score(options: Namespace) -> int:
     """Score policies; returns the exit code."""
     from algorithms.commands.suite_results import CORE
-    from algorithms.experiments.console import make_console, print_line
-    from algorithms.experiments.progress_bar import compilation_noted
-    from algorithms.experiments.suite_entries import open_entry
+    from algorithms.runs.console import make_console, print_line
+    from algorithms.runs.progress_bar import compilation_noted
+    from algorithms.runs.suite_entries import open_entry
     from mo_deepdrive import suite
 
     check_file("--output", options.output, ".csv")
@@ -139,8 +139,8 @@ def suite_verify(options: Namespace) -> int:
     """Score an entry again, on the scenarios of the test split and on fresh ones; 0 if everything agrees, else 1."""
     from rich.table import Table
 
-    from algorithms.experiments.console import make_console
-    from algorithms.experiments.suite_entries import disagreement, fresh_seed, is_own_code, open_entry, recorded_rows
+    from algorithms.runs.console import make_console
+    from algorithms.runs.suite_entries import disagreement, fresh_seed, is_own_code, open_entry, recorded_rows
     from mo_deepdrive import suite
 
     for task_id in options.tasks or ():

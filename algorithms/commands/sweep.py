@@ -20,10 +20,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import INSTALLED, PROCESS_DEFAULTS, check_directory, make_parser, warn
-from algorithms.experiments.interrupts import Stopped, no_space
-from algorithms.sweeps import BACKENDS
-from algorithms.sweeps.sweep_settings import load_sweep
+from algorithms.runs.cli import INSTALLED, PROCESS_DEFAULTS, check_directory, make_parser, warn
+from algorithms.runs.interrupts import Stopped, no_space
+from algorithms.studies import BACKENDS
+from algorithms.studies.sweep_settings import load_sweep
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace, _MutuallyExclusiveGroup
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.sweeps.runner import Backend, Runner
+    from algorithms.studies.sweep_runner import Backend, Runner
 
 ENVIRONMENT = {
     **PROCESS_DEFAULTS,
@@ -127,8 +127,8 @@ def run_command(
         directory: of the runs.
         make: what makes the runner.
     """
-    from algorithms.experiments.console import make_console
-    from algorithms.sweeps.runner import Backend, show_broken, show_status
+    from algorithms.runs.console import make_console
+    from algorithms.studies.sweep_runner import Backend, show_broken, show_status
 
     console = make_console()
     try:
@@ -157,7 +157,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     options = parse_arguments(arguments, program)
 
     def make(directory: Path, backend: Backend, console: Console) -> Runner:
-        from algorithms.sweeps.runner import SweepRunner
+        from algorithms.studies.sweep_runner import SweepRunner
 
         return SweepRunner(load_sweep(options.config), directory, backend, console)
 

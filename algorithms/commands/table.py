@@ -15,7 +15,7 @@ first; cells with another environment or utility are in separate tables. The ter
 columns as fit, and names the others; files have everything. With several vehicles the row of all together has the sum
 of their utilities. Cells that differ in the algorithm alone are compared; where their numbers of steps differ, too, the
 row has both. The collected scores and metrics of the runs are kept for other programs in SWEEP/collected/ as Parquet
-files, which are updated here; algorithms/sweeps/collection.py describes them.
+files, which are updated here; algorithms/studies/sweep_collection.py describes them.
 
 The ending of FILE is the format: .csv (a row per metric with the columns mean, low, high and n, the number of seeds;
 also of the returns of every objective), .tex (booktabs) or .md, which have names as people write them. Comparisons are
@@ -29,9 +29,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import INSTALLED, check_file, make_parser, warn
-from algorithms.experiments.run_files import changed_files, diverged
-from algorithms.sweeps.manifest import is_sweep
+from algorithms.runs.cli import INSTALLED, check_file, make_parser, warn
+from algorithms.runs.run_files import changed_files, diverged
+from algorithms.studies.sweep_manifest import is_sweep
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -71,9 +71,9 @@ def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
     Raises:
         ValueError: as :func:`algorithms.reporting.seed_tables.find_runs`.
     """
-    from algorithms.experiments.run_directory import read_status
     from algorithms.reporting.run_records import LEFT_OUT
     from algorithms.reporting.seed_tables import find_runs
+    from algorithms.runs.run_directory import read_status
     from mo_deepdrive.evaluation.front import EVALUATION_FILE
 
     runs = []
@@ -94,9 +94,9 @@ def print_tables(options: Namespace, warn: Callable[[str], None]) -> tuple[Seque
     Raises:
         ValueError: for options that do not fit together, or if there is nothing to show.
     """
-    from algorithms.experiments.console import make_console
     from algorithms.reporting.seed_tables import print_runs
-    from algorithms.sweeps.tables import print_sweep
+    from algorithms.runs.console import make_console
+    from algorithms.studies.sweep_tables import print_sweep
 
     console = make_console()
     if not any(is_sweep(path) for path in options.runs):

@@ -15,7 +15,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.experiments.cli import (
+from algorithms.runs.cli import (
     INSTALLED,
     add_training_arguments,
     add_trust_argument,
@@ -27,13 +27,13 @@ from algorithms.experiments.cli import (
     warn,
     warn_of_changes,
 )
-from algorithms.experiments.config import check_loggers, load_experiment, parse_overrides
-from algorithms.experiments.run_directory import imported_paths, resume_options
+from algorithms.runs.config import check_loggers, load_experiment, parse_overrides
+from algorithms.runs.run_directory import imported_paths, resume_options
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
-    from algorithms.experiments.run_directory import Run
+    from algorithms.runs.run_directory import Run
 
 
 FAILED = 1  # exit code if a run failed
@@ -58,9 +58,9 @@ def open_runs(options: Namespace, overrides: list[str]) -> tuple[list[Run], Any]
         ValueError: if the options, the experiment, a directory or a checkpoint are not valid.
         OSError: if the directory of a run to be resumed cannot be written.
     """
-    from algorithms.experiments.side_by_side import build_trainee
-    from algorithms.experiments.training import reopen
-    from algorithms.sweeps.manifest import is_sweep
+    from algorithms.runs.side_by_side import build_trainee
+    from algorithms.runs.training import reopen
+    from algorithms.studies.sweep_manifest import is_sweep
 
     if options.resume is None:
         if options.trust:
@@ -112,8 +112,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             return max(int(warn_of_changes(run.path)) for run in runs)
     how = resume_options([run.path for run in runs], runs[0].experiment.to_dict())
     resume_with = as_called(f"resume with: mo-deepdrive train {how}", program)
-    from algorithms.experiments.console import make_console
-    from algorithms.experiments.training import train_and_finish
+    from algorithms.runs.console import make_console
+    from algorithms.runs.training import train_and_finish
 
     with exit_on_error(hint=resume_with):
         for change in runs[0].changed_versions():
@@ -121,7 +121,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         for run in runs:
             print(f"run {run.path}", flush=True)
         if len(runs) > 1 and not runs[0].experiment.is_resident:
-            from algorithms.experiments.seed_processes import train_apart
+            from algorithms.runs.seed_processes import train_apart
 
             received = train_apart(runs, make_console())
             if received == FAILED:

@@ -8,14 +8,14 @@ Their names can be given instead of a run: to evaluate, choose (fronts) and play
 
 from __future__ import annotations
 
-from algorithms.experiments.cli import INSTALLED, exit_on_error, make_parser
+from algorithms.runs.cli import INSTALLED, exit_on_error, make_parser
 
 
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     make_parser(__doc__, program, "zoo").parse_args(arguments)
 
-    from algorithms.experiments.console import make_console
+    from algorithms.runs.console import make_console
     from algorithms.zoo.listing import zoo_table
 
     with exit_on_error(ValueError, OSError, program=program):

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.observation import OWN
 from mo_deepdrive.simulation.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
+from mo_deepdrive.world.observation import OWN
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -14,13 +14,13 @@ import numpy as np
 
 from algorithms.driving.controls import CURVATURE_PER_STEER, PREFIX, continuous_actions, discrete_actions
 from algorithms.driving.left_turn_rules import COLUMN, GapRule, LeftTurner, locate
-from mo_deepdrive.actions import CONTINUOUS, action_table
-from mo_deepdrive.observation import layout
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.geometry import HALF_WIDTH
 from mo_deepdrive.simulation.observation import ABSENT_DISTANCE, SIGHT_DISTANCE
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
 from mo_deepdrive.simulation.traffic import ENTRY
+from mo_deepdrive.world.actions import CONTINUOUS, action_table
+from mo_deepdrive.world.observation import layout
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from collections.abc import Callable

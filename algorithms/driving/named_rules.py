@@ -8,7 +8,7 @@ from algorithms.driving import intersection_rules, roundabout_rules
 from algorithms.driving.controls import PREFIX
 from algorithms.driving.scripted_policy import ScriptedPolicy
 from mo_deepdrive.evaluation.metrics import vehicle_name
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter

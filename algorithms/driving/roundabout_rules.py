@@ -21,13 +21,13 @@ from algorithms.driving.controls import (
     continuous_actions,
     discrete_actions,
 )
-from mo_deepdrive.actions import CONTINUOUS, action_table
-from mo_deepdrive.observation import layout
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.neighbours import NEIGHBOURS
 from mo_deepdrive.simulation.roads import NEXT_POINT, POINT_AFTER
 from mo_deepdrive.simulation.state import STANDSTILL_GAP
+from mo_deepdrive.world.actions import CONTINUOUS, action_table
+from mo_deepdrive.world.observation import layout
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

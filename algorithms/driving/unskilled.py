@@ -14,15 +14,15 @@ import numpy as np
 from algorithms.driving.intersection_rules import as_in_left_turn
 from algorithms.driving.left_turn_rules import GapRule, LeftTurner
 from algorithms.driving.roundabout_rules import ROUNDABOUTS, RoundaboutDriver, RoundaboutRule
-from mo_deepdrive.action_sequences import idle
-from mo_deepdrive.actions import CONTINUOUS, action_names
+from mo_deepdrive.world.action_sequences import idle
+from mo_deepdrive.world.actions import CONTINUOUS, action_names
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from mo_deepdrive.config import EnvConfig
+    from mo_deepdrive.world.config import EnvConfig
 
     Function = Callable[..., NDArray[Any]]
 

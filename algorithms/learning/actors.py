@@ -13,7 +13,7 @@ import torch
 from torch import nn
 
 from algorithms.learning.networks import make_network
-from mo_deepdrive.faults import NotFinite
+from mo_deepdrive.support.faults import NotFinite
 
 if TYPE_CHECKING:
     from algorithms.hyperparameters import NetworkSettings

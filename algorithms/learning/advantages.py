@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from mo_deepdrive.faults import NotFinite
+from mo_deepdrive.support.faults import NotFinite
 
 if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 import torch
 
-from algorithms.files.checkpoints import strip_prefix
+from algorithms.learning.checkpoints import strip_prefix
 from algorithms.learning.storage import EpisodeSums, RolloutStorage
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
-from mo_deepdrive.faults import LARGEST, check_vehicles
+from mo_deepdrive.support.faults import LARGEST, check_vehicles
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from algorithms.files.checkpoints import strip_prefix
+from algorithms.learning.checkpoints import strip_prefix
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,7 +10,7 @@ from torch import nn
 from torch.func import functional_call, vmap
 from torch.utils._pytree import tree_map
 
-from algorithms.files.checkpoints import strip_prefix
+from algorithms.learning.checkpoints import strip_prefix
 from algorithms.learning.compiling import Compiled, origin, pure
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from algorithms.learning.threads import limited_threads
-from mo_deepdrive.importing import import_named
+from mo_deepdrive.support.importing import import_named
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,8 +13,8 @@ from mo_deepdrive.simulation.state import ARRIVED
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from mo_deepdrive.config import EnvConfig
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+    from mo_deepdrive.world.config import EnvConfig
 
 
 class WorldStep(NamedTuple):

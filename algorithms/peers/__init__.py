@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from algorithms.peers import morl, sb3
 from algorithms.peers.peer_task import PeerConfig, PeerPolicies, PeerTask, ScalarConfig, WeightedConfig
-from mo_deepdrive.extras import MissingExtraError, needed_for
+from mo_deepdrive.support.extras import MissingExtraError, needed_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from gymnasium.vector import VectorWrapper
 
 from mo_deepdrive.evaluation.metrics import STEPS_PER_SECOND, TRAIN, summarise
-from mo_deepdrive.faults import check_vehicles
+from mo_deepdrive.support.faults import check_vehicles
 from mo_deepdrive.wrappers import VectorEpisodeStatistics
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from algorithms.peers.peer_env import PeerEnv, Recorder
-from mo_deepdrive.config import Settings
+from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
     import gymnasium

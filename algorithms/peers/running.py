@@ -12,7 +12,13 @@ import mo_gymnasium
 import numpy as np
 import torch
 
-from algorithms.experiments.agent_report import (
+from algorithms.learning.threads import set_threads
+from algorithms.peers import PEERS
+from algorithms.peers.peer_env import Recorder
+from algorithms.peers.peer_task import PeerPolicies, PeerTask
+from algorithms.reporting.fronts import FrontsFile
+from algorithms.reporting.tables import evaluation_table
+from algorithms.runs.agent_report import (
     VIDEO_FILE,
     draw_figures_of_front,
     film,
@@ -20,18 +26,12 @@ from algorithms.experiments.agent_report import (
     report_front,
     show_results,
 )
-from algorithms.experiments.build import make_environment
-from algorithms.experiments.lenient_output import open_log
-from algorithms.experiments.loggers import Logger
-from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluate_policies, evaluation_env
-from algorithms.experiments.run_directory import METRICS_FILE
-from algorithms.experiments.suite_scores import score_run
-from algorithms.files.fronts import FrontsFile
-from algorithms.learning.threads import set_threads
-from algorithms.peers import PEERS
-from algorithms.peers.peer_env import Recorder
-from algorithms.peers.peer_task import PeerPolicies, PeerTask
-from algorithms.reporting.tables import evaluation_table
+from algorithms.runs.build import make_environment
+from algorithms.runs.lenient_output import open_log
+from algorithms.runs.loggers import Logger
+from algorithms.runs.policy_evaluation import FRONT_EPISODES, evaluate_policies, evaluation_env
+from algorithms.runs.run_directory import METRICS_FILE
+from algorithms.runs.suite_scores import score_run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import evaluate_each
 from mo_deepdrive.evaluation.evaluation_files import write_evaluation
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.agent import Log
-    from algorithms.experiments.config import Experiment
-    from algorithms.experiments.run_directory import Run
+    from algorithms.runs.config import Experiment
+    from algorithms.runs.run_directory import Run
 
 LOGGED_ROWS = 100  # of training metrics in a run
 

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from algorithms.reporting.video_grid import scaled, sheets
-from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

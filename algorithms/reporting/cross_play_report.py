@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from algorithms.reporting.style import LARGE_DPI, figure_style, save_figure
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.cross_play import OTHERS
 from mo_deepdrive.evaluation.metrics import COLLISION, SUCCESS, UTILITY_ESR, end_by
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

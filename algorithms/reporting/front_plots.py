@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from algorithms.reporting.front_view import FrontView, number_formatter, principal_components, separate
 from algorithms.reporting.style import COLOURS, DIM, FAINT, GRID, INK, figure_style, save_figure, surround
 from mo_deepdrive.evaluation.metrics import SUCCESS, label, name_and_unit, title_of, without_vehicle
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -49,7 +49,7 @@ from mo_deepdrive.evaluation.metrics import (
     title_of,
 )
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, bootstrap, of_three
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -57,8 +57,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from algorithms.files.metrics import Columns
     from algorithms.reporting.run_records import ExperimentRecord, UtilityRecord
+    from algorithms.reporting.training_log import Columns
 
 SETTLED = 0.2  # share of the training after which a curve always gets the full height of its axis
 CUT_RATIO = 30.0  # how many times larger the whole range must be than the settled one for the start to be cut off

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from gymnasium import registry
 from pydantic import AfterValidator, ConfigDict, Field
 
-from algorithms.files.metrics import Columns, read_metrics
-from algorithms.files.yaml import read_mapping
-from mo_deepdrive.config import EnvConfig, Settings, parse
+from algorithms.reporting.training_log import Columns, read_metrics
 from mo_deepdrive.evaluation.front import EVALUATION_FILE, LARGEST
 from mo_deepdrive.evaluation.statistics import Estimate
+from mo_deepdrive.support.yaml import read_mapping
+from mo_deepdrive.world.config import EnvConfig, Settings, parse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

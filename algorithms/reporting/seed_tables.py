@@ -46,7 +46,7 @@ from mo_deepdrive.evaluation.statistics import (
     means,
     of_three,
 )
-from mo_deepdrive.names import nearest_few
+from mo_deepdrive.support.names import nearest_few
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -17,8 +17,8 @@ from algorithms.reporting.seed_tables import (
 )
 from algorithms.reporting.style import algorithm_label
 from algorithms.reporting.wide_tables import lift_labels
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.metrics import UTILITY_ESR, title_of
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -16,11 +16,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from algorithms.reporting.style import VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK, figure_style
-from mo_deepdrive.atomic_io import without_links
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
 from mo_deepdrive.evaluation.splits import SPLITS
+from mo_deepdrive.support.atomic_io import without_links
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -82,7 +82,7 @@ def record(
 def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]]:
     """A function that appends a frame with even sides to an MP4; the file appears when it is complete, unless empty.
 
-    A process that is killed leaves a file that is named as the temporary ones of :mod:`mo_deepdrive.atomic_io`.
+    A process that is killed leaves a file that is named as the temporary ones of :mod:`mo_deepdrive.support.atomic_io`.
 
     Args:
         path: the file.

@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.experiments.config import make_experiment
-from algorithms.experiments.registry import find_algorithm
-from algorithms.experiments.shipped import find_config
-from algorithms.files.yaml import read_mapping
-from algorithms.sweeps.manifest import ManifestRow, cell_rows, overridden, refuse_duplicates
+from algorithms.runs.config import make_experiment
+from algorithms.runs.registry import find_algorithm
+from algorithms.runs.shipped import find_config
+from algorithms.studies.sweep_manifest import ManifestRow, cell_rows, overridden, refuse_duplicates
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
-from mo_deepdrive.names import nearest, nearest_few
+from mo_deepdrive.support.names import nearest, nearest_few
+from mo_deepdrive.support.yaml import read_mapping
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from algorithms.experiments.registry import AlgorithmEntry
+    from algorithms.runs.registry import AlgorithmEntry
+    from algorithms.studies.hyperparameter_search import Scores
     from algorithms.studies.settings import Learner, Study, StudyTask
-    from algorithms.sweeps.hyperparameter_search import Scores
 
 TASK, LEARNER = "task", "learner"  # keys of every cell
 
@@ -154,7 +154,7 @@ class StudyPlan:
         """Refuse a column that none of the runs has."""
         if not self.study.columns or self._columns_known:
             return
-        from algorithms.experiments.policy_evaluation import final_metrics
+        from algorithms.runs.policy_evaluation import final_metrics
 
         experiments = (make_experiment(row.config, here=False) for row in rows)
         known = {name.partition("/")[2] for experiment in experiments for name in final_metrics(experiment)}

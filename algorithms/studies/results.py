@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.experiments.run_directory import read_status
 from algorithms.reporting.run_records import experiment_record, read_evaluation
 from algorithms.reporting.table_files import markdown
-from algorithms.sweeps.manifest import label
+from algorithms.runs.run_directory import read_status
+from algorithms.studies.sweep_manifest import label
 from mo_deepdrive import suite
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes, own_path
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE, split_name
 from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.suite import Row, write_rows
 from mo_deepdrive.suite.scoring import FAILED
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, own_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from algorithms.reporting.wide_tables import Rows
     from algorithms.studies.plan import ArmRuns, StudyPlan
-    from algorithms.sweeps.manifest import ManifestRow
+    from algorithms.studies.sweep_manifest import ManifestRow
     from mo_deepdrive.evaluation.statistics import Estimate
 
 RESULTS_FILE, TUNING_FILE, TABLES_FILE = "results.csv", "tuning.csv", "results.md"

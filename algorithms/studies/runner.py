@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.run_directory import is_run
 from algorithms.reporting.wide_tables import print_rows
+from algorithms.runs.run_directory import is_run
 from algorithms.studies.plan import LEARNER, TASK, StudyPlan
 from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, study_tables, write_results
 from algorithms.studies.settings import ELSEWHERE, learners_in
-from algorithms.sweeps.manifest import is_sweep
-from algorithms.sweeps.runner import Backend, Runner
-from algorithms.sweeps.sweep_settings import replaced_keys
+from algorithms.studies.sweep_manifest import is_sweep
+from algorithms.studies.sweep_runner import Backend, Runner
+from algorithms.studies.sweep_settings import replaced_keys
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from algorithms.studies.hyperparameter_search import Scores
     from algorithms.studies.plan import ArmRuns
-    from algorithms.sweeps.hyperparameter_search import Scores
-    from algorithms.sweeps.manifest import ManifestRow
+    from algorithms.studies.sweep_manifest import ManifestRow
 
 
 class StudyRunner(Runner):

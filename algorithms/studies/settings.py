@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from algorithms.experiments.config import Count, UtilitySettings
-from algorithms.experiments.shipped import find_config
-from algorithms.files.yaml import read_mapping
-from algorithms.sweeps.sweep_settings import (
+from algorithms.runs.config import Count, UtilitySettings
+from algorithms.runs.shipped import find_config
+from algorithms.studies.sweep_settings import (
     SEED_KEYS,
     BackendSettings,
     Seeds,
@@ -19,7 +18,8 @@ from algorithms.sweeps.sweep_settings import (
     keys_in,
     tried_keys,
 )
-from mo_deepdrive.config import EnvironmentSettings, Settings, parse
+from mo_deepdrive.support.yaml import read_mapping
+from mo_deepdrive.world.config import EnvironmentSettings, Settings, parse
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from mo_deepdrive.names import nearest_few
+from mo_deepdrive.support.names import nearest_few
 
 ZOO = Path(__file__).resolve().parent
 CONFIG, CHECKPOINT, ABOUT = "config.yaml", "checkpoint.safetensors", "about.json"

@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms import zoo
-from algorithms.experiments.build import build
-from algorithms.files.checkpoints import read_checkpoint
-from algorithms.files.yaml import dump
-from mo_deepdrive.atomic_io import atomic_write, write_json
+from algorithms.learning.checkpoints import read_checkpoint
+from algorithms.runs.build import build
 from mo_deepdrive.evaluation.front import EVALUATION_FILE, FRONT_FILE, Front
+from mo_deepdrive.support.atomic_io import atomic_write, write_json
+from mo_deepdrive.support.yaml import dump
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from algorithms.experiments.config import Experiment
-    from algorithms.experiments.run_directory import Run
+    from algorithms.runs.config import Experiment
+    from algorithms.runs.run_directory import Run
 
 FILES = {zoo.CONFIG, zoo.CHECKPOINT, zoo.ABOUT, FRONT_FILE, EVALUATION_FILE}
 

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from algorithms.experiments.config import find_environment
-from algorithms.files.yaml import read_mapping
 from algorithms.reporting.run_records import ExperimentRecord
+from algorithms.runs.config import find_environment
 from algorithms.zoo import ABOUT, CONFIG, find, names
-from mo_deepdrive.config import parse
 from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     FRONT,
@@ -22,6 +20,8 @@ from mo_deepdrive.evaluation.metrics import (
     TOTAL_UTILITY_ESR,
     UTILITY_ESR,
 )
+from mo_deepdrive.support.yaml import read_mapping
+from mo_deepdrive.world.config import parse
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from mo_deepdrive import Objective, register_objective
-from mo_deepdrive.limits import limits
+from mo_deepdrive.world.limits import limits
 
 if TYPE_CHECKING:
-    from mo_deepdrive.config import EnvConfig
+    from mo_deepdrive.world.config import EnvConfig
 
 
 def effort(vehicles: Any, v: int, params: Any) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 
 from mo_deepdrive.evaluation import evaluate
 
-NEXT_ANGLE, SPEED = 0, 11  # columns of the observation: see mo_deepdrive.observation.LAYOUT
+NEXT_ANGLE, SPEED = 0, 11  # columns of the observation: see mo_deepdrive.world.observation.LAYOUT
 CRUISE = 5.0  # m/s
 
 

@@ -17,10 +17,10 @@ from rllib_vector_runner import VectorRunner
 
 from mo_deepdrive.envs.rllib import DrivingMultiAgentEnv
 from mo_deepdrive.evaluation import evaluate
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
-from mo_deepdrive.observation import scales
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
+from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.world.observation import scales
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 ENV_ID, UTILITY = "mo-deepdrive-intersection-v0", "intersection_linear"
 VEHICLES = ("vehicle_0", "vehicle_1")

@@ -9,8 +9,8 @@ from ray.rllib.core.rl_module.torch import TorchRLModule
 
 from mo_deepdrive.envs.rllib import DrivingMultiAgentEnv
 from mo_deepdrive.evaluation import evaluate
-from mo_deepdrive.observation import scales
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.observation import scales
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 VEHICLES, UTILITY = 8, "roundabout_linear"
 

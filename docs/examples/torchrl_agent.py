@@ -11,8 +11,8 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from mo_deepdrive.evaluation import evaluate
-from mo_deepdrive.observation import scales
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.observation import scales
+from mo_deepdrive.world.scenarios import SCENARIOS
 from mo_deepdrive.wrappers import UtilityReward
 
 ENV_ID, UTILITY = "mo-deepdrive-one-waypoint-v0", "one_waypoint_linear"

@@ -16,10 +16,10 @@ from numba.cuda.core.errors import NumbaPerformanceWarning
 from numba.cuda.extending import overload
 
 from mo_deepdrive.device.kernels import Buffers, Form, Launcher, Scratch, after_decision, before_decision, begin_episode
-from mo_deepdrive.measures import reason
 from mo_deepdrive.simulation import dynamics, observation, traffic
 from mo_deepdrive.simulation.kernel import deciding
 from mo_deepdrive.simulation.trigonometry import floor
+from mo_deepdrive.world.measures import reason
 
 THREADS = 64  # of a block: many small blocks, since a thread takes many registers
 # With fewer registers than they want, more worlds of several bodies fit beside one another, which makes them 10 to 15%

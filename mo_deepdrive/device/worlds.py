@@ -10,22 +10,22 @@ import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
-from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.device.kernels import NO_FAULT, RESET_NEEDED, WRONG_ACTION, Buffers, Form, Launcher, host_launcher
-from mo_deepdrive.extras import needed_for
-from mo_deepdrive.limits import check_state
-from mo_deepdrive.machine import GIB, check_device, check_memory
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
-from mo_deepdrive.observation import layout
-from mo_deepdrive.params import vehicle_record
 from mo_deepdrive.simulation.autoreset import DISABLED, NEXT_STEP, SAME_STEP
 from mo_deepdrive.simulation.philox import STREAM
 from mo_deepdrive.simulation.state import PARAMS
+from mo_deepdrive.support.extras import needed_for
+from mo_deepdrive.support.machine import GIB, check_device, check_memory
+from mo_deepdrive.world.batch import WorldBatch
+from mo_deepdrive.world.limits import check_state
+from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.world.observation import layout
+from mo_deepdrive.world.params import vehicle_record
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mo_deepdrive.config import EnvConfig
+    from mo_deepdrive.world.config import EnvConfig
 
 _MODES = {
     AutoresetMode.NEXT_STEP: NEXT_STEP,

@@ -10,13 +10,13 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
-from mo_deepdrive.batch import Draws, WorldBatch
 from mo_deepdrive.device.worlds import Outputs, TensorWorlds, make_streams
 from mo_deepdrive.envs.options import checked_options, make_pins
 from mo_deepdrive.envs.vector_base import VectorBase, check_forms, needs_reset
 from mo_deepdrive.simulation import philox
 from mo_deepdrive.simulation.philox import STREAM
 from mo_deepdrive.simulation.state import ARRIVED
+from mo_deepdrive.world.batch import Draws, WorldBatch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -70,7 +70,7 @@ class DeviceVectorEnv(VectorBase):
         check_actions: whether every step waits for the device to check its actions.
         render_mode: None or "rgb_array".
         max_episode_steps: number of decisions after which an episode is truncated.
-        **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
+        **options: fields of :class:`mo_deepdrive.world.config.EnvConfig`.
 
     Attributes:
         device: where the tensors are.

@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.names import nearest
-from mo_deepdrive.params import cars_in_traffic
-from mo_deepdrive.plain_values import finite_numbers, whole_number
-from mo_deepdrive.routes import FARTHEST, MOST_TURNED
 from mo_deepdrive.simulation.placing import pin_nothing
 from mo_deepdrive.simulation.road_traffic import ACCEPTED_GAPS
 from mo_deepdrive.simulation.state import SPAWN, with_room
 from mo_deepdrive.simulation.traffic import DESIRED_SPEEDS, HEADWAYS, YIELDINGS
+from mo_deepdrive.support.names import nearest
+from mo_deepdrive.support.plain_values import finite_numbers, whole_number
+from mo_deepdrive.world.params import cars_in_traffic
+from mo_deepdrive.world.routes import FARTHEST, MOST_TURNED
 
 if TYPE_CHECKING:
-    from mo_deepdrive.config import EnvConfig
-    from mo_deepdrive.scenarios import Scenario
+    from mo_deepdrive.world.config import EnvConfig
+    from mo_deepdrive.world.scenarios import Scenario
 
 # The options with a number per oncoming car: the field of DRIVER, its range and unit.
 DRIVERS: dict[str, tuple[str, tuple[float, float], str]] = {

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils.wrappers import BaseWrapper
 
-from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import checked_options, option_names
 from mo_deepdrive.envs.streams import checked_seed
 from mo_deepdrive.envs.world import RENDER_MODES, World
-from mo_deepdrive.extras import needed_for
-from mo_deepdrive.names import nearest
-from mo_deepdrive.scenarios import VERSIONS
+from mo_deepdrive.support.extras import needed_for
+from mo_deepdrive.support.names import nearest
+from mo_deepdrive.world.config import parse_arguments
+from mo_deepdrive.world.scenarios import VERSIONS
 
 if TYPE_CHECKING:
     from gymnasium import spaces
@@ -57,7 +57,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
             every agent in every step, such as MOMAland's RecordEpisodeStatistics and CentraliseAgent. Its observation
             is the last one, its reward is zero, its flags are False until the last step, and its actions, which are
             still required, are ignored. Its ``infos`` are those of its end in the step in which it ends.
-        **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
+        **options: fields of :class:`mo_deepdrive.world.config.EnvConfig`.
 
     Attributes:
         objectives: names of the reward's components, in order.

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mo_deepdrive.config import EnvConfig, UtilityChoice, parse
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.parallel import DrivingParallelEnv
-from mo_deepdrive.extras import needed_for
-from mo_deepdrive.names import nearest
+from mo_deepdrive.support.extras import needed_for
+from mo_deepdrive.support.names import nearest
 from mo_deepdrive.utilities import Utility, make_utility
+from mo_deepdrive.world.config import EnvConfig, UtilityChoice, parse
 
 with needed_for("mo_deepdrive.envs.rllib", extra="rllib"):
     from ray.rllib.env.multi_agent_env import MultiAgentEnv
@@ -42,7 +42,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
             - ``"utility"``: a name, or ``{"name": ..., "arguments": {...}}``, or a dict with one of these for every
               vehicle; by default the paper's linear utility of the scenario;
             - ``"render_mode"``: None, "rgb_array" or "human";
-            - any other field of :class:`mo_deepdrive.config.EnvConfig`.
+            - any other field of :class:`mo_deepdrive.world.config.EnvConfig`.
 
     Attributes:
         objectives: names of the vector reward's components, in order.

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import DictInfoToList
 
-from mo_deepdrive.extras import needed_for
+from mo_deepdrive.support.extras import needed_for
 
 with needed_for("mo_deepdrive.envs.sb3", extra="sb3"):
     from stable_baselines3.common.vec_env import VecEnv

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.error import ResetNeeded
 
-from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.envs.world import WorldEnv
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.config import parse_arguments
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,7 +36,7 @@ class DrivingEnv(WorldEnv):
 
     - ``action_type="discrete"`` (default): ``Discrete(22)``. 0 is idle; action 1 + 3 g + c steers by group g (decay,
       small left, small right, micro left, micro right, large left, large right) and changes the speed by c (maintain,
-      decrease, increase). ``mo_deepdrive.actions.action_names`` lists them.
+      decrease, increase). ``mo_deepdrive.world.actions.action_names`` lists them.
     - ``"discrete-16"``: ``Discrete(16)``, the older set without the micro groups.
     - ``"continuous"``: ``Box(-1, 1, (3,))``: steer (times 30 degrees, positive to the left), acceleration (times
       3.625 m/s^2) and brake (-1 none, 1 full). Values out of range are clipped.
@@ -99,7 +99,7 @@ class DrivingEnv(WorldEnv):
 
     ## Arguments
 
-    ``scenario`` is set by the id. Every other field of :class:`mo_deepdrive.config.EnvConfig` is a keyword argument:
+    ``scenario`` is set by the id. Every other field of :class:`~mo_deepdrive.world.config.EnvConfig` is an argument:
     ``action_type``, ``fixed_destination``, ``fixed_obstacle`` (StaticObstacle), ``time_limit``, ``objectives``,
     ``cost_sign``, ``simulation_frequency``, ``decision_frequency``, ``constrain_controls``, ``ignore_brake``,
     ``harmful_g_force``, ``harmful_jerk``, ``charge_remaining_time``; for LeftTurn ``traffic`` ("none", "light",

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from gymnasium import spaces
 
-from mo_deepdrive import actions, observation
-from mo_deepdrive.limits import limits, objective_bound
-from mo_deepdrive.objectives import INDEX, OBJECTIVES, signs
-from mo_deepdrive.params import chosen_objectives
+from mo_deepdrive.world import actions, observation
+from mo_deepdrive.world.limits import limits, objective_bound
+from mo_deepdrive.world.objectives import INDEX, OBJECTIVES, signs
+from mo_deepdrive.world.params import chosen_objectives
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mo_deepdrive.config import EnvConfig
+    from mo_deepdrive.world.config import EnvConfig
 
 
 def observation_space(config: EnvConfig) -> spaces.Box:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.utils import seeding
 
-from mo_deepdrive.batch import Draws
-from mo_deepdrive.plain_values import whole_number
+from mo_deepdrive.support.plain_values import whole_number
+from mo_deepdrive.world.batch import Draws
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,13 +9,13 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
-from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.envs.options import checked_options, make_pins
 from mo_deepdrive.envs.streams import Streams
 from mo_deepdrive.envs.vector_base import VectorBase, check_forms, needs_reset, positive
-from mo_deepdrive.extras import needed_for
 from mo_deepdrive.simulation.autoreset import DISABLED, NEXT_STEP, SAME_STEP
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
+from mo_deepdrive.support.extras import needed_for
+from mo_deepdrive.world.batch import WorldBatch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -88,7 +88,7 @@ class DrivingVectorEnv(VectorBase):
         threads: how many threads share a step, which pays off from about 2,000 worlds. It does not change the results.
         render_mode: None or "rgb_array" (``render()`` returns one frame per world).
         max_episode_steps: number of decisions after which an episode is truncated, unless ``time_limit`` is shorter.
-        **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
+        **options: fields of :class:`mo_deepdrive.world.config.EnvConfig`.
 
     Attributes:
         objectives: names of the d components of a vehicle's reward, in order.

@@ -11,13 +11,13 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mo_deepdrive.batch import read_telemetry
-from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.streams import checked_seed
 from mo_deepdrive.envs.world import KnownFront
-from mo_deepdrive.params import chosen_objectives
-from mo_deepdrive.plain_values import whole_number
+from mo_deepdrive.support.plain_values import whole_number
+from mo_deepdrive.world.batch import read_telemetry
+from mo_deepdrive.world.config import parse_arguments
+from mo_deepdrive.world.params import chosen_objectives
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -64,7 +64,7 @@ class VectorBase(KnownFront, VectorEnv):
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED.
         render_mode: None or "rgb_array".
         max_episode_steps: number of decisions after which an episode is truncated, unless the time limit is shorter.
-        options: fields of :class:`mo_deepdrive.config.EnvConfig`.
+        options: fields of :class:`mo_deepdrive.world.config.EnvConfig`.
 
     Attributes:
         objectives: names of the d components of a vehicle's reward, in order.
@@ -151,7 +151,7 @@ class VectorBase(KnownFront, VectorEnv):
         """One RGB frame per world for ``render_mode="rgb_array"``, else None."""
         if self.render_mode is None:
             return None
-        from mo_deepdrive.rendering import Viewer
+        from mo_deepdrive.drawing.rendering import Viewer
 
         if not self._viewers:
             self._viewers = [Viewer(self.config, self.render_mode) for _ in range(self.num_envs)]

@@ -12,15 +12,15 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from mo_deepdrive.batch import Draws, WorldBatch
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.spaces import action_space, observation_scales, observation_space, reward_space
 from mo_deepdrive.envs.streams import checked_seed
+from mo_deepdrive.world.batch import Draws, WorldBatch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from mo_deepdrive.config import EnvConfig
+    from mo_deepdrive.world.config import EnvConfig
 
 RENDER_MODES = ["rgb_array", "human"]
 
@@ -114,7 +114,7 @@ class World:
         if self.render_mode is None:
             return None
         if self._viewer is None:
-            from mo_deepdrive.rendering import Viewer
+            from mo_deepdrive.drawing.rendering import Viewer
 
             self._viewer = Viewer(self.config, self.render_mode)
         frame = self._viewer.draw(self.batch.state[0])
@@ -151,7 +151,7 @@ class KnownFront:
         Raises:
             ValueError: if there is no best-known front, with what it would require.
         """
-        from mo_deepdrive.reference_fronts import pareto_front
+        from mo_deepdrive.fronts.reference_fronts import pareto_front
 
         return pareto_front(self.config, gamma)
 

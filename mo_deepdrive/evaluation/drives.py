@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mo_deepdrive.evaluation.policy import Policy
-    from mo_deepdrive.routes import Route
+    from mo_deepdrive.world.routes import Route
 
 READINGS = ("x", "y", "heading", "speed", "g_force", "jerk")  # fields of the state: m, m, rad, m/s, g, m/s^3
 POSE = READINGS[:3]
@@ -62,7 +62,7 @@ class PlanDriver:
     """Sequences of actions of one vehicle as a :class:`BatchDriver`; after its last action it is idle.
 
     Args:
-        plans: N sequences, as :func:`mo_deepdrive.action_sequences.decode` returns them.
+        plans: N sequences, as :func:`mo_deepdrive.world.action_sequences.decode` returns them.
         idle: the action that does nothing.
     """
 

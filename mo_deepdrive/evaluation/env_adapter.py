@@ -20,12 +20,12 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.envs.vector import END_NAMES, DrivingVectorEnv
-from mo_deepdrive.faults import EndlessEpisode, check_vehicles
-from mo_deepdrive.limits import objective_bound
-from mo_deepdrive.machine import check_memory, peak_memory
-from mo_deepdrive.objectives import scales as objective_scales
-from mo_deepdrive.objectives import signs as objective_signs
 from mo_deepdrive.simulation.state import ARRIVED, RUNNING
+from mo_deepdrive.support.faults import EndlessEpisode, check_vehicles
+from mo_deepdrive.support.machine import check_memory, peak_memory
+from mo_deepdrive.world.limits import objective_bound
+from mo_deepdrive.world.objectives import scales as objective_scales
+from mo_deepdrive.world.objectives import signs as objective_signs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -17,8 +17,8 @@ from mo_deepdrive.evaluation.evaluation_files import Provenance
 from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.evaluation.policy import Policy, check_same_task, seeded_generator
 from mo_deepdrive.evaluation.splits import first_seed
-from mo_deepdrive.machine import check_memory
-from mo_deepdrive.plain_values import is_finite
+from mo_deepdrive.support.machine import check_memory
+from mo_deepdrive.support.plain_values import is_finite
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import yaml
 
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes, own_path, write_json
 from mo_deepdrive.evaluation.metrics import (
     GREEDY,
     LENGTH,
@@ -29,6 +28,7 @@ from mo_deepdrive.evaluation.metrics import (
     vehicle_name,
 )
 from mo_deepdrive.evaluation.splits import SPLITS
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, own_path, write_json
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:

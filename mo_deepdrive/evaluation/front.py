@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes, own_path, write_json
 from mo_deepdrive.evaluation.evaluation_files import EVALUATION_FILE as EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import (
     ADDITIVE_EPSILON,
@@ -35,6 +34,7 @@ from mo_deepdrive.evaluation.pareto import (
     one_per_objective,
 )
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, bootstrap
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, own_path, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

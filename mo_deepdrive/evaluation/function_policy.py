@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
-from mo_deepdrive.importing import failure
+from mo_deepdrive.support.importing import failure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

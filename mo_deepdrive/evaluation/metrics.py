@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mo_deepdrive.names import nearest
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.simulation.state import ENDS
+from mo_deepdrive.support.names import nearest
+from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -15,7 +15,7 @@ from mo_deepdrive.evaluation.episodes import as_policy
 from mo_deepdrive.evaluation.policy import seeded_generator
 from mo_deepdrive.evaluation.policy_driver import PolicyDriver
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED
-from mo_deepdrive.faults import check_vehicles
+from mo_deepdrive.support.faults import check_vehicles
 
 try:
     import h5py  # noqa: F401  (Minari imports it and Pillow when it has recorded everything)

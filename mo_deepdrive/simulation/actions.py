@@ -87,7 +87,7 @@ def decode(
         i: which world.
         v: which vehicle.
         actions: (worlds, vehicles) integers in [0, len(table)), or (worlds, vehicles, 3) finite numbers.
-        table: (actions, 4), from :func:`mo_deepdrive.actions.action_table`; empty for continuous actions.
+        table: (actions, 4), from :func:`mo_deepdrive.world.actions.action_table`; empty for continuous actions.
         controls: (worlds, vehicles, 3), written: steer (rad), throttle (m/s^2), brake.
     """
     vehicle = worlds[i, v]

@@ -1,4 +1,4 @@
-"""What a vehicle observes, computed; :func:`mo_deepdrive.observation.layout` describes the entries."""
+"""What a vehicle observes, computed; :func:`mo_deepdrive.world.observation.layout` describes the entries."""
 
 from __future__ import annotations
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.action_sequences import decode, idle
 from mo_deepdrive.suite.tasks import DATA, load
+from mo_deepdrive.world.action_sequences import decode, idle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import as_policy
@@ -18,8 +17,6 @@ from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.splits import SPLITS, first_seed
 from mo_deepdrive.evaluation.statistics import Estimate, resample
-from mo_deepdrive.importing import failure
-from mo_deepdrive.names import nearest
 from mo_deepdrive.suite.scorers import (
     CONTROLLABILITY,
     CVAR,
@@ -32,6 +29,9 @@ from mo_deepdrive.suite.scorers import (
     single,
 )
 from mo_deepdrive.suite.tasks import load
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.support.importing import failure
+from mo_deepdrive.support.names import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -15,11 +15,11 @@ import numpy as np
 import yaml
 from pydantic import Field
 
-from mo_deepdrive.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse, parse_arguments
-from mo_deepdrive.names import nearest
-from mo_deepdrive.objectives import scales
-from mo_deepdrive.params import chosen_objectives
+from mo_deepdrive.support.names import nearest
 from mo_deepdrive.utilities import Utility, make_utility
+from mo_deepdrive.world.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse, parse_arguments
+from mo_deepdrive.world.objectives import scales
+from mo_deepdrive.world.params import chosen_objectives
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.experiments.build import build
-from algorithms.experiments.config import make_experiment
 from algorithms.learning.advantages import check_utility_gradient
+from algorithms.runs.build import build
+from algorithms.runs.config import make_experiment
 from mo_deepdrive.evaluation import env_adapter, evaluate
 from mo_deepdrive.evaluation.env_adapter import make_env
-from mo_deepdrive.faults import EndlessEpisode, Fault, NotFinite
-from mo_deepdrive.objectives import Objective, register_objective
+from mo_deepdrive.support.faults import EndlessEpisode, Fault, NotFinite
 from mo_deepdrive.utilities import Utility
+from mo_deepdrive.world.objectives import Objective, register_objective
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT
 from tests.helpers.foul import FOUL
 

@@ -9,7 +9,7 @@ import pytest
 
 import algorithms
 from algorithms.commands import COMMANDS
-from mo_deepdrive.extras import EXTRAS
+from mo_deepdrive.support.extras import EXTRAS
 from tests.helpers.paths import REPOSITORY
 
 
@@ -73,7 +73,7 @@ def test_a_training_run_starts_without_what_it_ends_with(run_python: Callable[[s
 def test_tables_need_no_matplotlib(run_python: Callable[[str], str]) -> None:
     loaded = run_python(
         "import sys\n"
-        "import algorithms.reporting.seed_tables, algorithms.reporting.tables, algorithms.sweeps.tables\n"
+        "import algorithms.reporting.seed_tables, algorithms.reporting.tables, algorithms.studies.sweep_tables\n"
         "import algorithms.zoo.listing\n"
         "print([name for name in ('matplotlib', 'torch') if name in sys.modules])"
     )

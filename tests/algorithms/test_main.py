@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from algorithms.commands import COMMANDS
-from algorithms.experiments.cli import as_called
+from algorithms.runs.cli import as_called
 from mo_deepdrive import __version__
 from mo_deepdrive.__main__ import run
 

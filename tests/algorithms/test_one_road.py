@@ -11,9 +11,9 @@ import torch
 
 import algorithms.agent
 from algorithms import MOPPO, PCN
-from algorithms.experiments.build import build
-from algorithms.experiments.onnx_export import TOLERANCE, export_onnx
 from algorithms.learning import compiling
+from algorithms.runs.build import build
+from algorithms.runs.onnx_export import TOLERANCE, export_onnx
 from tests.helpers.agents import CONTINUOUS, ONE_WAYPOINT, SEA, make_agent, same, state
 from tests.helpers.own_algorithms import (
     AdvantagesInPlace,

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.experiments.build import build, load_policy, open_driver
-from algorithms.experiments.config import make_experiment
-from algorithms.experiments.run_directory import Run
-from algorithms.files.checkpoints import read_checkpoint
+from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.learning.threads import set_threads
+from algorithms.runs.build import build, load_policy, open_driver
+from algorithms.runs.config import make_experiment
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate

@@ -21,10 +21,10 @@ from safetensors.torch import load_file
 from scipy.stats import binomtest
 
 from algorithms import PCN
-from algorithms.experiments.build import build
-from algorithms.experiments.config import load_experiment
 from algorithms.learning.episode_buffer import Episode
 from algorithms.pcn import CommandPolicy
+from algorithms.runs.build import build
+from algorithms.runs.config import load_experiment
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.front import Front, indicators

@@ -13,11 +13,11 @@ from torch import nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from algorithms import PCN, PPO, FrontAgent
-from algorithms.experiments.config import make_experiment
-from algorithms.experiments.side_by_side import build_trainee
 from algorithms.learning.learner import _linear
+from algorithms.runs.config import make_experiment
+from algorithms.runs.side_by_side import build_trainee
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
-from mo_deepdrive.faults import NotFinite
+from mo_deepdrive.support.faults import NotFinite
 from tests.helpers.agents import INTERSECTION, SEA, make_agent
 from tests.helpers.seed_trainers import LEARNERS, TOTAL, trained, trainer, weights
 from tests.helpers.short_runs import VALUES

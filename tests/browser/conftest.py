@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from algorithms.experiments.build import build, load_policy
-from algorithms.experiments.config import load_experiment
-from algorithms.experiments.front_explorer import choose_command, explorable, explorable_best_known
-from algorithms.experiments.policy_evaluation import evaluate_front
-from algorithms.experiments.run_directory import Run
 from algorithms.reporting.explorer.explorable_front import ExplorableFront
 from algorithms.reporting.explorer.page import write_page
+from algorithms.runs.build import build, load_policy
+from algorithms.runs.config import load_experiment
+from algorithms.runs.front_explorer import choose_command, explorable, explorable_best_known
+from algorithms.runs.policy_evaluation import evaluate_front
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.front import Front
 from tests.browser.explorer_page import EPISODES, SEED, Page
 

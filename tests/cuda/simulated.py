@@ -17,11 +17,11 @@ from numba.cuda.simulator import kernelapi
 from numba.cuda.simulator.cudadrv.devicearray import FakeCUDAArray
 from numba.np import numpy_support
 
-from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.device import cuda as device
 from mo_deepdrive.device import worlds
 from mo_deepdrive.device.kernels import Buffers
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.config import EnvConfig
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 COUNT = 66  # two blocks, the second of which is not full
 DECISIONS = 4

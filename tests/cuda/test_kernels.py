@@ -16,10 +16,10 @@ from numba import cuda
 from numba.cuda import dispatcher
 
 from mo_deepdrive import Objective, register_objective
-from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.device import cuda as device
 from mo_deepdrive.device import worlds
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.config import EnvConfig
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 CAPABILITY = (9, 0)
 MOST_LOCAL = 8192  # bytes of a thread; the driver reserves it for all threads that a GPU can have at a time

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.scenarios import SCENARIOS
 from tests.helpers.paths import REPOSITORY
 
 

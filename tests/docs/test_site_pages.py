@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from algorithms import ALGORITHMS as CLASSES
-from mo_deepdrive.config import EnvConfig
-from mo_deepdrive.objectives import OBJECTIVES
-from mo_deepdrive.observation import layout
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.config import EnvConfig
+from mo_deepdrive.world.objectives import OBJECTIVES
+from mo_deepdrive.world.observation import layout
+from mo_deepdrive.world.scenarios import SCENARIOS
 from site_pages import docstrings, markdown, reference, repository
 from site_pages.explorer_examples import EXAMPLES
 from site_pages.local_links import broken_links

@@ -16,11 +16,11 @@ import gymnasium
 import numpy as np
 
 import mo_deepdrive
-from mo_deepdrive.actions import CONTINUOUS, DISCRETE, SPEED_CHANGES
-from mo_deepdrive.observation import layout
-from mo_deepdrive.scenarios import SCENARIOS, VERSIONS
 from mo_deepdrive.simulation.observation import ABSENT_DISTANCE
 from mo_deepdrive.simulation.state import STEER_RANGE
+from mo_deepdrive.world.actions import CONTINUOUS, DISCRETE, SPEED_CHANGES
+from mo_deepdrive.world.observation import layout
+from mo_deepdrive.world.scenarios import SCENARIOS, VERSIONS
 
 ACTION_TYPES = ("discrete", "discrete-16", "continuous")
 SEED = 7

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from algorithms.experiments.config import load_experiment
-from algorithms.experiments.run_files import record_files
-from algorithms.files.metrics import MetricsFile
-from algorithms.sweeps.manifest import ManifestRow, run_id, write_manifest
+from algorithms.reporting.training_log import MetricsFile
+from algorithms.runs.config import load_experiment
+from algorithms.runs.run_files import record_files
+from algorithms.studies.sweep_manifest import ManifestRow, run_id, write_manifest
 from tests.helpers.paths import REPOSITORY
 
 Script = Callable[..., int]  # calls a script with arguments and returns its exit code

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from algorithms.reproduction.claims import CLAIMS, Claim
-from algorithms.reproduction.results import ReproductionResults
+from algorithms.studies.paper_claims import CLAIMS, Claim
+from algorithms.studies.paper_results import ReproductionResults
 from tests.helpers.paths import REPOSITORY
 
 PLAN = REPOSITORY / "configs" / "studies" / "paper.yaml"

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from algorithms.files.metrics import read_metrics
+from algorithms.reporting.training_log import read_metrics
 from tests.helpers.paths import REPOSITORY
 
 TIMEOUT = 240

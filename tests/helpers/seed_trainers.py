@@ -6,8 +6,8 @@ from typing import Any
 
 import torch
 
-from algorithms.experiments.build import build
-from algorithms.experiments.config import make_experiment
+from algorithms.runs.build import build
+from algorithms.runs.config import make_experiment
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT
 
 # Algorithm, environment, its arguments, and what differs from the defaults.

@@ -7,8 +7,8 @@ from typing import Any
 
 import torch
 
-from algorithms.experiments.build import build
-from algorithms.experiments.config import make_experiment
+from algorithms.runs.build import build
+from algorithms.runs.config import make_experiment
 from tests.helpers.agents import INTERSECTION
 
 STEPS = 400

@@ -12,8 +12,8 @@ import numpy as np
 from rich.console import Console
 from safetensors.numpy import load_file
 
-from algorithms.experiments.config import make_experiment
-from algorithms.experiments.jobs import Job
+from algorithms.runs.config import make_experiment
+from algorithms.runs.jobs import Job
 
 VALUES: dict[str, Any] = {
     "environment": {"id": "mo-deepdrive-one-waypoint-v0", "arguments": {"time_limit": 1}},

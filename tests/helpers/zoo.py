@@ -14,10 +14,10 @@ import torch
 from algorithms import ALGORITHMS, zoo
 from algorithms.actor_critic import ActorCritic
 from algorithms.agent import FrontAgent
-from algorithms.experiments.build import build, make_environment
-from algorithms.experiments.config import Experiment, make_experiment
-from algorithms.experiments.policy_evaluation import evaluate_front
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.build import build, make_environment
+from algorithms.runs.config import Experiment, make_experiment
+from algorithms.runs.policy_evaluation import evaluate_front
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.episodes import evaluate
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, SEA, exaggerate

@@ -41,7 +41,7 @@ seeds: 2
 # Starts the command play, and presses Escape after ten frames.
 PLAY = """
 from algorithms.commands import play
-from mo_deepdrive.quiet_pygame import pygame
+from mo_deepdrive.drawing.quiet_pygame import pygame
 shown = []
 def flip():
     shown.append(True)
@@ -163,7 +163,7 @@ def test_the_tests_pass_from_the_sdist(dist: Path, tmp_path: Path) -> None:
         archive.extractall(tmp_path)
     (source,) = tmp_path.iterdir()
     tests = ["test_architecture.py", "test_documentation.py", "mo_deepdrive/test_extras.py", "mo_deepdrive/simulation"]
-    tests += ["algorithms/experiments/test_config.py", "algorithms/reproduction/test_plan.py"]
+    tests += ["algorithms/runs/test_config.py", "algorithms/studies/test_paper_plan.py"]
     options = ["-q", "-m", "not slow", "--hypothesis-profile", "fast", "-p", "no:cacheprovider"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *options, *(f"tests/{name}" for name in tests)],

@@ -18,8 +18,8 @@ LEARNS = """
 import numpy as np
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.learners import Agent
-from mo_deepdrive.learners.experiments.build import load_policy
-from mo_deepdrive.learners.experiments.run_directory import Run
+from mo_deepdrive.learners.runs.build import load_policy
+from mo_deepdrive.learners.runs.run_directory import Run
 
 policy = load_policy(Run.open("one_waypoint_linear-ppo"))
 assert isinstance(policy, Agent)
@@ -72,7 +72,7 @@ def test_importing_the_name_imports_no_algorithm(tmp_path: Path) -> None:
 def test_without_the_package_or_under_another_one_the_error_is_a_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from mo_deepdrive import importing
+    from mo_deepdrive.support import importing
 
     monkeypatch.setattr(importing, "__file__", str(tmp_path / "mo_deepdrive" / "importing.py"))
     with pytest.raises(ImportError, match="has no package algorithms: reinstall mo-deepdrive"):

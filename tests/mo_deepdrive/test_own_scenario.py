@@ -17,9 +17,9 @@ from pettingzoo.test import parallel_api_test
 
 import mo_deepdrive
 from mo_deepdrive import Route, Scenario, Segment, register_scenario
-from mo_deepdrive.observation import layout
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv, make_play_env
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.observation import layout
+from mo_deepdrive.world.scenarios import SCENARIOS
 from mo_deepdrive.wrappers import UtilityReward
 
 ID = "mo-deepdrive-two-bicycles-v0"

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import LINEAR, NONLINEAR, Utility, make_utility
+from mo_deepdrive.world.scenarios import SCENARIOS
 from mo_deepdrive.wrappers import (
     ParallelUtilityReward,
     ScaledObservation,

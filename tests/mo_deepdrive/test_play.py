@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mo_deepdrive.actions import CONTINUOUS, action_names
 from mo_deepdrive.play import (
     END_HOLD,
     FRAMES_PER_DECISION,
@@ -19,6 +18,7 @@ from mo_deepdrive.play import (
     make_play_env,
 )
 from mo_deepdrive.simulation.state import VEHICLE
+from mo_deepdrive.world.actions import CONTINUOUS, action_names
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 NOTHING, UP, DOWN = Keys(False, False, False, False), Keys(True, False, False, False), Keys(False, True, False, False)

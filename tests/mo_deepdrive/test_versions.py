@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from mo_deepdrive.actions import action_names
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
+from mo_deepdrive.world.actions import action_names
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 BACKWARDS = np.array([0.0, -1.0, -1.0], dtype=np.float32)
 STILL = np.array([0.0, 0.0, -1.0], dtype=np.float32)

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.experiments.config import make_experiment
-from algorithms.experiments.jobs import Job, perform
 from algorithms.peers import PEERS, PeerTask
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies
+from algorithms.runs.config import make_experiment
+from algorithms.runs.jobs import Job, perform
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate, evaluate_each
 from mo_deepdrive.utilities import make_utility

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from algorithms.experiments.build import build, load_policy
-from algorithms.experiments.config import load_experiment
-from algorithms.experiments.policy_evaluation import evaluate_front
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.build import build, load_policy
+from algorithms.runs.config import load_experiment
+from algorithms.runs.policy_evaluation import evaluate_front
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.front import Front
@@ -49,7 +49,7 @@ Choose = Callable[..., Done]
 @pytest.fixture
 def choose(call: Call, monkeypatch: pytest.MonkeyPatch) -> Choose:
     """Run the script in the test's folder, on lines long enough for its table."""
-    monkeypatch.setattr("algorithms.experiments.console.make_console", lambda: Console(width=250))
+    monkeypatch.setattr("algorithms.runs.console.make_console", lambda: Console(width=250))
     return functools.partial(call, "choose")
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from algorithms import zoo
-from algorithms.experiments.build import build
-from algorithms.experiments.config import make_experiment
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.build import build
+from algorithms.runs.config import make_experiment
+from algorithms.runs.run_directory import Run
 
 PAIR = "intersection_nonlinear-mo_ppo"
 ROUNDABOUT = "mo-deepdrive-roundabout-v0"

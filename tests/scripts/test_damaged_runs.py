@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from algorithms import zoo
-from algorithms.files.yaml import dump
+from mo_deepdrive.support.yaml import dump
 from tests.helpers.made_up_sweeps import config_of, make_row, make_sweep
 from tests.helpers.script_runs import Call, refused
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms.experiments.build import load_policy
-from algorithms.experiments.policy_evaluation import evaluate_front_policies
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.build import load_policy
+from algorithms.runs.policy_evaluation import evaluate_front_policies
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.front import Front
-from mo_deepdrive.reference_fronts import reference_front, shipped
+from mo_deepdrive.fronts.reference_fronts import reference_front, shipped
 from tests.helpers.script_runs import SEA_FRONT, Call, refused
 
 pytestmark = pytest.mark.slow
@@ -71,7 +71,7 @@ def test_a_best_known_front_is_shown_with_the_drives_of_its_actions(call: Call, 
     for returns, kind in ((undiscounted, "undiscounted"), (discounted, "discounted")):
         stored = [getattr(policies[k], kind) for k in front["numbers"]]
         np.testing.assert_allclose(returns[:, :-1], stored, rtol=1e-4, atol=1e-4)
-    assert front["command"] == "mo_deepdrive.reference_fronts.shipped('static_obstacle', 'discrete')[{policy}]"
+    assert front["command"] == "mo_deepdrive.fronts.reference_fronts.shipped('static_obstacle', 'discrete')[{policy}]"
     assert front["budget"]["prices"] == {"collision": 10.0}
     (scene,) = front["scenes"]
     ends = np.array([drive["vehicles"][0]["end"] == "arrived" for drive in scene["drives"]])

@@ -15,7 +15,7 @@ import pytest
 import yaml
 from safetensors.torch import load_file, save_file
 
-from algorithms.files.checkpoints import read_checkpoint
+from algorithms.learning.checkpoints import read_checkpoint
 from tests.helpers.script_runs import TIMEOUT, Call, command, environment, refused, status
 
 pytestmark = pytest.mark.slow

@@ -10,13 +10,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from algorithms.planning import front_search
-from mo_deepdrive.action_sequences import decode as decode_actions
-from mo_deepdrive.action_sequences import discounted_sum
-from mo_deepdrive.action_sequences import replay as replay_sequences
-from mo_deepdrive.reference_fronts import GAMMA, front_config
-from mo_deepdrive.reference_fronts import read as read_front
-from mo_deepdrive.reference_fronts import write as format_front
+from mo_deepdrive.fronts.reference_fronts import GAMMA, front_config
+from mo_deepdrive.fronts.reference_fronts import read as read_front
+from mo_deepdrive.fronts.reference_fronts import write as format_front
+from mo_deepdrive.world.action_sequences import decode as decode_actions
+from mo_deepdrive.world.action_sequences import discounted_sum
+from mo_deepdrive.world.action_sequences import replay as replay_sequences
+from scripts.bounds import front_search
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from algorithms.experiments.registry import algorithm_names
+from algorithms.runs.registry import algorithm_names
 from tests.helpers.script_runs import Call, refused
 
 

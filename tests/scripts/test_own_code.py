@@ -16,10 +16,10 @@ import torch
 import yaml
 from safetensors.torch import load_file
 
-from algorithms.experiments.build import build, load_policy
-from algorithms.experiments.config import load_experiment, make_experiment
-from algorithms.experiments.run_directory import Run
-from algorithms.files.metrics import read_metrics
+from algorithms.reporting.training_log import read_metrics
+from algorithms.runs.build import build, load_policy
+from algorithms.runs.config import load_experiment, make_experiment
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
@@ -208,7 +208,7 @@ def test_the_hint_after_an_interrupt_is_a_command_that_resumes(call: Call, monke
     def received(*_: Any, **__: Any) -> int:
         return int(signal.SIGTERM)
 
-    monkeypatch.setattr("algorithms.experiments.training.train_and_finish", received)
+    monkeypatch.setattr("algorithms.runs.training.train_and_finish", received)
     code, out, error = call("train", "--config", "reinforce.yaml", "--output", "my runs/first")
     assert code == 128 + signal.SIGTERM, error
     program, *words = shlex.split(out.partition("resume with: ")[2])
@@ -346,7 +346,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from algorithms import FrontAgent
-from mo_deepdrive.config import Settings
+from mo_deepdrive.world.config import Settings
 
 class Constants(FrontAgent):
     class Config(Settings):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from algorithms.files.metrics import read_metrics
+from algorithms.reporting.training_log import read_metrics
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import PICTURES, Call, refused, status
 

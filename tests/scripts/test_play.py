@@ -11,9 +11,9 @@ import imageio.v3 as iio
 import pygame
 import pytest
 
-from algorithms.experiments.build import build
-from algorithms.experiments.config import make_experiment
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.build import build
+from algorithms.runs.config import make_experiment
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"

@@ -10,8 +10,8 @@ from types import ModuleType
 import pytest
 
 from algorithms import zoo
-from algorithms.planning import driver_table
-from algorithms.planning.suite_bounds import roundabout_rules
+from scripts.bounds import driver_table
+from scripts.bounds.suite_bounds import roundabout_rules
 
 
 @pytest.mark.slow

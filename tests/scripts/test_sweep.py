@@ -17,10 +17,10 @@ from typing import Any
 
 import pytest
 
-from algorithms.experiments import worker_pool
-from algorithms.experiments.dashboard import Dashboard
-from algorithms.experiments.jobs import Job, perform
-from algorithms.experiments.run_directory import InUse, Run
+from algorithms.runs import worker_pool
+from algorithms.runs.dashboard import Dashboard
+from algorithms.runs.jobs import Job, perform
+from algorithms.runs.run_directory import InUse, Run
 from tests.helpers.short_runs import assert_same_run, job
 from tests.helpers.sweep_files import (
     assert_same_sweep,

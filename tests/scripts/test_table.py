@@ -11,10 +11,10 @@ from types import ModuleType
 
 import pytest
 
-from algorithms.experiments.config import load_experiment
-from algorithms.experiments.run_directory import Run
-from algorithms.files.yaml import dump, read_mapping
 from algorithms.reporting.seed_tables import TABLE_METRICS
+from algorithms.runs.config import load_experiment
+from algorithms.runs.run_directory import Run
+from mo_deepdrive.support.yaml import dump, read_mapping
 from tests.helpers.paths import REPOSITORY
 
 ROOT = REPOSITORY

@@ -17,9 +17,9 @@ import yaml
 from safetensors.numpy import load_file
 
 from algorithms import ALGORITHMS
-from algorithms.files.fronts import FrontsFile
-from algorithms.files.metrics import read_metrics
 from algorithms.reporting import videos
+from algorithms.reporting.fronts import FrontsFile
+from algorithms.reporting.training_log import read_metrics
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.pareto import hypervolume, non_dominated
 from tests.helpers.paths import REPOSITORY
@@ -394,7 +394,7 @@ def test_what_makes_a_run_impossible_to_resume_is_one_line(
         def deny(*_: object) -> None:
             raise error
 
-        monkeypatch.setattr("algorithms.experiments.run_directory.own_path", deny)
+        monkeypatch.setattr("algorithms.runs.run_directory.own_path", deny)
         refused(call("train", "--resume", run), "Permission denied: '.lock'")
 
 

@@ -23,10 +23,10 @@ import pytest
 import yaml
 
 from algorithms.commands.train import parse_arguments
-from algorithms.experiments.cli import INSTALLED
-from algorithms.experiments.config import load_experiment
-from algorithms.files.metrics import read_metrics
-from algorithms.files.yaml import read_mapping
+from algorithms.reporting.training_log import read_metrics
+from algorithms.runs.cli import INSTALLED
+from algorithms.runs.config import load_experiment
+from mo_deepdrive.support.yaml import read_mapping
 from tests.helpers.paths import REPOSITORY
 
 pytestmark = [

@@ -15,7 +15,7 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from algorithms.reporting.style import COLOURS
-from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

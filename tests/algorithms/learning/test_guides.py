@@ -12,11 +12,11 @@ import torch
 from safetensors.torch import load_file
 
 from algorithms import A2C, MOPPO
-from algorithms.experiments.build import build, load_policy, open_population
-from algorithms.experiments.config import make_experiment
-from algorithms.experiments.run_directory import Run
 from algorithms.hyperparameters import GuideSettings
 from algorithms.learning.guides import Guide
+from algorithms.runs.build import build, load_policy, open_population
+from algorithms.runs.config import make_experiment
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.team import Population

@@ -14,8 +14,8 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 from algorithms.a2c import A2C
 from algorithms.learning.threads import limited_threads, set_threads
 from mo_deepdrive.evaluation.env_adapter import make_env
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 BLAS = ThreadpoolController().select(user_api="blas").lib_controllers
 

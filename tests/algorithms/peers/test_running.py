@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from algorithms.experiments.config import load_experiment
-from algorithms.experiments.console import make_console
-from algorithms.experiments.run_directory import Run
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front, prepare, run_peer
+from algorithms.runs.config import load_experiment
+from algorithms.runs.console import make_console
+from algorithms.runs.run_directory import Run
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.peers import ONE_WAYPOINT, constant_policies, fake_adapter, make_task
 

@@ -12,13 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from algorithms.experiments.config import make_experiment
-from algorithms.files.metrics import MetricsFile
-from algorithms.files.yaml import dump
 from algorithms.reporting import learning_curves
 from algorithms.reporting.learning_curves import CurveGroup, curve, curve_panels, drawn, load_groups, plot
 from algorithms.reporting.run_records import experiment_record
 from algorithms.reporting.style import ALGORITHM_COLOURS, MAX_POINTS, MINIMUM_SPAN
+from algorithms.reporting.training_log import MetricsFile
+from algorithms.runs.config import make_experiment
+from mo_deepdrive.support.yaml import dump
 
 Make = Callable[..., Path]
 

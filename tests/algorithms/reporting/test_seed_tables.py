@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from algorithms.experiments.config import make_experiment
-from algorithms.files.yaml import dump, read_mapping
 from algorithms.reporting.run_records import EnvironmentRecord, UtilityRecord, label_of
 from algorithms.reporting.seed_tables import (
     TABLE_METRICS,
@@ -24,7 +22,9 @@ from algorithms.reporting.seed_tables import (
     tidy_scores,
     without_empty_columns,
 )
+from algorithms.runs.config import make_experiment
 from mo_deepdrive.evaluation.evaluation import Evaluation
+from mo_deepdrive.support.yaml import dump, read_mapping
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 

@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from algorithms.actor_critic import ActorCritic
-from algorithms.experiments.agent_report import film
-from algorithms.experiments.build import build
-from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.reporting import videos
 from algorithms.reporting.videos import (
     HOLD,
@@ -26,9 +23,12 @@ from algorithms.reporting.videos import (
     record,
     video_writer,
 )
-from mo_deepdrive.actions import action_names
-from mo_deepdrive.atomic_io import leftovers
+from algorithms.runs.agent_report import film
+from algorithms.runs.build import build
+from algorithms.runs.config import Experiment, make_experiment
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.support.atomic_io import leftovers
+from mo_deepdrive.world.actions import action_names
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 UTILITIES = {ONE: "one_waypoint_linear", TWO: "intersection_linear"}

@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from algorithms import zoo
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.run_directory import Run
 from tests.helpers.zoo import (
     ACTOR_CRITICS,
     FRONTS,
@@ -57,7 +57,7 @@ def call(
     """Run a script in the test's folder, with a console wide enough for its tables."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("algorithms.experiments.console.make_console", lambda: Console(width=250))
+    monkeypatch.setattr("algorithms.runs.console.make_console", lambda: Console(width=250))
 
     def call(script: str, *arguments: Any) -> Done:
         capfd.readouterr()

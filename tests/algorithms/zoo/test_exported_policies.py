@@ -15,9 +15,9 @@ from safetensors.torch import load as from_bytes
 from safetensors.torch import load_file, save_file
 
 from algorithms import zoo
-from algorithms.experiments.build import build, make_environment
-from algorithms.experiments.config import load_experiment
-from algorithms.experiments.run_directory import Run, versions
+from algorithms.runs.build import build, make_environment
+from algorithms.runs.config import load_experiment
+from algorithms.runs.run_directory import Run, versions
 from algorithms.zoo.exporting import export
 from tests.helpers.agents import same, state
 from tests.helpers.paths import REPOSITORY

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from algorithms import zoo
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.run_directory import Run
 from algorithms.zoo.exporting import export
 from tests.helpers.zoo import (
     ACTOR_CRITICS,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from algorithms import zoo
-from algorithms.experiments.build import make_environment
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.build import make_environment
+from algorithms.runs.run_directory import Run
 from algorithms.zoo.exporting import FILES
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.front import Front

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from algorithms import zoo
-from algorithms.experiments.cli import INSTALLED
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.cli import INSTALLED
+from algorithms.runs.run_directory import Run
 from algorithms.zoo.exporting import export
-from mo_deepdrive.atomic_io import write_json
+from mo_deepdrive.support.atomic_io import write_json
 from tests.helpers.agents import INTERSECTION, SEA
 from tests.helpers.zoo import (
     ACTOR_CRITICS,

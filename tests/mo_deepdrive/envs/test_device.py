@@ -13,11 +13,11 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from mo_deepdrive import Objective, register_objective
-from mo_deepdrive.batch import Draws, WorldBatch
 from mo_deepdrive.device.worlds import TensorWorlds, make_streams
 from mo_deepdrive.envs.device import _Episode
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.simulation.state import ENDS
+from mo_deepdrive.world.batch import Draws, WorldBatch
 from tests.helpers.golden import Golden
 from tests.mo_deepdrive.simulation.test_golden import check_one_vehicle
 
@@ -322,7 +322,7 @@ def test_a_missing_package_is_named_with_its_extra(missing: str, named: str, run
     output = run_python(f"""
 import sys
 sys.modules[{missing!r}] = None
-from mo_deepdrive.extras import needed_for
+from mo_deepdrive.support.extras import needed_for
 try:
     with needed_for("device = 'cuda'", "cuda"):
         import {module}

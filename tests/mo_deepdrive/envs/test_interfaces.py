@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.scenarios import SCENARIOS
 from tests.helpers.interfaces import (
     ACTION_TYPES,
     INTERFACES,

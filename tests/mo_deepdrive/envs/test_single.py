@@ -21,7 +21,7 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mo_deepdrive.scenarios import VERSIONS
+from mo_deepdrive.world.scenarios import VERSIONS
 
 OPEN = ("one_waypoint", "static_obstacle")
 SCENARIOS = (*OPEN, "intersection", "left_turn", "roundabout_solo")

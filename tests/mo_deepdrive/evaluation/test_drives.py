@@ -8,9 +8,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from algorithms.experiments.build import load_policy
-from algorithms.experiments.policy_evaluation import evaluate_front_policies
-from algorithms.experiments.run_directory import Run
+from algorithms.runs.build import load_policy
+from algorithms.runs.policy_evaluation import evaluate_front_policies
+from algorithms.runs.run_directory import Run
 from mo_deepdrive import parallel_env
 from mo_deepdrive.evaluation.drives import READINGS, PlanDriver, PoliciesDriver, is_drivable, record_scenes
 from mo_deepdrive.evaluation.front import Front

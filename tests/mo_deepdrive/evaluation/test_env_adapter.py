@@ -14,10 +14,10 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
-from mo_deepdrive import machine
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.evaluation import env_adapter
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.support import machine
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, SEA
 from tests.helpers.toy_env import toy_worlds
 

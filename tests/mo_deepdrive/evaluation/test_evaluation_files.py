@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from algorithms.commands import plot, table
-from algorithms.experiments.config import make_experiment
 from algorithms.reporting.run_records import experiment_record
 from algorithms.reporting.seed_tables import group_runs
+from algorithms.runs.config import make_experiment
 from mo_deepdrive.evaluation import Evaluation, evaluate
 from mo_deepdrive.utilities import make_utility
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from algorithms.experiments.config import make_experiment
-from algorithms.experiments.jobs import Job, perform
+from algorithms.runs.config import make_experiment
+from algorithms.runs.jobs import Job, perform
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.splits import (
     EVALUATION_SEED_LIMIT,

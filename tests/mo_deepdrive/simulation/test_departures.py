@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.objectives import OBJECTIVES
-from mo_deepdrive.observation import layout
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.state import KERNEL_NAMES
+from mo_deepdrive.world.objectives import OBJECTIVES
+from mo_deepdrive.world.observation import layout
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 IDLE = 0
 FORWARD = 3  # decay steer, increase speed

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.objectives import INDEX
-from mo_deepdrive.observation import layout
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.world.objectives import INDEX
+from mo_deepdrive.world.observation import layout
+from mo_deepdrive.world.scenarios import SCENARIOS
 from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, make_sample, read_golden
 
 RELATIVE = 1e-6

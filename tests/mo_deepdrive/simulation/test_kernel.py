@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.config import EnvConfig
-from mo_deepdrive.params import make_params
 from mo_deepdrive.simulation.kernel import ending, lane_excess
 from mo_deepdrive.simulation.state import CIRCLING_LIMIT, ENDS, VEHICLE
+from mo_deepdrive.world.config import EnvConfig
+from mo_deepdrive.world.params import make_params
 
 # The field that reaches its limit, the limit, the direction beyond it, and the end.
 LIMITS: dict[str, tuple[str, float, float, str]] = {

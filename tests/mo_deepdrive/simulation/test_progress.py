@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.config import EnvConfig
-from mo_deepdrive.params import make_params
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
 from mo_deepdrive.simulation.progress import find_lane, follow, skipped
 from mo_deepdrive.simulation.state import LANE_WIDTH, VEHICLE
+from mo_deepdrive.world.config import EnvConfig
+from mo_deepdrive.world.params import make_params
 
 PARAMS = make_params(EnvConfig(scenario="intersection"))[0]
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.config import EnvConfig
-from mo_deepdrive.params import make_params
-from mo_deepdrive.routes import Segment
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation import road_traffic, roads
 from mo_deepdrive.simulation.state import CAR, NEVER, VEHICLE
+from mo_deepdrive.world.config import EnvConfig
+from mo_deepdrive.world.params import make_params
+from mo_deepdrive.world.routes import Segment
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 PARAMS = make_params(EnvConfig(scenario="roundabout"))[0]
 ROUTES = SCENARIOS["roundabout"].routes

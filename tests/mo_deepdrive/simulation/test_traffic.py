@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from mo_deepdrive.observation import layout
-from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation import traffic
 from mo_deepdrive.simulation.state import ENDS, LANE_WIDTH, LENGTH, WIDTH
-from tests.mo_deepdrive.test_scenarios import generator
+from mo_deepdrive.world.observation import layout
+from mo_deepdrive.world.scenarios import SCENARIOS
+from tests.mo_deepdrive.world.test_scenarios import generator
 
 CARS = 5
 CENTRE = (900 / 2 + 50) / (405 / 5.17652 / 4)

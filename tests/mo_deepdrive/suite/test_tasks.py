@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mo_deepdrive import suite
-from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.suite.scorers import SCORERS
+from mo_deepdrive.world.config import parse_arguments
 
 TASKS = suite.load().tasks
 

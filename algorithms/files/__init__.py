@@ -1,1 +1,0 @@
-"""Files of runs: YAML, metrics, fronts, checkpoints."""

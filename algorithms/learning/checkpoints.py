@@ -1,0 +1,147 @@
+"""Checkpoints: named tensors and the identity of their agent in one safetensors file; reading one runs no code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as to_safetensors
+
+from mo_deepdrive.support.atomic_io import atomic_write
+from mo_deepdrive.support.faults import NotFinite
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+FORMAT = 1
+POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the policy alone
+PARTNERS = "partners"  # entry of the identity: what identifies the drivers of vehicles that do not learn
+GUIDES = "guides"  # entry of the identity: what identifies the guides of vehicles that learn, and when they drive
+# Entries of the identity: environment steps taken, updates, and the seed of the run.
+STEP, UPDATES, SEED = "step", "updates", "seed"
+OBJECTIVE_SCALES, ACCRUED_GAMMA = "objective_scales", "accrued_gamma"  # entries: what observed returns are in units of
+SHARED = "share_policy"  # entry: whether one policy drives all vehicles
+RHO, PRICE = "rho", "price"  # entries: of Chebyshev and budgeted utilities
+RESIDENT = "resident"  # entry: whether the worlds were on the device
+MOST_STEPS = 2**63 - 1
+
+
+def strip_prefix(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    """The entries whose names start with ``prefix``, without it."""
+    return {name.removeprefix(prefix): tensor for name, tensor in state.items() if name.startswith(prefix)}
+
+
+def write_checkpoint(path: str | Path, tensors: Mapping[str, torch.Tensor], identity: Mapping[str, Any]) -> None:
+    """Write named tensors and the identity of their agent, atomically.
+
+    Raises:
+        NotFinite: naming the first tensor that is not finite; the file is as it was.
+    """
+    for name, tensor in tensors.items():
+        if (wrong := _not_finite(tensor)) is not None:
+            raise NotFinite(f"a checkpoint would have {name!r} with {wrong}; every number must be finite")
+    plain = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+    metadata = {"checkpoint": json.dumps({"format": FORMAT, **identity})}
+    atomic_write(Path(path), to_safetensors(plain, metadata=metadata))
+
+
+def read_checkpoint(
+    path: str | Path, identity: Mapping[str, Any], may_differ: tuple[str, ...] = (), *, whole: bool = False
+) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """The tensors of a checkpoint and the identity of the agent that wrote it.
+
+    Args:
+        path: the file.
+        identity: of the agent that reads; every entry must equal that in the file.
+        may_differ: entries that need not be equal.
+        whole: refuse a file that holds the policy alone.
+
+    Raises:
+        ValueError: if the file is missing or broken, its identity differs or has no valid numbers of steps and updates,
+            it holds the policy alone, or a number is not finite.
+    """
+    if Path(path).exists() and not Path(path).is_file():  # opening a pipe would wait for ever
+        raise ValueError(f"checkpoint {path} cannot be read: it is not a file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            found = json.loads((file.metadata() or {}).get("checkpoint", "{}"))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (OSError, SafetensorError, ValueError, RecursionError) as error:
+        raise ValueError(f"checkpoint {path} cannot be read: {error}") from None
+    if not isinstance(found, dict):
+        raise ValueError(f"checkpoint {path} cannot be read: its identity is a {type(found).__name__}, not a mapping")
+    if whole and found.get(POLICY_ONLY):
+        raise ValueError(
+            f"checkpoint {path} holds the policy alone, like those of the zoo: it can be evaluated, "
+            "but training cannot be resumed from it"
+        )
+    for key, value in {"format": FORMAT, **identity}.items():
+        if key not in may_differ and found.get(key) != value:
+            raise ValueError(f"checkpoint {path} has {key} = {found.get(key)!r}; this agent has {value!r}")
+    for key in (STEP, UPDATES, SEED) if whole else (STEP, UPDATES):
+        count = found.get(key)
+        if type(count) is not int or not 0 <= count <= MOST_STEPS:
+            raise ValueError(f"checkpoint {path} has {key} = {count!r}; it must be an integer from 0 to {MOST_STEPS}")
+    for name, tensor in tensors.items():
+        if (wrong := _not_finite(tensor)) is not None:
+            raise ValueError(f"checkpoint {path} has {name!r} with {wrong}; every number must be finite")
+        # Counting the True of such a mask gives the sum of its bytes.
+        if tensor.dtype == torch.bool and (tensor.view(torch.uint8) > 1).any():
+            raise ValueError(f"checkpoint {path} has {name!r} with {int(tensor.view(torch.uint8).max())} for a bool")
+    return tensors, found
+
+
+def _has_part(name: str, parts: tuple[str, ...]) -> bool:
+    return any(part in name for part in parts)
+
+
+def check_tensors(
+    path: str | Path,
+    tensors: Mapping[str, torch.Tensor],
+    expected: Mapping[str, torch.Tensor],
+    varying: tuple[str, ...] = (),
+    *,
+    whole: bool,
+) -> dict[str, torch.Tensor]:
+    """Check the names, shapes and types of the tensors of a checkpoint.
+
+    Args:
+        path: the file, for messages.
+        tensors: of the checkpoint.
+        expected: those of the agent that reads.
+        varying: parts of the names of tensors whose shapes and types are not checked.
+        whole: refuse tensors that are not expected.
+
+    Returns:
+        The tensors that are expected or not checked.
+
+    Raises:
+        ValueError: naming the tensor, what it is and what it must be.
+    """
+    for name, tensor in expected.items():
+        if _has_part(name, varying):
+            continue
+        stored = tuple(tensors[name].shape) if name in tensors else None
+        if stored != tuple(tensor.shape):
+            raise ValueError(
+                f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {tuple(tensor.shape)}"
+            )
+        if tensors[name].dtype != tensor.dtype:
+            raise ValueError(
+                f"checkpoint {path} has {name!r} of {tensors[name].dtype}; this agent needs {tensor.dtype}"
+            )
+    known = {name: tensor for name, tensor in tensors.items() if name in expected or _has_part(name, varying)}
+    if whole and len(known) < len(tensors):
+        unknown = min(tensors.keys() - known.keys())
+        raise ValueError(f"checkpoint {path} has {unknown!r}, which this agent does not know")
+    return known
+
+
+def _not_finite(tensor: torch.Tensor) -> float | None:
+    """The first number of a tensor that is not finite; None if all are."""
+    if not tensor.is_floating_point() or bool(tensor.isfinite().all()):
+        return None
+    return float(tensor[~tensor.isfinite()][0])

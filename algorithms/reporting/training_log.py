@@ -1,0 +1,257 @@
+"""The CSV file of a run's metrics: rows are appended while training, and a torn last row is not read."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import os
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mo_deepdrive.evaluation.metrics import STEP
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, flush_to_disk, is_number
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+DIGITS = 16  # of a step: a run has at most 10**15
+SHOWN = 40  # characters of a cell in a message
+Columns = dict[str, NDArray[np.float64]]  # (rows,) each, by name
+
+
+def read_metrics(path: str | Path) -> Columns:
+    """The columns of a metrics.csv, including "step"; NaN where a row has no value.
+
+    Raises:
+        ValueError: if the file is missing or not a metrics file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"metrics file {str(path)!r} does not exist")
+    header, rows = complete_rows(path)
+    table = np.array([[float(cell or "nan") for cell in row] for row in rows]).reshape(len(rows), len(header))
+    return {name: table[:, i] for i, name in enumerate(header)}
+
+
+class MetricsFile:
+    """A CSV file with one row per call; a new column rewrites the file.
+
+    Args:
+        path: the file.
+        after: keep the rows up to this step and drop later ones, which a resumed run writes again; None starts a new
+            file.
+        noted: what :meth:`sync` returned when the checkpoint of step ``after`` was written; None if it is not known.
+
+    Attributes:
+        gap: how the rows up to ``after`` differ from those that were noted; None if they do not.
+
+    Raises:
+        ValueError: if there is a file to continue that is not a metrics file.
+        OSError: if it cannot be written.
+    """
+
+    def __init__(self, path: Path, after: int | None = None, noted: Mapping[str, Any] | None = None):
+        self.path = path
+        self.gap: str | None = None
+        self._columns: list[str] = [STEP]
+        self._rows: list[list[str]] = []
+        if after is not None:
+            self._columns, self._rows = rows_until(path, after)
+            self.gap = find_gap(path.name, self._rows, after, noted)
+        self._tally = RowTally(self._rows)
+        self._rewrite()
+
+    def _rewrite(self) -> None:
+        width = len(self._columns)
+        lines = [csv_line(self._columns), *(csv_line(row + [""] * (width - len(row))) for row in self._rows)]
+        atomic_write(self.path, "".join(lines).encode())
+
+    def write(self, step: int, metrics: Mapping[str, float]) -> None:
+        """Append a row.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        new = [name for name in metrics if name not in self._columns]
+        self._columns += new
+        cells = {STEP: str(step), **{name: format_number(value) for name, value in metrics.items()}}
+        row = [cells.get(name, "") for name in self._columns]
+        self._rows.append(row)
+        self._tally.add([row])
+        if new:
+            self._rewrite()
+        else:
+            append(self.path, csv_line(row))
+
+    def sync(self) -> dict[str, Any]:
+        """Make every row reach the disk; returns the number and the hash of the rows, for ``noted``.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        sync(self.path)
+        return self._tally.note()
+
+
+class RowTally:
+    """The number and the hash of the rows of a CSV file; a column that is added later does not change them."""
+
+    def __init__(self, rows: Iterable[Sequence[str]] = ()):
+        self._count, self._hash = 0, hashlib.sha256()
+        self.add(rows)
+
+    def add(self, rows: Iterable[Sequence[str]]) -> None:
+        """Count further rows."""
+        for row in rows:
+            self._count += 1
+            self._hash.update(csv_line(row).rstrip(",\n").encode() + b"\n")
+
+    def note(self) -> dict[str, Any]:
+        """The number and the hash, as plain values."""
+        return {"rows": self._count, "sha256": self._hash.hexdigest()}
+
+
+def find_gap(name: str, rows: Sequence[Sequence[str]], after: int, noted: Mapping[str, Any] | None) -> str | None:
+    """How the rows up to a checkpoint differ from those that were noted when it was written.
+
+    Args:
+        name: of the file.
+        rows: those up to the checkpoint, which begin with their step.
+        after: step of the checkpoint.
+        noted: from :meth:`RowTally.note`; None if it is not known.
+
+    Returns:
+        A line that names the file and what is missing; None if nothing is. Where nothing was noted, a checkpoint beyond
+        step 0 without a row is missing all of them.
+    """
+    if noted is None:  # status.json was lost, too
+        return None if rows or after <= 0 else f"{name} has no rows up to step {after:,}"
+    if RowTally(rows).note() == noted:
+        return None
+    expected = noted.get("rows")
+    if not isinstance(expected, int) or len(rows) >= expected:
+        return f"{name}: the rows up to step {after:,} are not those that were written"
+    there = f"it has rows of steps {int(rows[0][0]):,} to {int(rows[-1][0]):,}" if rows else "it has none"
+    return f"{name} lacks {expected - len(rows):,} of {expected:,} rows up to step {after:,} ({there})"
+
+
+def append(path: Path, text: str) -> None:
+    """Append to a file that exists.
+
+    Raises:
+        OSError: if it does not, or cannot be written.
+    """
+    with path.open("r+") as file:  # "a" would create it again, without its header
+        file.seek(0, os.SEEK_END)
+        file.write(text)
+
+
+def sync(path: Path) -> None:
+    """Make what was written to a file reach the disk.
+
+    Raises:
+        OSError: if the file does not exist, or cannot be written.
+    """
+    with path.open("r+b") as file:
+        flush_to_disk(file)
+
+
+def format_number(value: float) -> str:
+    """``value`` as text that reads back equal."""
+    return repr(float(value))
+
+
+def csv_line(cells: Sequence[str]) -> str:
+    """``cells`` as one line of a CSV file."""
+    return csv_bytes([cells]).decode()
+
+
+def rows_until(path: Path, step: int) -> tuple[list[str], list[list[str]]]:
+    """Header and rows up to a step, for a run that is resumed from there.
+
+    Raises:
+        ValueError: as :func:`complete_rows`, with what to do.
+    """
+    try:
+        header, rows = complete_rows(path)
+    except ValueError as error:
+        raise ValueError(f"{error}; repair it, or delete it to resume without its rows") from None
+    return header, [row for row in rows if int(row[0]) <= step]
+
+
+def complete_rows(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Header and rows, without torn rows as a crash may leave them; only the header if the file is missing or empty.
+
+    Raises:
+        ValueError: naming the file and what is wrong, if it is not a CSV file of numbers whose first column is "step".
+    """
+    try:
+        return _parsed(path.read_bytes() if path.exists() else b"")
+    except (OSError, ValueError) as error:
+        raise ValueError(f"metrics file {str(path)!r} {_fault(error)}") from None
+
+
+def _fault(error: OSError | ValueError) -> str:
+    if isinstance(error, OSError):
+        return f"cannot be read: {error.strerror or error}"
+    return f"is not a CSV file: {error}" if isinstance(error, UnicodeDecodeError) else str(error)
+
+
+def _parsed(data: bytes) -> tuple[list[str], list[list[str]]]:
+    whole = data[: data.rfind(b"\n") + 1]
+    header, *rows = _cells(whole or data) or [[STEP]]
+    check_header(header)
+    if not whole:  # nothing but a torn header
+        return [STEP], []
+    rows = [row for row in rows if len(row) == len(header)]
+    for row in rows:
+        if not (row[0].isascii() and row[0].isdigit() and len(row[0]) <= DIGITS):
+            raise ValueError(f"has a row of step {row[0][:SHOWN]!r}; a step is an integer of at most {DIGITS} digits")
+        for name, cell in zip(header, row, strict=True):
+            if cell and not is_number(cell):
+                raise ValueError(f"is broken: {name} = {cell[:SHOWN]!r} at step {row[0]} is not a number")
+    return header, rows
+
+
+def _cells(data: bytes) -> list[list[str]]:
+    """The lines of a CSV file.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    text = data.decode("utf-8")
+    if "\0" in text:
+        raise ValueError("is not a CSV file: it has NUL bytes")
+    try:
+        return list(csv.reader(io.StringIO(text, newline=""), strict=True))
+    except csv.Error as error:
+        raise ValueError(f"is not a CSV file: {error}") from None
+
+
+def read_header(line: bytes) -> list[str]:
+    """The columns in the first line of a metrics.csv.
+
+    Raises:
+        ValueError: if it is not a header, or not complete.
+    """
+    header = next(iter(_cells(line)), [])
+    check_header(header if line.endswith(b"\n") else [])
+    return header
+
+
+def check_header(header: Sequence[str]) -> None:
+    """Refuse what are not the columns of a metrics.csv.
+
+    Raises:
+        ValueError: if the first is not "step", or two have the same name.
+    """
+    if header[:1] != [STEP]:
+        raise ValueError(f"has no column {STEP!r} at its beginning")
+    repeated = [name for name, count in Counter(header).items() if count > 1]
+    if repeated:
+        raise ValueError(f"has two columns of the name {repeated[0][:SHOWN]!r}")

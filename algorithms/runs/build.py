@@ -1,0 +1,285 @@
+"""From an experiment to its environment, its utilities and its agent; from names to drivers of single vehicles."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from algorithms.driving.named_rules import is_rule, scripted_policy
+from algorithms.driving.scripted_policy import ScriptedPolicy
+from algorithms.learning.checkpoints import read_checkpoint
+from algorithms.learning.guides import Guide
+from algorithms.learning.threads import set_threads
+from algorithms.runs.config import Experiment, UtilitySettings, find_environment, is_ours
+from algorithms.runs.registry import agent_class
+from algorithms.runs.run_directory import Run, imported_paths
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.front import check_reference_point
+from mo_deepdrive.evaluation.metrics import joint_objectives, vehicle_name
+from mo_deepdrive.evaluation.policy import check_same_task
+from mo_deepdrive.evaluation.team import Population
+from mo_deepdrive.support.machine import check_memory
+from mo_deepdrive.support.names import nearest
+from mo_deepdrive.utilities import Utility, check_utility, make_utility
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Sequence
+
+    from gymnasium.vector import VectorEnv
+
+    from algorithms.agent import Agent
+    from mo_deepdrive.evaluation.policy import Policy
+    from mo_deepdrive.world.config import EnvironmentSettings
+
+
+MANY_ENVS = 10_000  # whose memory is estimated before it is allocated
+ACTIVATION = 12  # bytes per hidden unit of actor and critic and sample
+ENVIRONMENT = 800  # bytes per environment
+EPISODE_STEPS = 100  # that the longest one of many random episodes has at the least
+DIGEST_LENGTH = 16  # hexadecimal digits that identify the checkpoint of a driver
+
+
+def build(
+    experiment: Experiment,
+    num_envs: int | None = None,
+    *,
+    seeds: Sequence[int] | None = None,
+    device: str = "cpu",
+    partners: bool = True,
+    guides: bool = True,
+) -> Any:
+    """The untrained agent of an experiment, with its training environment.
+
+    Args:
+        experiment: what to build.
+        num_envs: number of parallel environments; the experiment's if None.
+        seeds: that train side by side; the experiment's own if None.
+        device: of what learns.
+        partners: whether to open the drivers of the vehicles that do not learn; else these vehicles idle.
+        guides: whether to open the drivers that begin episodes of the training.
+
+    Returns:
+        An instance of the algorithm's class, a subclass of :class:`algorithms.agent.Agent`.
+
+    Raises:
+        ValueError: if environment, utility and hyperparameters do not fit together.
+    """
+    algorithm = agent_class(experiment.algorithm.name)
+    num_envs = num_envs or experiment.training.num_envs
+    if num_envs >= MANY_ENVS:
+        check_memory(f"training.num_envs = {num_envs}", training_memory(experiment, num_envs))
+    env = make_environment(experiment.environment, num_envs)
+    adapter = EnvAdapter(env)
+    options: dict[str, Any] = {}
+    if experiment.utility is None:
+        check_reference_point(
+            experiment.evaluation.reference_point, joint_objectives(adapter.objectives, adapter.vehicles)
+        )
+    else:
+        options["utility"] = _make_utilities(experiment.utility, adapter)
+    if experiment.training.partners:
+        options["partners"] = _make_partners(experiment, algorithm, adapter, idle_only=not partners)
+        most, given = max(len(each.members) for each in options["partners"].values()), experiment.training.num_envs
+        if most > given:
+            raise ValueError(f"training.num_envs = {given} is less than the {most} drivers in training.partners")
+    if experiment.training.guides and guides:
+        options["guides"] = _make_guides(experiment, algorithm, adapter)
+    if experiment.training.share_policy:
+        if not algorithm.shares_policies:
+            raise ValueError(f"training.share_policy: algorithm {experiment.algorithm.name!r} cannot share a policy")
+        options["share_policy"] = True
+    set_threads(experiment.training.threads)  # after the drivers', which are built like this
+    return algorithm(
+        env,
+        **options,
+        seed=seeds or experiment.training.seed,
+        device=device,
+        compiled=experiment.training.compiled,
+        config=experiment.algorithm.config,
+    )
+
+
+def training_memory(experiment: Experiment, num_envs: int) -> float:
+    """Bytes that the environments and rollouts of a training run take at the least.
+
+    A tenth less than was measured for A2C and PPO.
+
+    Args:
+        experiment: the run.
+        num_envs: number of parallel environments.
+    """
+    env = EnvAdapter(make_environment(experiment.environment, 1))
+    config, arguments = experiment.algorithm.config, experiment.environment.arguments
+    sample: float = 8 * env.observation_size + 24 * len(env.objectives) + 32
+    if ":" in experiment.algorithm.name:  # a user's own, of which nothing is known
+        steps = 1.0
+    elif hasattr(config, "steps"):
+        steps = config.steps
+        sample += ACTIVATION * sum(config.hidden)
+    else:  # whole episodes
+        steps = min(EPISODE_STEPS, arguments.get("time_limit", math.inf) * arguments.get("decision_frequency", 1))
+    return num_envs * (ENVIRONMENT + env.vehicles * steps * sample)
+
+
+def load_policy(run: Run, *, partners: bool = True) -> Any:
+    """The agent of a run with its trained policy and the number of steps that it has learnt from; it cannot train.
+
+    Args:
+        run: the run.
+        partners: as for :func:`build`.
+
+    Raises:
+        ValueError: if the agent cannot be built, or the checkpoint cannot be read or does not fit it.
+    """
+    agent = build(run.experiment, num_envs=1, partners=partners, guides=False)
+    agent.load(run.checkpoint, policy_only=True)
+    agent.step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
+    return agent
+
+
+def open_driver(
+    name: str,
+    vehicle: int,
+    env: EnvAdapter,
+    action_type: str,
+    *,
+    trust: bool = False,
+    imports: Collection[str] | None = None,
+) -> Policy:
+    """The driver of a vehicle.
+
+    Args:
+        name: the directory of a run, a policy of the zoo, or a scripted driver such as ``rule:gap_3``
+            (``algorithms/driving/named_rules.py``).
+        vehicle: the index of the vehicle that it is to drive.
+        env: where it drives.
+        action_type: of that environment: "discrete", "discrete-16" or "continuous".
+        trust: as for :meth:`Run.open`.
+        imports: as for :meth:`Run.open`.
+
+    Raises:
+        ValueError: if there is none, it drives another vehicle or in another environment, or it is a front.
+    """
+    if is_rule(name):
+        return scripted_policy(name, vehicle, env, action_type)
+    run = Run.open(name, trust=trust, imports=imports)
+    if not run.experiment.known_utility:
+        raise ValueError(f"{name!r} is a front of policies, not one that drives")
+    if vehicle_name(vehicle) in run.experiment.training.partners:
+        raise ValueError(f"{name!r} did not learn to drive {vehicle_name(vehicle)}")
+    agent: Any = load_policy(run, partners=False)
+    try:
+        check_same_task(agent.env, env)
+    except ValueError as error:
+        raise ValueError(f"{name!r} cannot drive {vehicle_name(vehicle)}: {error}") from None
+    return agent  # type: ignore[no-any-return]  # an algorithm of any class
+
+
+def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, experiment: Experiment) -> Population:
+    """Drivers that take turns in driving a vehicle of an experiment, which may import what its config names.
+
+    The other arguments and errors are those of :func:`open_driver`.
+    """
+    action_type = str(experiment.environment.arguments.get("action_type", "discrete"))
+    imports = imported_paths(experiment.to_dict()).values()
+    members = [open_driver(name, vehicle, env, action_type, imports=imports) for name in names]
+    return Population(members, vehicle, [_digest(name) for name in names])
+
+
+def idle(vehicle: int, env: EnvAdapter) -> Population:
+    """In place of drivers that are not needed: a vehicle that does nothing."""
+    return Population([ScriptedPolicy(env)], vehicle, [""])
+
+
+def _digest(name: str) -> str:
+    """What identifies a driver wherever its files are: the name of a script, the hash of a checkpoint."""
+    if is_rule(name):
+        return name
+    return hashlib.sha256(Run.open(name, trust=True).checkpoint.read_bytes()).hexdigest()[:DIGEST_LENGTH]
+
+
+def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
+    """The environment of an experiment.
+
+    Args:
+        settings: its id and arguments.
+        num_envs: number of parallel environments.
+
+    Raises:
+        ValueError: if it cannot be made with these arguments.
+    """
+    try:
+        return make_env(settings.id, num_envs, settings.arguments)
+    except ValueError:
+        raise
+    except Exception as error:
+        if is_ours(find_environment(settings.id)):
+            raise
+        # Other packages' environments may raise anything, mostly because of their arguments.
+        raise ValueError(
+            f"environment {settings.id!r} with arguments {settings.arguments} cannot be made: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+
+
+def _make_partners(
+    experiment: Experiment, algorithm: type[Agent], adapter: EnvAdapter, *, idle_only: bool
+) -> dict[int, Population]:
+    """What drives the vehicles that do not learn, by their indices."""
+    settings = experiment.training.partners
+    if not algorithm.trains_with_partners:
+        raise ValueError(f"training.partners: algorithm {experiment.algorithm.name!r} cannot train with partners")
+    indices = _vehicles_named(settings, "training.partners", adapter)
+    if len(settings) == adapter.vehicles:
+        raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(settings)}: none is left to learn")
+    found = {}
+    for (name, drivers), v in zip(settings.items(), indices, strict=True):
+        if not drivers:
+            raise ValueError(f"training.partners.{name} = [] must name at least one driver")
+        try:
+            found[v] = idle(v, adapter) if idle_only else open_population(drivers, v, adapter, experiment)
+        except ValueError as error:
+            raise ValueError(f"training.partners.{name}: {error}") from None
+    return found
+
+
+def _make_guides(experiment: Experiment, algorithm: type[Agent], adapter: EnvAdapter) -> list[Guide]:
+    """What begins episodes of vehicles that learn."""
+    settings = experiment.training.guides
+    if not algorithm.trains_with_guides:
+        raise ValueError(f"training.guides: algorithm {experiment.algorithm.name!r} cannot train with guides")
+    indices = _vehicles_named(settings, "training.guides", adapter)
+    found = []
+    for (name, each), v in zip(settings.items(), indices, strict=True):
+        try:
+            driver = open_population([each.driver], v, adapter, experiment)
+        except ValueError as error:
+            raise ValueError(f"training.guides.{name}: {error}") from None
+        found.append(Guide(driver, each, adapter.num_envs))
+    return found
+
+
+def _vehicles_named(names: Iterable[str], key: str, adapter: EnvAdapter) -> list[int]:
+    """The indices of the vehicles that a part of the config names."""
+    vehicles = [vehicle_name(v) for v in range(adapter.vehicles)]
+    for name in names:
+        if name not in vehicles:
+            raise ValueError(f"{key} has {name!r}; {nearest(name, vehicles)}")
+    return [vehicles.index(name) for name in names]
+
+
+def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:
+    """One utility per vehicle, each called as the algorithms will, so that it fails here and not after an hour."""
+    _vehicles_named(settings.vehicles, "utility.vehicles", adapter)
+    utilities = []
+    for v in range(adapter.vehicles):
+        choice = settings.of_vehicle(v)
+        utility = make_utility(choice.name, adapter.objectives, cost_sign=adapter.cost_sign, **choice.arguments)
+        for zeros in (np.zeros, torch.zeros):
+            check_utility(utility, zeros)
+        utilities.append(utility)
+    return utilities

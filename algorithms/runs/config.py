@@ -1,0 +1,485 @@
+"""An experiment as data: typed YAML, command-line overrides, and every mistake reported before anything starts."""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+
+import gymnasium
+import mo_gymnasium  # noqa: F401  (registers its ids)
+from pydantic import BeforeValidator, Field, SerializationInfo, SerializerFunctionWrapHandler, model_serializer
+
+import mo_deepdrive
+from algorithms.hyperparameters import GuideSettings, a_twentieth
+from algorithms.runs.registry import algorithm_names, find_algorithm
+from algorithms.runs.shipped import find_config
+from mo_deepdrive.evaluation.metrics import vehicle_name
+from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
+from mo_deepdrive.support.extras import EXTRAS
+from mo_deepdrive.support.importing import import_module
+from mo_deepdrive.support.machine import check_device
+from mo_deepdrive.support.names import nearest
+from mo_deepdrive.support.yaml import read_mapping, read_value
+from mo_deepdrive.world.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from gymnasium.envs.registration import EnvSpec
+
+SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
+T = TypeVar("T")
+
+LARGEST_COUNT = 10**15
+
+
+def _integer(value: Any) -> Any:
+    """A float without a fraction as an integer, so that a million may be written as 1e6; 1.5 remains an error."""
+    if isinstance(value, (int, float)) and value > LARGEST_COUNT:
+        raise ValueError(f"must be at most {LARGEST_COUNT:,}")
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+Count = Annotated[int, Field(ge=1), BeforeValidator(_integer)]
+Environments = Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_integer)]
+
+
+class UtilitySettings(UtilityChoice):
+    """The utility that is maximised."""
+
+    vehicles: dict[str, UtilityChoice] = {}
+    """Utilities of single vehicles that differ from it, by names such as "vehicle_1"."""
+
+    def of_vehicle(self, v: int) -> UtilityChoice:
+        """The utility of vehicle ``v``."""
+        return self.vehicles.get(vehicle_name(v), self)
+
+
+class TrainingSettings(Settings):
+    """Length, seed and hardware of the training."""
+
+    total_timesteps: Count
+    """Environment steps, summed over the parallel environments."""
+    num_envs: Environments
+    """Number of parallel environments."""
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    """Seed of everything random in training."""
+    seeds: Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1)] | None = None
+    """Seeds of several runs that are trained at the same time, one process each on a CPU, side by side on a GPU; None
+    for ``seed`` alone."""
+    device: str = "cpu"
+    """The device of the training, in PyTorch's notation; on a GPU worlds and learners stay there, and several ``seeds``
+    take little longer than one."""
+    threads: int = Field(default=1, ge=1, le=1024)
+    """How many threads PyTorch uses; each needs a core of its own, or training becomes slower. A run is the same, bit
+    for bit, for the same number."""
+    compiled: bool | Literal["auto"] = "auto"
+    """Whether gradient steps go through ``torch.compile``; the numbers are the same but for rounding. "auto" where a
+    training is long enough to make up for the time that it takes, and a compiler is installed."""
+    share_policy: bool = False
+    """One policy that drives all vehicles, and learns from what all of them do, instead of one for each."""
+    partners: dict[str, list[str]] = {}
+    """What drives the vehicles that do not learn, by names such as "vehicle_1": runs, policies of the zoo and scripted
+    drivers, which take turns over the parallel environments."""
+    guides: dict[str, GuideSettings] = {}
+    """What begins some episodes of vehicles that learn, by names such as "vehicle_1"; see GuideSettings."""
+
+
+class EvaluationSettings(Settings):
+    """How the policy is evaluated, independent of how it learns."""
+
+    interval: Count | None = None
+    """Environment steps between evaluations during training; None for a twentieth of the training."""
+    episodes: Count = 100
+    """Episodes per evaluation during training, which are the first ones of the validation split."""
+    final_episodes: Count = 1000
+    """Episodes of the evaluation at the end."""
+    split: Split = "test"
+    """The split of scenario seeds (:mod:`mo_deepdrive.evaluation.splits`) of the evaluation at the end; "validation"
+    for runs that are compared in order to choose one."""
+    gamma: float = Field(default=0.99, ge=0.0, le=1.0)
+    """Discount of the reported discounted returns. If it is not given, a front of one of this package's environments
+    with time among its objectives is undiscounted."""
+    reference_point: list[float] | None = None
+    """Reference point of a front's hypervolume, one number per objective; None for the default of this package's
+    environments, and for no hypervolume on others."""
+    task: str | None = None
+    """The id of a task of the suite, as which the policy is scored, too, at the end."""
+
+    @model_serializer(mode="wrap")
+    def _without_no_task(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = serialise(self)
+        return values if self.task is not None else {key: each for key, each in values.items() if key != "task"}
+
+    @property
+    def final_seed(self) -> int:
+        """Seed of the first episode of the evaluation at the end."""
+        return SPLITS[self.split].start
+
+
+class WandbSettings(Settings):
+    """Logging to Weights & Biases."""
+
+    project: str
+    """As in ``wandb.init``."""
+    entity: str | None = None
+    """As in ``wandb.init``."""
+    group: str | None = None
+    """As in ``wandb.init``."""
+    tags: list[str] = []
+    """As in ``wandb.init``."""
+    mode: Literal["online", "offline"] = "online"
+    """Either "online", which falls back to offline without an API key or network; or "offline"."""
+
+
+class LoggingSettings(Settings):
+    """What is written during training, besides metrics.csv and TensorBoard's event files."""
+
+    interval: Count = 10
+    """Updates between two rows of training metrics."""
+    checkpoint_interval: Count | None = None
+    """Environment steps between checkpoints; None for a twentieth of the training."""
+    save_figures: bool = True
+    """Draw the learning curves and film the policy at the end."""
+    wandb: WandbSettings | None = None
+    """Log to Weights & Biases too; None to leave it out."""
+
+
+class AlgorithmSettings(Settings):
+    """An algorithm and its hyperparameters; in YAML both are in one section."""
+
+    name: str
+    """Name of the algorithm; "package.module:Class" for your own."""
+    config: Any
+    """Its hyperparameters, an instance of the algorithm's Config."""
+
+    @model_serializer
+    def _beside_the_name(self, info: SerializationInfo) -> dict[str, Any]:
+        return {"name": self.name, **self.config.model_dump(mode=info.mode)}
+
+
+class Experiment(Settings):
+    """Everything that determines a training run; :func:`make_experiment` builds one and fills in every default."""
+
+    environment: EnvironmentSettings
+    """The environment to learn in."""
+    utility: UtilitySettings | None = None
+    """The utility to maximise; None for algorithms that learn a front."""
+    algorithm: AlgorithmSettings
+    """The algorithm and its hyperparameters."""
+    training: TrainingSettings
+    """Length, seed and hardware of the training."""
+    evaluation: EvaluationSettings = EvaluationSettings()
+    """How the policy is evaluated."""
+    logging: LoggingSettings = LoggingSettings()
+    """What is written during and after the training."""
+
+    @property
+    def known_utility(self) -> bool:
+        """Whether the algorithm learns for a known utility, rather than a front for every utility."""
+        return find_algorithm(self.algorithm.name).known_utility
+
+    @property
+    def is_resident(self) -> bool:
+        """Whether worlds and learners stay on a GPU, with the seeds as an axis."""
+        return self.training.device != "cpu"
+
+    def of_seeds(self) -> list[Experiment]:
+        """The experiments of the seeds, each that of a run of its own."""
+        if self.training.seeds is None:
+            return [self]
+        updates = [{"seed": seed, "seeds": None} for seed in self.training.seeds]
+        return [self.model_copy(update={"training": self.training.model_copy(update=each)}) for each in updates]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, from which :func:`make_experiment` makes an equal experiment."""
+        return self.model_dump(mode="json")
+
+
+def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experiment:
+    """Read an experiment from a YAML file.
+
+    Args:
+        path: the file, or the name of a shipped one: :func:`algorithms.runs.shipped.find_config`.
+        overrides: as on a command line: ``--section.key=value`` or ``--section.key value``, values as in YAML;
+            ``--seed`` and ``--device`` are short for those of the training section. A mapping is merged into the
+            existing one. If a key is given more than once, the last value is used.
+
+    Raises:
+        ValueError: for unknown keys (with the nearest known ones), values of a wrong type or out of range, and a file
+            or an override that cannot be read; all of them are named.
+    """
+    values = read_mapping(find_config(path))
+    if "algorithm" not in values and (kinds := [kind for kind in ("config", "tasks") if kind in values]):
+        kind = {"config": "sweep", "tasks": "study"}[kinds[0]]
+        raise ValueError(f"{str(path)!r} is the file of a {kind}; mo-deepdrive {kind} --config {path} trains its runs")
+    for key, value in parse_overrides(overrides):
+        override(values, key, value)
+    return make_experiment(values, f"experiment {str(path)!r}")
+
+
+def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here: bool = True) -> Experiment:
+    """Validate ``values`` and fill in every default, including those of the environment and the algorithm.
+
+    Args:
+        values: the sections of the experiment.
+        what: the name of ``values`` in error messages.
+        here: whether the experiment will run on this machine, which must then have its device.
+
+    Raises:
+        ValueError: as :func:`load_experiment`.
+    """
+    problems: list[str] = []
+
+    def attempt(check: Callable[[], T]) -> T | None:
+        try:
+            return check()
+        except ValueError as error:
+            problems.append(str(error))
+            return None
+
+    sections, given = dict(values), values.get("algorithm")
+    if isinstance(given, dict):
+        # If it is refused, the other sections are checked nevertheless.
+        sections["algorithm"] = attempt(lambda: _algorithm(given)) or AlgorithmSettings(name="", config=Settings())
+    experiment = parse(Experiment, sections, what)
+    algorithm = experiment.algorithm.name
+    arguments = attempt(lambda: _environment_arguments(experiment.environment))
+    attempt(lambda: check_device("training.device", experiment.training.device, here))
+    attempt(lambda: _check_seeds(experiment.training))
+    attempt(lambda: _check_episodes(experiment.evaluation))
+    if arguments is not None:
+        attempt(lambda: _check_task(experiment, arguments))
+    if algorithm:
+        attempt(lambda: _check_utility(experiment))
+    front: dict[str, Any] = {}
+    if algorithm and arguments is not None and not experiment.known_utility:
+        front = attempt(lambda: _front_evaluation(experiment, arguments)) or {}
+    if problems:
+        raise ValueError(f"invalid {what}: " + "; ".join(problems))
+    default = a_twentieth(experiment.training.total_timesteps)
+    evaluation, logging = experiment.evaluation, experiment.logging
+    training = experiment.training
+    if training.seeds is not None and training.seed not in training.seeds:
+        training = training.model_copy(update={"seed": training.seeds[0]})
+    return experiment.model_copy(
+        update={
+            "training": training,
+            "environment": experiment.environment.model_copy(update={"arguments": arguments}),
+            "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **front}),
+            "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or default}),
+        }
+    )
+
+
+def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
+    """``["--a.b=1", "--seed", "3"]`` as ``[("a.b", 1), ("training.seed", 3)]``.
+
+    Args:
+        arguments: ``--key=value`` or ``--key value``, values as in YAML; see :data:`SHORT_FORMS`.
+
+    Returns:
+        Pairs of a dotted key and its value, in the given order.
+
+    Raises:
+        ValueError: for an argument that has another form.
+    """
+    pairs: list[tuple[str, Any]] = []
+    rest = list(arguments)
+    while rest:
+        argument = rest.pop(0)
+        key, equals, text = argument.removeprefix("--").partition("=")
+        if not argument.startswith("--") or not all(key.split(".")):
+            raise ValueError(f"argument {argument!r} is not of the form --section.key=value")
+        if not equals:
+            if not rest or rest[0].startswith("--"):
+                raise ValueError(f"argument {argument!r} has no value; write {argument}=VALUE")
+            text = rest.pop(0)
+        try:
+            value = read_value(text)
+        except ValueError as error:
+            raise ValueError(f"argument --{key}: {error}") from None
+        pairs.append((SHORT_FORMS.get(key, key), value))
+    return pairs
+
+
+def override(values: dict[str, Any], key: str, value: Any) -> None:
+    """Set ``section.key`` in ``values``; a mapping is merged into the existing one, which an empty one clears.
+
+    Args:
+        values: nested sections, changed in place.
+        key: dotted path of the key.
+        value: its new value.
+
+    Raises:
+        ValueError: if a part of the path is not a section.
+    """
+    *sections, last = key.split(".")
+    for depth, name in enumerate(sections):
+        if values.get(name) is None:
+            values[name] = {}
+        values = values[name]
+        if not isinstance(values, dict):
+            raise ValueError(f"argument --{key}: {'.'.join(sections[: depth + 1])} = {values!r} is not a section")
+    if value and isinstance(value, dict) and isinstance(values.get(last), dict):
+        for name, inner in value.items():
+            override(values[last], str(name), inner)
+    else:
+        values[last] = value
+
+
+def find_environment(env_id: str, source: str = "environment.id") -> EnvSpec:
+    """The registered specification of ``env_id``, which may have the form "module:id".
+
+    Args:
+        env_id: of the environment.
+        source: key or option that errors name.
+
+    Raises:
+        ValueError: if the module cannot be imported, or the id is not registered (with the nearest id).
+    """
+    module, _, name = env_id.rpartition(":")
+    if ":" in module:
+        raise ValueError(f"{source} = {env_id!r} must be an id, or of the form module:id")
+    if module:
+        import_module(f"{source} = {env_id!r}", module)
+    if name not in gymnasium.registry:
+        ours = ("mo_deepdrive.", "mo_gymnasium.")
+        known = [
+            spec.id
+            for spec in gymnasium.registry.values()
+            if str(spec.entry_point or spec.vector_entry_point).startswith(ours)
+        ]
+        own = "" if module else f"for one of your own write {f'module:{name}'!r}, which imports its module; "
+        raise ValueError(f"{source} = {env_id!r} is not registered; {own}{nearest(name, known)}")
+    return gymnasium.registry[name]
+
+
+def is_ours(spec: EnvSpec) -> bool:
+    """Whether an environment belongs to this package, so that EnvConfig is its configuration."""
+    return str(spec.vector_entry_point).startswith("mo_deepdrive.")
+
+
+def _environment_arguments(settings: EnvironmentSettings) -> dict[str, Any]:
+    spec = find_environment(settings.id)
+    if not is_ours(spec):
+        return dict(settings.arguments)
+    what = f"environment.arguments of {settings.id}"
+    if "scenario" in settings.arguments:
+        raise ValueError(f"invalid {what}: 'scenario' is set by the id; choose another id instead")
+    config = parse(EnvConfig, {**spec.kwargs, **settings.arguments}, what)
+    return config.model_dump(mode="json", exclude={"scenario"})
+
+
+def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
+    if "name" not in values:
+        raise ValueError(f"'algorithm.name' is missing; known: {', '.join(algorithm_names())}")
+    name = values["name"]
+    rest = {key: value for key, value in values.items() if key != "name"}
+    config = parse(find_algorithm(name).config_class, rest, f"hyperparameters of algorithm {name!r}")
+    return AlgorithmSettings(name=name, config=config)
+
+
+def _check_utility(experiment: Experiment) -> None:
+    name = experiment.algorithm.name
+    if experiment.known_utility:
+        if experiment.utility is None:
+            raise ValueError(f"'utility' is missing: algorithm {name!r} learns for a known utility")
+        check_effects(experiment, ["evaluation.reference_point"], f"algorithm {name!r} learns one policy, not a front")
+    if not experiment.known_utility and experiment.utility is not None:
+        raise ValueError(
+            f"utility = {experiment.utility.name!r}: algorithm {name!r} learns a front for every utility; leave the "
+            "section out (mo-deepdrive choose applies a utility to the front)"
+        )
+
+
+def _front_evaluation(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """The discount and the reference point of a front: the given ones, or the defaults of this package's environments.
+
+    The front of two vehicles has none by default: the hypervolume of 64 of its policies would take hours.
+    """
+    spec = find_environment(experiment.environment.id)
+    given = experiment.evaluation.reference_point
+    if not is_ours(spec):
+        return {"reference_point": given}
+    config = parse(EnvConfig, {**spec.kwargs, **arguments}, "environment arguments")
+    if config.cost_sign != "maximise":
+        raise ValueError(f"environment.arguments.cost_sign = {config.cost_sign!r}: a front needs 'maximise'")
+    gamma = experiment.evaluation.gamma
+    if "gamma" not in experiment.evaluation.model_fields_set:
+        # As late as this, because they import the simulation.
+        from mo_deepdrive.fronts.reference_points import default_discount
+        from mo_deepdrive.world.params import chosen_objectives
+
+        gamma = default_discount(chosen_objectives(config))
+    if given is not None or config.row.vehicles > 1:
+        return {"gamma": gamma, "reference_point": given}
+    try:
+        point = mo_deepdrive.reference_point(config.scenario, config.action_type, gamma, config.objectives)
+    except ValueError as error:
+        raise ValueError(f"evaluation.reference_point must be given: {error}") from None
+    return {"gamma": gamma, "reference_point": point.values.tolist()}
+
+
+def _check_seeds(settings: TrainingSettings) -> None:
+    seeds = settings.seeds
+    if seeds is None:
+        return
+    if len(set(seeds)) < len(seeds):
+        raise ValueError(f"training.seeds = {seeds} must differ from one another")
+    if "seed" in settings.model_fields_set and settings.seed not in seeds:
+        raise ValueError(f"training.seed = {settings.seed} must be one of training.seeds = {seeds}")
+
+
+def _check_episodes(settings: EvaluationSettings) -> None:
+    check_episodes("evaluation.episodes", settings.episodes, "validation")
+    check_episodes("evaluation.final_episodes", settings.final_episodes, settings.split)
+
+
+def _check_task(experiment: Experiment, arguments: Mapping[str, Any]) -> None:
+    """Refuse to score as a task of the suite what is trained in another environment, whose arguments are all given."""
+    name = experiment.evaluation.task
+    if name is None:
+        return
+    from mo_deepdrive import suite  # as late as this, because it imports the simulation
+
+    try:
+        task = suite.load().task(name)
+    except ValueError as error:
+        raise ValueError(f"evaluation.task: {error}") from None
+    own = task.config().model_dump(mode="json", exclude={"scenario"})
+    needed = {"id": task.environment.id, **{f"arguments.{key}": value for key, value in own.items()}}
+    given = {"id": experiment.environment.id, **{f"arguments.{key}": value for key, value in arguments.items()}}
+    for key, value in needed.items():
+        if given.get(key) != value:
+            raise ValueError(f"environment.{key} = {given.get(key)!r}: evaluation.task = {name!r} needs {value!r}")
+    if (steps := experiment.training.total_timesteps) > task.steps:
+        raise ValueError(
+            f"training.total_timesteps = {steps:,}: evaluation.task = {name!r} allows {task.steps:,} environment steps"
+        )
+
+
+def check_effects(experiment: Experiment, keys: Iterable[str], why: str) -> None:
+    """Refuse each of some keys, as "section.key", that has another value than its default.
+
+    Raises:
+        ValueError: naming the key, its value and why it has no effect.
+    """
+    for key in keys:
+        section, _, name = key.partition(".")
+        settings = getattr(experiment, section)
+        value, default = getattr(settings, name), type(settings).model_fields[name].default
+        filled_in = a_twentieth(experiment.training.total_timesteps) if default is None else default
+        if value not in (default, filled_in):
+            raise ValueError(f"{key} = {value!r} has no effect: {why}; leave it out")
+
+
+def check_loggers(experiment: Experiment) -> None:
+    """Refuse to train with a logger that is not installed; runs that had one can be evaluated without it.
+
+    Raises:
+        ValueError: with the extra that brings it.
+    """
+    if experiment.logging.wandb is not None and importlib.util.find_spec("wandb") is None:
+        raise ValueError(f"logging.wandb needs wandb: pip install 'mo-deepdrive[{EXTRAS['wandb']}]'")

@@ -1,0 +1,218 @@
+"""A job trains a run, resumes it, or skips it if it is finished."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from algorithms.reporting.run_records import Recorded
+from algorithms.reporting.seed_groups import INCIDENTAL
+from algorithms.runs.config import Experiment, check_loggers, make_experiment
+from algorithms.runs.interrupts import Moved, describe, stopped_by
+from algorithms.runs.registry import find_algorithm, peer_running
+from algorithms.runs.run_directory import InUse, Run, imported_paths, read_status
+from mo_deepdrive.support.atomic_io import atomic_write
+from mo_deepdrive.support.yaml import dump, read_mapping
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from algorithms.runs.training import Watch
+
+JobOutcome = Literal["trained", "already there", "stopped"]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run to be made.
+
+    Attributes:
+        name: its name in messages.
+        experiment: with every default filled in.
+        path: the run's directory.
+        id: hash of the experiment, if the directory is named by it and cannot hold another run; also the run's id in
+            Weights & Biases.
+    """
+
+    name: str
+    experiment: Experiment = field(hash=False)
+    path: Path
+    id: str | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether the run is finished (trained and evaluated) or pruned.
+
+        Raises:
+            ValueError: if the directory holds another experiment, with the keys that differ.
+        """
+        if self.id is None:
+            self.check()
+        return read_status(self.path).get("state") in ("finished", "pruned")
+
+    def check(self) -> None:
+        """Check that the directory does not hold another experiment.
+
+        Raises:
+            ValueError: if it does, with the keys that differ.
+        """
+        if not (self.path / "config.yaml").is_file():
+            return
+        self._refuse(differences(self.open().experiment.to_dict(), self.experiment.to_dict()))
+
+    def open(self) -> Run:
+        """The run in the directory, which may import what the job's own experiment names.
+
+        Raises:
+            ValueError: as :meth:`Run.open`, or if its config.yaml names other code to import.
+        """
+        config, mine = self.path / "config.yaml", imported_paths(self.experiment.to_dict())
+        theirs = imported_paths(read_mapping(config)) if config.is_file() else {}
+        self._refuse([f"{key} = {name!r} there" for key, name in theirs.items() if name not in mine.values()])
+        return Run.open(self.path, trust=True)
+
+    def _refuse(self, changed: list[str]) -> None:
+        if changed:
+            raise ValueError(
+                f"run directory {str(self.path)!r} holds another experiment: {'; '.join(changed)}; "
+                "delete it or choose another folder"
+            )
+
+    def packed(self) -> dict[str, Any]:
+        """Plain values to send to another process, for :meth:`unpack`."""
+        return {"name": self.name, "experiment": self.experiment.to_dict(), "path": str(self.path), "id": self.id}
+
+    def without_code(self) -> Job:
+        """The job for a process that only starts workers: without the Config, whose module imports torch."""
+        algorithm = self.experiment.algorithm
+        plain = algorithm.model_copy(update={"config": Recorded(**algorithm.config.model_dump(mode="json"))})
+        return replace(self, experiment=self.experiment.model_copy(update={"algorithm": plain}))
+
+    @classmethod
+    def unpack(cls, values: Mapping[str, Any]) -> Job:
+        """The job from the values of :meth:`packed`."""
+        experiment = make_experiment(values["experiment"])
+        return cls(values["name"], experiment, Path(values["path"]), values["id"])
+
+
+def differences(first: Mapping[str, Any], second: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """The keys that differ between two experiments, with both values; INCIDENTAL keys are not compared.
+
+    Args:
+        first: an experiment as nested plain values.
+        second: the wanted one.
+        prefix: dotted path of both in their experiments.
+
+    Returns:
+        One line per key.
+    """
+    found: list[str] = []
+    for key in dict.fromkeys([*first, *second]):
+        name = prefix + key
+        one, other = first.get(key), second.get(key)
+        if name in INCIDENTAL or one == other:
+            continue
+        if isinstance(one, Mapping) and isinstance(other, Mapping):
+            found += differences(one, other, f"{name}.")
+        else:
+            found.append(f"{name} = {one!r} there, {other!r} wanted")
+    return found
+
+
+def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | None = None) -> JobOutcome:
+    """Train a run from the beginning or its checkpoint, and evaluate it; its output goes to its train.log.
+
+    Args:
+        job: the run.
+        watch: called with the step and the metrics of every logged row.
+        stop: called after every update; True saves and stops as a signal does.
+
+    Returns:
+        "already there" if it was finished before; "stopped" if a signal or ``stop`` ended it early, after saving.
+
+    Raises:
+        InUse: if another process trains in the directory.
+        ValueError: if the directory holds something else, or the experiment cannot be built.
+        Stopped: if something could not be written.
+    """
+    if job.done:
+        return "already there"
+    # As late as this: the process that hands out jobs needs no torch, which takes seconds and much memory.
+
+    from algorithms.runs.console import make_console
+    from algorithms.runs.lenient_output import open_log
+    from algorithms.runs.training import resume, train_and_finish
+
+    try:
+        run, resumed = _lock(job)
+    except OSError as error:
+        raise stopped_by(error, f"the run cannot be written: {error}") from error
+    try:
+        if job.done:  # finished by the process that held the lock until now
+            return "already there"
+        if resumed:
+            _take_over_settings(run, job)
+        check_loggers(run.experiment)
+        _keep_wandb_id(job)
+        with open_log(job.path / "train.log") as log:
+            if find_algorithm(run.experiment.algorithm.name).is_peer:
+                peer_running().run_peer(run, make_console(log))
+                return "trained"
+            agent = resume(run)
+            if train_and_finish(run, agent, make_console(log), resumed=resumed, watch=watch, stop=stop) is not None:
+                return "stopped"
+    except OSError as error:
+        raise stopped_by(error, f"the run cannot be written: {error}") from error
+    except Exception as error:
+        with contextlib.suppress(OSError, Moved):  # these may be the reason; the original error is raised in any case
+            run.set_status("failed", run.status.get("step", 0), describe(error))
+        raise
+    finally:
+        run.unlock()
+    return "trained"
+
+
+def _lock(job: Job) -> tuple[Run, bool]:
+    """The run, locked, and whether it was started before."""
+    config = job.path / "config.yaml"
+    if not config.is_file():
+        try:
+            return Run.make(job.experiment, job.path), False
+        except InUse:
+            raise
+        except ValueError:
+            if not config.is_file():  # otherwise another process has created it in the meantime
+                raise
+    job.check()
+    run = job.open()
+    run.lock()
+    return run, True
+
+
+def _take_over_settings(run: Run, job: Job) -> None:
+    """Continue a run with the job's logging and, if possible, on its device; config.yaml says so.
+
+    The number of threads stays that of the run, because it changes last bits.
+
+    Raises:
+        ValueError: if this machine does not have the device.
+    """
+    config = run.path / "config.yaml"
+    before = make_experiment(read_mapping(config), here=False)
+    # Worlds that stay on a device draw other random numbers, so that their checkpoints are others.
+    stays = run.checkpoint.exists() and before.is_resident != job.experiment.is_resident
+    chosen = before if stays else job.experiment
+    training = before.training.model_copy(update={"device": chosen.training.device})
+    wanted = before.model_copy(update={"training": training, "logging": job.experiment.logging})
+    run.experiment = make_experiment(wanted.to_dict(), f"experiment {str(config)!r}")
+    if run.experiment != before:
+        atomic_write(config, dump(run.experiment.to_dict()).encode())
+
+
+def _keep_wandb_id(job: Job) -> None:
+    """Make W&B use the job's id, so that repeated attempts continue one W&B run."""
+    if job.id is not None and job.experiment.logging.wandb is not None:
+        atomic_write(job.path / "wandb_id", f"{job.id}\n".encode())

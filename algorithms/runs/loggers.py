@@ -1,0 +1,301 @@
+"""Logging of metrics to metrics.csv, TensorBoard and, optionally, Weights & Biases."""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+import time
+import urllib.error
+import urllib.request
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from algorithms.reporting.seed_groups import flatten
+from algorithms.reporting.seed_tables import TABLE_METRICS
+from algorithms.reporting.training_log import MetricsFile
+from algorithms.runs.accessories import Accessory
+from mo_deepdrive.evaluation.metrics import split_name
+from mo_deepdrive.support.atomic_io import atomic_write
+from mo_deepdrive.support.extras import needed_for
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from types import TracebackType
+
+    from algorithms.runs.config import WandbSettings
+
+TENSORBOARD = "tensorboard"  # folder in a run's directory
+RESULTS_SUFFIX = ".results"  # of TensorBoard's file with the results at the end
+CONNECTION_TIMEOUT = 20.0  # s after which W&B is used offline
+
+
+class WandbRun:
+    """A Weights & Biases run that never stops training: after the first error, which is printed, it is disabled.
+
+    Args:
+        directory: for offline data, the run's id and its project; a resumed run continues with the stored id.
+        settings: project, group and so on.
+        config: the configuration shown with the run.
+        name: name of the run.
+        say: prints messages.
+    """
+
+    def __init__(
+        self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str, say: Callable[[str], None]
+    ):
+        self._say = say
+        self._accessory = Accessory("Weights & Biases is disabled", say)
+        with self._accessory:
+            self._run = self._start(directory, settings, config, name)
+
+    def _start(self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str) -> Any:
+        with needed_for("logging.wandb"):
+            import wandb
+
+        id_file, project_file = directory / "wandb_id", directory / "wandb_project"
+        stored = id_file.read_text().strip() if id_file.exists() else None
+        entity, project = self._place(wandb, settings, project_file)
+        options: dict[str, Any] = {
+            "project": project,
+            "entity": entity,
+            "group": settings.group,
+            "tags": settings.tags,
+            "config": config,
+            "name": name,
+            "dir": str(directory),
+            "id": stored,
+            "resume": "allow" if stored else None,
+            "settings": wandb.Settings(console="off", init_timeout=CONNECTION_TIMEOUT),
+        }
+        # WANDB_MODE, which wandb reads itself, may say offline or disabled.
+        mode: Any = "offline" if settings.mode == "offline" else wandb.setup().settings.mode
+        if mode == "online":
+            offline_reason = self._offline_reason(wandb)
+            if offline_reason is None:
+                try:
+                    run = wandb.init(mode=mode, **options)
+                except wandb.Error as error:
+                    wandb.teardown()  # frees the run's id
+                    offline_reason = str(error)
+            if offline_reason is not None:
+                self._say(f"Weights & Biases: {offline_reason}; logging offline, `wandb sync` uploads the run later")
+                run = wandb.init(mode="offline", **options)
+        else:
+            run = wandb.init(mode=mode, **options)
+        run.define_metric("step")
+        run.define_metric("*", step_metric="step")
+        if mode != "disabled":  # then entity and project are placeholders
+            atomic_write(project_file, f"{run.entity}/{run.project}\n".encode())
+            atomic_write(id_file, f"{run.id}\n".encode())
+        return run
+
+    def _place(self, wandb: Any, settings: WandbSettings, project_file: Path) -> tuple[str | None, str | None]:
+        """Entity and project; None if W&B chooses them, as under the agent of a sweep."""
+        if wandb.setup().settings.sweep_id:
+            return None, None
+        if project_file.exists():
+            entity, _, project = project_file.read_text().strip().partition("/")
+            return entity or None, project
+        return settings.entity, settings.project
+
+    def _offline_reason(self, wandb: Any) -> str | None:
+        """Why a run cannot be online; None if it can."""
+        if not wandb.login(prompt=False, verify=False):
+            return "no API key"
+        try:
+            urllib.request.urlopen(wandb.setup().settings.base_url, timeout=CONNECTION_TIMEOUT).close()
+        except urllib.error.HTTPError:
+            return None  # there is a connection
+        except OSError as error:
+            return f"no connection ({error})"
+        return None
+
+    def log(self, step: int, metrics: Mapping[str, float]) -> None:
+        """Log a row."""
+        if self._accessory.works:
+            with self._accessory:
+                self._run.log({**metrics, "step": step})
+
+    def close(self, failed: bool) -> None:
+        """Finish the run."""
+        if self._accessory.works:
+            with self._accessory:
+                self._run.finish(exit_code=int(failed))
+
+
+class EventFile:
+    """A file of TensorBoard. Every event is in it when :meth:`add` returns; TensorBoard's own writer has a thread.
+
+    Args:
+        directory: the run's directory.
+        suffix: of the file's name.
+
+    Raises:
+        OSError: if it cannot be written; this also goes for :meth:`add` and :meth:`close`.
+    """
+
+    def __init__(self, directory: Path, suffix: str = ""):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # from TensorBoard's dependencies
+            from tensorboard.compat.proto.event_pb2 import Event
+            from tensorboard.summary.writer.record_writer import RecordWriter
+        self._event = Event
+        folder = directory / TENSORBOARD
+        folder.mkdir(exist_ok=True)
+        # Named as TensorBoard's, which reads the files of a folder in the order of their names.
+        name = f"events.out.tfevents.{time.time():017.6f}.{socket.gethostname()}.{os.getpid()}{suffix}"
+        self._file = (folder / name).open("xb")
+        self._records = RecordWriter(self._file)
+        self.add(file_version="brain.Event:2")
+
+    def add(self, **fields: Any) -> None:
+        """Write an event with these fields."""
+        self._records.write(self._event(wall_time=time.time(), **fields).SerializeToString())
+        self._records.flush()
+
+    def add_scalars(self, step: int, values: Mapping[str, float]) -> None:
+        """Write those of the values that are finite."""
+        from torch.utils.tensorboard.summary import scalar
+
+        for name, value in values.items():
+            if math.isfinite(value):
+                self.add(step=step, summary=scalar(name, value))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class Logger:
+    """Writes each row of metrics to metrics.csv, TensorBoard and, if ``wandb`` is given, Weights & Biases.
+
+    Use it as a context manager. Its files are metrics.csv and tensorboard/ in ``directory``. An error of TensorBoard or
+    Weights & Biases is one message and ends their part alone.
+
+    Args:
+        directory: the run's directory.
+        after: step of the checkpoint that a run resumes from: later rows are dropped, since they are written again.
+            None for a new run.
+        noted: what :meth:`sync` returned when that checkpoint was written; None if it is not known.
+        wandb: settings of Weights & Biases; None to leave it out.
+        config: the configuration shown in W&B.
+        name: the run's name in W&B.
+        say: prints messages.
+
+    Attributes:
+        gap: what is missing in metrics.csv up to that checkpoint; None if nothing is.
+
+    Raises:
+        ValueError: if there is a metrics.csv to continue that is broken.
+        OSError: if metrics.csv cannot be written.
+    """
+
+    def __init__(
+        self,
+        directory: str | Path,
+        *,
+        after: int | None = None,
+        noted: Mapping[str, Any] | None = None,
+        wandb: WandbSettings | None = None,
+        config: dict[str, Any] | None = None,
+        name: str = "run",
+        say: Callable[[str], None] = print,
+    ):
+        directory = Path(directory)
+        self._file = MetricsFile(directory / "metrics.csv", after, noted)
+        self.gap = self._file.gap
+        self._tensorboard = Accessory("TensorBoard is disabled", say)
+        with self._tensorboard:
+            self._events = EventFile(directory)
+            if after is not None:
+                self._drop_events(after + 1)
+        self._wandb = None if wandb is None else WandbRun(directory, wandb, config or {}, name, say)
+
+    def log(self, step: int, metrics: Mapping[str, float]) -> None:
+        """Log a row.
+
+        Raises:
+            OSError: if metrics.csv cannot be written.
+        """
+        self._file.write(step, metrics)
+        if self._tensorboard.works:
+            with self._tensorboard:
+                self._events.add_scalars(step, metrics)
+        if self._wandb is not None:
+            self._wandb.log(step, metrics)
+
+    def sync(self) -> dict[str, Any]:
+        """Make metrics.csv reach the disk, before a checkpoint; returns its number of rows and their hash.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        return self._file.sync()
+
+    def close(self, failed: bool = False) -> None:
+        """Flush and close all outputs; ``failed`` marks the W&B run as failed."""
+        if self._tensorboard.works:
+            with self._tensorboard:
+                self._events.close()
+        if self._wandb is not None:
+            self._wandb.close(failed)
+
+    def _drop_events(self, step: int) -> None:
+        """Make TensorBoard ignore what earlier files have from a step on."""
+        from tensorboard.compat.proto.event_pb2 import SessionLog
+
+        self._events.add(step=step, session_log=SessionLog(status=SessionLog.START))
+
+    def __enter__(self) -> Logger:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close(failed=kind is not None)
+
+
+def log_results(
+    directory: Path, step: int, config: Mapping[str, Any], metrics: Mapping[str, float], video: Path | None = None
+) -> None:
+    """Show the results of a finished run in TensorBoard: hyperparameters, final scores and the video.
+
+    They are in a file of their own, which replaces that of an earlier call: a run has one entry in the HParams tab.
+
+    Args:
+        directory: the run's directory.
+        step: of the trained policy.
+        config: the experiment; its keys are hyperparameters, except those of logging.
+        metrics: of the final evaluation, such as greedy/utility_esr; those of tables are shown, as final/...
+        video: an MP4, which becomes a GIF in the Images tab; left out if there is no such file.
+
+    Raises:
+        OSError: if something cannot be read or written.
+    """
+    for earlier in (directory / TENSORBOARD).glob(f"*{RESULTS_SUFFIX}"):
+        earlier.unlink()
+    scores = {
+        f"final/{name}": value
+        for name, value in metrics.items()
+        if split_name(name).metric in TABLE_METRICS and math.isfinite(value)
+    }
+    events = EventFile(directory, RESULTS_SUFFIX)
+    try:
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from torch.utils.tensorboard.summary import hparams
+
+        events.add_scalars(step, scores)
+        flat = flatten({key: value for key, value in config.items() if key != "logging"})
+        plain = {key: value if isinstance(value, (bool, int, float)) else str(value) for key, value in flat.items()}
+        for summary in hparams({key: plain[key] for key in plain if flat[key] is not None}, scores):
+            events.add(summary=summary)
+        if video is not None and video.is_file():
+            from algorithms.reporting.animated_gif import video_as_gif
+
+            gif, height, width = video_as_gif(video)
+            image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)
+            events.add(step=step, summary=Summary(value=[Summary.Value(tag="video", image=image)]))
+    finally:
+        events.close()

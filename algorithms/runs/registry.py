@@ -1,0 +1,120 @@
+"""Look up names of YAML files and command lines; what they refer to is imported when it is first used.
+
+Algorithms are registered in ``algorithms/__init__.py``; a user's is named by its path, ``package.module:Class``.
+
+Peers (other libraries' algorithms) and the zoo (trained policies) are layers above this one: they are found by their
+dotted paths, so that an experiment can name them without importing them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any
+
+from algorithms import ALGORITHMS
+from mo_deepdrive.support.importing import import_named
+from mo_deepdrive.support.names import nearest
+from mo_deepdrive.world.config import Settings
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+# "module:attribute" of the table of other libraries' algorithms, the module that trains them, and "module:attribute" of
+# the function that finds a trained policy.
+PEER_TABLE = "algorithms.peers:PEERS"
+PEER_RUNNING = "algorithms.peers.running"
+FIND_TRAINED_POLICY = "algorithms.zoo:find"
+
+
+@dataclass(frozen=True)
+class AlgorithmEntry:
+    """The properties of an algorithm that an experiment depends on.
+
+    Attributes:
+        name: its name in YAML files.
+        known_utility: whether it learns for a utility that it is given, or a front for every utility.
+        config_class: the settings model of its hyperparameters.
+        is_peer: whether it is another library's, which the command peers trains.
+    """
+
+    name: str
+    known_utility: bool
+    config_class: type[Settings]
+    is_peer: bool
+
+
+def algorithm_names() -> list[str]:
+    """The names of this project's algorithms in alphabetical order; imports none of them."""
+    return sorted(ALGORITHMS)
+
+
+def find_algorithm(name: object, source: str = "algorithm.name") -> AlgorithmEntry:
+    """The entry of an algorithm: this project's, another library's, or a user's.
+
+    Args:
+        name: of the algorithm.
+        source: key or option that errors name where the name is unknown.
+
+    Raises:
+        ValueError: if there is none of this name, with the nearest name; if what a path names is no complete algorithm.
+    """
+    if isinstance(name, str) and (name in ALGORITHMS or ":" in name):
+        algorithm = agent_class(name)
+        return AlgorithmEntry(name, bool(algorithm.known_utility), algorithm.Config, is_peer=False)
+    peers: Mapping[str, Any] = resolve_name(PEER_TABLE)
+    if not isinstance(name, str) or name not in peers:
+        hint = nearest(name, [*ALGORITHMS, *peers])
+        raise ValueError(f"{source} = {name!r} is unknown; {hint}; or package.module:Class")
+    peer = peers[name]
+    return AlgorithmEntry(name, bool(peer.known_utility), peer.Config, is_peer=True)
+
+
+def agent_class(name: str) -> type[Any]:
+    """The class of an algorithm, this project's or a user's.
+
+    Raises:
+        ValueError: if it is another library's or unknown; if what a path names is no complete algorithm.
+    """
+    if ":" in name:
+        return _users_class(name)
+    if name not in ALGORITHMS and find_algorithm(name).is_peer:
+        raise ValueError(f"algorithm {name!r} is another library's; mo-deepdrive peers runs it")
+    return ALGORITHMS[name]
+
+
+def _users_class(path: str) -> type[Any]:
+    from algorithms.agent import Agent, FrontAgent  # as late as this, because it imports torch
+
+    found = import_named("algorithm.name", path)
+    if not (isinstance(found, type) and issubclass(found, Agent)):
+        raise ValueError(f"algorithm.name = {path!r} must be a subclass of algorithms.Agent; it is {found!r}")
+    missing = {*found.__abstractmethods__, *({"Config"} if not hasattr(found, "Config") else ())}
+    if missing:
+        raise ValueError(f"algorithm.name = {path!r} does not define {', '.join(sorted(missing))}")
+    if not (found.known_utility or issubclass(found, FrontAgent)):
+        raise ValueError(f"algorithm.name = {path!r}: known_utility = False needs a subclass of algorithms.FrontAgent")
+    if not (isinstance(found.Config, type) and issubclass(found.Config, Settings)):
+        raise ValueError(f"algorithm.name = {path!r}: Config = {found.Config!r} must be a subclass of Settings")
+    return found
+
+
+def peer_running() -> Any:
+    """The module that trains other libraries' algorithms."""
+    return resolve_name(PEER_RUNNING)
+
+
+def directory_name(algorithm: str) -> str:
+    """The name of an algorithm in names of directories: its name, or the class's where it is named by its path."""
+    return algorithm.rpartition(":")[2]
+
+
+def find_trained_policy(name: str) -> Path:
+    """The directory of a policy of the zoo.
+
+    Raises:
+        ValueError: if there is none of this name, with the nearest name.
+    """
+    directory: Path = resolve_name(FIND_TRAINED_POLICY)(name)
+    return directory

@@ -1,0 +1,192 @@
+"""Worker processes for many runs on one machine; a worker that dies costs only the steps since its checkpoint."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import Counter, deque
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import connection
+from typing import TYPE_CHECKING, Any
+
+from algorithms.runs.failures import BUSY, DIED, WorkerDied, record, verdict
+from algorithms.runs.interrupts import JobFailed, Stopped, describe
+from algorithms.runs.jobs import Job, JobOutcome, perform
+from algorithms.runs.lenient_output import make_standard_streams_lenient
+from algorithms.runs.run_directory import InUse
+from mo_deepdrive.__main__ import call
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+    from algorithms.runs.dashboard import Dashboard
+
+POLL = 0.25  # s between checks for finished jobs
+
+
+def _perform(packed: dict[str, Any]) -> JobOutcome:
+    """:func:`perform` in a worker process; its errors can be sent to the parent."""
+    try:
+        outcome = perform(Job.unpack(packed))
+    except (InUse, Stopped):
+        raise
+    except Exception as error:
+        raise JobFailed(describe(error)) from None
+    if outcome == "stopped":
+        os._exit(130)  # everything is saved; otherwise this worker would take the next job
+    return outcome
+
+
+def _begin_worker() -> None:
+    """Leave the handling of signals to the parent: a worker stops at SIGTERM and when the parent ends.
+
+    Batch systems send their signals to every process of a job. Output of the user's code must not stop a worker either.
+    """
+    make_standard_streams_lenient()
+    if os.name == "posix":
+        os.setsid()
+        for number in (signal.SIGUSR1, signal.SIGUSR2):
+            signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold back Ctrl-C in the context: processes started in it never receive it, this one receives it afterwards."""
+    if os.name != "posix":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Workers:
+    """Worker processes that each take one job at a time; if one dies, the others continue."""
+
+    def __init__(self, count: int):
+        self._idle = [self._executor() for _ in range(count)]
+        self._busy: dict[Future[JobOutcome], tuple[ProcessPoolExecutor, Job]] = {}
+
+    @staticmethod
+    def _executor() -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), call, (_begin_worker,))
+
+    @property
+    def free(self) -> bool:
+        """Whether a worker is idle."""
+        return bool(self._idle)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is running."""
+        return bool(self._busy)
+
+    def start(self, job: Job) -> None:
+        """Give a job to an idle worker."""
+        executor = self._idle.pop()
+        with _interrupts_held():
+            self._busy[executor.submit(_perform, job.packed())] = executor, job
+
+    def ended(self, timeout: float) -> list[tuple[Job, BaseException | None]]:
+        """The jobs that end within ``timeout`` seconds, each with its error or None."""
+        done, _ = wait(self._busy, timeout, FIRST_COMPLETED)
+        found = []
+        for future in done:
+            executor, job = self._busy.pop(future)
+            error = future.exception()
+            if isinstance(error, BrokenProcessPool):
+                executor.shutdown()
+                executor = self._executor()
+            self._idle.append(executor)
+            found.append((job, error))
+        return found
+
+    def close(self) -> None:
+        """Stop the running jobs, which save their checkpoints, and end the workers."""
+        if self._busy:
+            for process in multiprocessing.active_children():
+                process.terminate()  # SIGTERM, at which training saves
+        for executor in [*self._idle, *(executor for executor, _ in self._busy.values())]:
+            executor.shutdown(wait=True, cancel_futures=True)
+
+
+def perform_all(
+    jobs: Sequence[Job],
+    workers: int,
+    dashboard: Dashboard,
+    *,
+    retries: int = 0,
+    stop: Callable[[], bool] = lambda: False,
+) -> dict[Job, str]:
+    """Make all runs that are not finished, ``workers`` at a time, each in a worker process.
+
+    Runs that other processes are making are waited for.
+
+    Args:
+        jobs: the runs; finished ones are skipped.
+        workers: number of processes.
+        dashboard: shows the progress.
+        retries: as in :func:`algorithms.runs.failures.verdict`.
+        stop: called several times a second; True saves the running jobs and returns.
+
+    Returns:
+        The jobs that failed, each with its error.
+
+    Raises:
+        ValueError: before anything starts, if a directory holds another experiment.
+        DiskFull: if there is no space left; the running jobs are stopped first.
+    """
+    queue = deque(job for job in jobs if not job.done)
+    failed: dict[Job, str] = {}
+    if not queue:
+        return failed
+    attempts: Counter[Path] = Counter()
+    busy: deque[tuple[float, Job]] = deque()
+    pool = _Workers(min(workers, len(queue)))
+    try:
+        while (queue or busy or pool.busy) and not stop():
+            while busy and busy[0][0] <= time.monotonic():
+                queue.append(busy.popleft()[1])
+            while queue and pool.free:
+                pool.start(queue.popleft())
+            if not pool.busy:
+                time.sleep(POLL)
+            for job, error in pool.ended(POLL):
+                if error is None:
+                    continue
+                attempts[job.path] += 1
+                if isinstance(error, BrokenProcessPool):
+                    times = f", {attempts[job.path]} times" if attempts[job.path] > 1 else ""
+                    error = WorkerDied(DIED + times)
+                outcome = verdict(error, attempts[job.path], retries)
+                if outcome == "stop":
+                    raise error
+                if outcome == "wait":
+                    attempts[job.path] -= 1
+                    busy.append((time.monotonic() + BUSY, job))
+                elif outcome == "retry":
+                    queue.append(job)
+                else:
+                    failed[job] = record(job, error)
+                    dashboard.failed(job, failed[job])
+            dashboard.update()
+    finally:
+        pool.close()
+        dashboard.update(now=True)
+    return failed

@@ -1,0 +1,401 @@
+"""The paper's claims and the criteria that decide them, which were fixed before the runs were trained.
+
+The one exception is the rule that learning curves must be flat, which was added afterwards (docs/reproduction.md).
+
+A criterion is decided by a 95% bootstrap interval over seeds: it passes, fails, or is inconclusive if the interval
+contains the limit. If training stopped before the learning curves were flat (:func:`is_settled`), it is inconclusive
+too, unless longer training could only confirm the answer. A claim is reproduced if all criteria pass, not reproduced if
+one fails, and inconclusive otherwise.
+Scores are interquartile means over seeds (Agarwal et al. 2021) of the final evaluation of the stochastic policy, which
+is the policy that actor-critics optimise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from mo_deepdrive.evaluation.metrics import (
+    CARDINALITY,
+    FRONT,
+    HIGHEST_DISTANCE,
+    HYPERVOLUME,
+    LOWEST_DISTANCE,
+    STOCHASTIC,
+    SUCCESS,
+    TOTAL_UTILITY_ESR,
+    UTILITY_ESR,
+    return_of,
+)
+from mo_deepdrive.evaluation.statistics import (
+    Estimate,
+    iqm,
+    iqm_difference,
+    mean,
+    probability_of_improvement,
+    spread_ratio,
+    spread_ratio_power,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from algorithms.studies.paper_results import ReproductionResults
+
+# The two algorithms that are compared, by the keys of their variants.
+BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
+LABELS = {BASELINE: "A2C", MULTI_OBJECTIVE: "MO-A2C"}
+# The task with an unknown utility, and the variant that learns its front.
+FRONT_TASK, FRONT_VARIANT = "one_waypoint_front", "pcn"
+# Limits of the criteria.
+SOLVED, LEARNED, FAILED = 0.95, 0.5, 0.05  # success rates
+SIMILAR = 0.05  # relative to the baseline's utility
+FLAT = 0.05  # gain at the end of training, relative to the score that is reached
+RATIOS = (0.5, 0.25)  # true ratios of deviations, for which the power of the test is reported
+MIN_EVALUATIONS = 5  # of a learning curve, to tell whether it is flat
+MIN_POLICIES = 10  # of a broad front
+SHORT_PROGRESS, LONG_PROGRESS = 1.0, 10.0  # m: from standing still to arriving
+
+Conclusion = Literal["reproduced", "not reproduced", "inconclusive"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """A criterion applied to results.
+
+    Attributes:
+        criterion: in words.
+        measured: the measured value with its interval.
+        passed: None if it is inconclusive.
+        stopped_at: the step at which training stopped too early for an answer; None if that is not the reason.
+    """
+
+    criterion: str
+    measured: str
+    passed: bool | None
+    stopped_at: int | None = None
+
+
+Criterion = Callable[["ReproductionResults", str], Check]  # of the results and the key of a protocol
+Decision = Callable[[Estimate, float], bool | None]  # of an estimate and a limit
+
+
+@dataclass(frozen=True)
+class AlgorithmComparison:
+    """A2C and MO-A2C on a task.
+
+    Attributes:
+        baseline, multi_objective: interquartile means over seeds.
+        difference: multi_objective - baseline.
+        improvement: probability that a run of MO-A2C scores higher than a run of A2C.
+        width: of the interval of a run's score over evaluation episodes, the wider of both; 0 if it is not known.
+    """
+
+    baseline: Estimate
+    multi_objective: Estimate
+    difference: Estimate
+    improvement: Estimate
+    width: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a claim is reproduced under a protocol, and the checks that decide it."""
+
+    claim: Claim
+    protocol: str
+    conclusion: Conclusion
+    checks: tuple[Check, ...]
+
+    @property
+    def text(self) -> str:
+        """The conclusion, and the step at which training stopped if that was too early for another one."""
+        steps = [check.stopped_at for check in self.checks if check.stopped_at is not None]
+        early = self.conclusion == "inconclusive" and steps
+        return f"{self.conclusion}: stopped at {max(steps):,} steps" if early else self.conclusion
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the paper.
+
+    Attributes:
+        number: as in the documentation.
+        figures: of the paper.
+        statement: the claim in words.
+        tasks: keys of the tasks in the plan that the claim is about.
+        criteria: which decide it.
+    """
+
+    number: int
+    figures: tuple[int, ...]
+    statement: str
+    tasks: tuple[str, ...]
+    criteria: Sequence[Criterion]
+
+    def judge(self, results: ReproductionResults, protocol: str) -> Verdict | None:
+        """The verdict under a protocol; None if results are missing."""
+        try:
+            checks = tuple(criterion(results, protocol) for criterion in self.criteria)
+        except KeyError:
+            return None
+        passed = [check.passed for check in checks]
+        conclusion: Conclusion = "inconclusive" if None in passed else "reproduced"
+        conclusion = "not reproduced" if False in passed else conclusion
+        return Verdict(self, protocol, conclusion, checks)
+
+
+def compare(
+    results: ReproductionResults, task: str, protocol: str, metric: str, policy: str = STOCHASTIC
+) -> AlgorithmComparison:
+    """Compare A2C and MO-A2C by a metric.
+
+    Raises:
+        KeyError: if either has no run with the metric.
+    """
+    baseline = results.values(task, protocol, BASELINE, metric, policy)
+    multi_objective = results.values(task, protocol, MULTI_OBJECTIVE, metric, policy)
+    return AlgorithmComparison(
+        iqm(baseline),
+        iqm(multi_objective),
+        iqm_difference(multi_objective, baseline),
+        probability_of_improvement(multi_objective, baseline),
+        max(results.episodes_width(task, protocol, each, metric, policy) for each in (BASELINE, MULTI_OBJECTIVE)),
+    )
+
+
+def utility_metric(task: str) -> str:
+    """The name of the metric for an episode's utility; with two vehicles it is the sum of their utilities."""
+    return TOTAL_UTILITY_ESR if task.startswith("intersection") else UTILITY_ESR
+
+
+def utility_kind(task: str) -> str:
+    """Either "linear" or "non-linear"."""
+    return "non-linear" if task.endswith("nonlinear") else "linear"
+
+
+def is_settled(results: ReproductionResults, task: str, protocol: str) -> bool:
+    """Whether the learning curves were flat at the end of training.
+
+    They are if, for every compared algorithm, the upper end of the interval over seeds of the gain (the mean of the
+    last fifth of the evaluations minus that of the fifth before) is below FLAT times the mean of the last fifth. The
+    score is the utility of the stochastic policy, for a front its hypervolume.
+    """
+    front = task == FRONT_TASK
+    name = f"{FRONT}/{HYPERVOLUME}" if front else f"{STOCHASTIC}/{utility_metric(task)}"
+    return all(
+        _is_flat([curve[name] for curve in results.learning_curves(task, protocol, variant) if name in curve])
+        for variant in ((FRONT_VARIANT,) if front else (BASELINE, MULTI_OBJECTIVE))
+    )
+
+
+def _is_flat(curves: Sequence[NDArray[np.float64]]) -> bool:
+    """Whether the curves of one algorithm, one per seed, are flat at their end; False if they are too short to tell."""
+    scores = [curve[np.isfinite(curve)] for curve in curves]
+    if not scores or min(len(each) for each in scores) < MIN_EVALUATIONS:
+        return False
+    fifths = [(each[-2 * (n := len(each) // 5) : -n].mean(), each[-n:].mean()) for each in scores]
+    before, last = np.array(fifths).T
+    return is_above(mean(last - before), FLAT * abs(float(last.mean()))) is False
+
+
+def _check(
+    results: ReproductionResults,
+    task: str,
+    protocol: str,
+    criterion: str,
+    measured: str,
+    passed: bool | None,
+    lasting: bool | None = None,
+) -> Check:
+    """A check, which is inconclusive if training stopped too early for its answer.
+
+    Args:
+        results: with the learning curves.
+        task: key of the task that the criterion is about.
+        protocol: key of the protocol.
+        criterion: in words.
+        measured: the measured value with its interval.
+        passed: what the interval over seeds says.
+        lasting: the answer that longer training could only confirm; None if it could change both.
+    """
+    if passed is None or passed is lasting or is_settled(results, task, protocol):
+        return Check(criterion, measured, passed)
+    steps = [row["steps"] for row in results.scores if (row["task"], row["protocol"]) == (task, protocol)]
+    return Check(criterion, measured, None, stopped_at=max(steps))
+
+
+def is_above(estimate: Estimate, limit: float) -> bool | None:
+    """Whether the interval of an estimate is entirely above the limit; None if it contains the limit."""
+    low, high = _interval(estimate)
+    return True if low > limit else False if high < limit else None
+
+
+def _is_below(estimate: Estimate, limit: float) -> bool | None:
+    above = is_above(estimate, limit)
+    return None if above is None else not above
+
+
+def _is_within(estimate: Estimate, margin: float) -> bool | None:
+    """Whether the interval of an estimate is inside [-margin, margin]; None if it is partly inside."""
+    low, high = _interval(estimate)
+    return True if -margin <= low and high <= margin else False if low > margin or high < -margin else None
+
+
+def _interval(estimate: Estimate) -> tuple[float, float]:
+    """The interval of an estimate; unbounded if there is only one run."""
+    if estimate.low is None or estimate.high is None:
+        return -np.inf, np.inf
+    return estimate.low, estimate.high
+
+
+def percent(estimate: Estimate, other_width: float = 0.0) -> str:
+    """A fraction in percent, with its interval; ``other_width`` as for :meth:`Estimate.text`, of the fraction."""
+    bounds = [None if bound is None else 100.0 * bound for bound in (estimate.low, estimate.high)]
+    return f"{Estimate(100.0 * estimate.value, *bounds).text(100.0 * other_width)}%"
+
+
+def success_above(task: str, variant: str, limit: float, results: ReproductionResults, protocol: str) -> Check:
+    """The share of episodes in which the vehicle, or all vehicles, arrive is above the limit."""
+    rate, measured = _success_rate(task, variant, results, protocol)
+    name = f"{LABELS[variant]}: success rate above {limit:.0%}"
+    return _check(results, task, protocol, name, measured, is_above(rate, limit), lasting=True)
+
+
+def success_below(task: str, variant: str, limit: float, results: ReproductionResults, protocol: str) -> Check:
+    """The share of episodes in which the vehicle, or all vehicles, arrive is below the limit."""
+    rate, measured = _success_rate(task, variant, results, protocol)
+    utility = f" ({utility_kind(task)} utility)" if task.startswith("intersection") else ""
+    name = f"{LABELS[variant]}: success rate below {limit:.0%}{utility}"
+    return _check(results, task, protocol, name, measured, _is_below(rate, limit), lasting=False)
+
+
+def _success_rate(task: str, variant: str, results: ReproductionResults, protocol: str) -> tuple[Estimate, str]:
+    rate = iqm(results.values(task, protocol, variant, SUCCESS))
+    return rate, f"success rate {percent(rate, results.episodes_width(task, protocol, variant, SUCCESS))}"
+
+
+def moves_away(task: str, variant: str, results: ReproductionResults, protocol: str) -> Check:
+    """Episodes end farther from the destination than they start."""
+    progress = iqm(results.values(task, protocol, variant, return_of("distance")))
+    name = f"{LABELS[variant]} moves away from the destination"
+    return _check(results, task, protocol, name, f"progress {progress.text()} m", _is_below(progress, 0.0))
+
+
+def similar_utility(task: str, results: ReproductionResults, protocol: str) -> Check:
+    """The utilities differ by less than SIMILAR of the baseline's."""
+    found = compare(results, task, protocol, utility_metric(task))
+    margin = SIMILAR * abs(found.baseline.value)
+    name = f"the utilities differ by less than {SIMILAR:.0%}"
+    measured = f"difference {found.difference.text(found.width)}, {SIMILAR:.0%} is {margin:.2g}"
+    return _check(results, task, protocol, name, measured, _is_within(found.difference, margin))
+
+
+def higher_utility(task: str, results: ReproductionResults, protocol: str) -> Check:
+    """MO-A2C has a higher utility than A2C."""
+    found = compare(results, task, protocol, utility_metric(task))
+    name, measured = "MO-A2C has the higher utility", f"difference {found.difference.text(found.width)}"
+    return _check(results, task, protocol, name, measured, is_above(found.difference, 0.0))
+
+
+def more_consistent(task: str, results: ReproductionResults, protocol: str) -> Check:
+    """The utility of MO-A2C varies less between seeds than that of A2C."""
+    metric = utility_metric(task)
+    first, second = (results.values(task, protocol, variant, metric) for variant in (MULTI_OBJECTIVE, BASELINE))
+    ratio = spread_ratio(first, second)
+    runs = min(len(first), len(second))
+    powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
+    measured = f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}"
+    return _check(results, task, protocol, "MO-A2C varies less between seeds", measured, _is_below(ratio, 1.0))
+
+
+def broad_front(
+    metric: str, limit: float, passes: Decision, name: str, results: ReproductionResults, protocol: str
+) -> Check:
+    """A metric of PCN's front, which longer training broadens, is on the right side of the limit."""
+    found = iqm(results.values(FRONT_TASK, protocol, FRONT_VARIANT, metric, FRONT))
+    unit = "" if metric == CARDINALITY else " m"
+    return _check(results, FRONT_TASK, protocol, name, f"{found.text()}{unit}", passes(found, limit), lasting=True)
+
+
+CLAIMS = (
+    Claim(
+        1,
+        (4,),
+        "OneWaypoint, linear utility: A2C and MO-A2C both solve it, with similar utility (fig. 4a)",
+        ("one_waypoint_linear",),
+        [
+            partial(success_above, "one_waypoint_linear", BASELINE, SOLVED),
+            partial(success_above, "one_waypoint_linear", MULTI_OBJECTIVE, SOLVED),
+            partial(similar_utility, "one_waypoint_linear"),
+        ],
+    ),
+    Claim(
+        2,
+        (4,),
+        "OneWaypoint, non-linear utility: MO-A2C reaches a higher utility, more consistently (fig. 4b)",
+        ("one_waypoint_nonlinear",),
+        [partial(higher_utility, "one_waypoint_nonlinear"), partial(more_consistent, "one_waypoint_nonlinear")],
+    ),
+    Claim(
+        3,
+        (5,),
+        "StaticObstacle, linear utility: A2C and MO-A2C reach similar utility (fig. 5a)",
+        ("static_obstacle_linear",),
+        [partial(similar_utility, "static_obstacle_linear")],
+    ),
+    Claim(
+        4,
+        (5,),
+        "StaticObstacle, non-linear utility: MO-A2C learns; A2C does not, and moves away from the destination "
+        "(fig. 5b)",
+        ("static_obstacle_nonlinear",),
+        [
+            partial(success_above, "static_obstacle_nonlinear", MULTI_OBJECTIVE, LEARNED),
+            partial(success_below, "static_obstacle_nonlinear", BASELINE, LEARNED),
+            partial(moves_away, "static_obstacle_nonlinear", BASELINE),
+        ],
+    ),
+    Claim(
+        5,
+        (6, 8, 9),
+        "Intersection: independent learners of both kinds fail; MO-A2C fails less badly under the non-linear utility "
+        "(fig. 6, 8, 9)",
+        ("intersection_linear", "intersection_nonlinear"),
+        [
+            *(
+                partial(success_below, task, variant, FAILED)
+                for task in ("intersection_linear", "intersection_nonlinear")
+                for variant in (BASELINE, MULTI_OBJECTIVE)
+            ),
+            partial(higher_utility, "intersection_nonlinear"),
+        ],
+    ),
+    Claim(
+        6,
+        (7, 10),
+        "OneWaypoint, unknown utility: PCN finds a broad range of behaviours (fig. 7, 10)",
+        (FRONT_TASK,),
+        [
+            partial(broad_front, CARDINALITY, MIN_POLICIES, is_above, f"over {MIN_POLICIES} non-dominated policies"),
+            partial(
+                broad_front,
+                LOWEST_DISTANCE,
+                SHORT_PROGRESS,
+                _is_below,
+                f"some policy progresses less than {SHORT_PROGRESS:g} m",
+            ),
+            partial(
+                broad_front,
+                HIGHEST_DISTANCE,
+                LONG_PROGRESS,
+                is_above,
+                f"some policy progresses over {LONG_PROGRESS:g} m",
+            ),
+        ],
+    ),
+)

@@ -1,0 +1,308 @@
+"""The manifest of a sweep: one line of JSON per run, byte for byte the same on every machine and for every backend."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+from algorithms.reporting.seed_groups import INCIDENTAL
+from algorithms.runs.config import Experiment, check_loggers, make_experiment, override
+from algorithms.runs.jobs import Job
+from algorithms.runs.registry import directory_name, find_algorithm, peer_running
+from algorithms.runs.shipped import find_config
+from algorithms.studies.hyperparameter_search import Scores, propose_points
+from mo_deepdrive.support.atomic_io import atomic_write, own_path
+from mo_deepdrive.support.names import nearest_few
+from mo_deepdrive.support.yaml import read_mapping
+
+if TYPE_CHECKING:
+    from algorithms.studies.sweep_settings import SweepSettings
+
+FILE = "manifest.jsonl"
+RUNS = "runs"
+MAX_PROBLEMS = 5  # invalid cells that an error message lists
+ID_DIGITS = 12
+
+
+@dataclass(frozen=True)
+class ManifestRow:
+    """A line of the manifest: one run of the sweep.
+
+    Attributes:
+        id: a hexadecimal hash of everything in ``config`` that affects the result of the run.
+        directory: of the run, relative to the sweep's; its name has the algorithm, the seed and the id.
+        cell: the varied values, by key.
+        seed: of the run.
+        trial: number of the point in a hyperparameter search; None without a search.
+        config: the resolved experiment.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True)
+
+    id: str
+    directory: Annotated[str, Field(pattern=rf"^{RUNS}/[^/.][^/]*$")]
+    cell: dict[str, Any]
+    seed: int
+    trial: int | None
+    config: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        """A readable name for messages."""
+        return f"{label(self.cell)} seed {self.seed} ({self.id})".strip()
+
+    def job(self, sweep: Path) -> Job:
+        """The job that trains this run of the sweep in the directory ``sweep``."""
+        return Job(self.name, make_experiment(self.config, here=False), sweep / self.directory, self.id)
+
+
+def label(cell: Mapping[str, Any]) -> str:
+    """A cell as text: ``algorithm.learning_rate=0.001 training.num_envs=16``."""
+    return " ".join(
+        f"{key}={value if isinstance(value, str) else json.dumps(value, default=str)}" for key, value in cell.items()
+    )
+
+
+def run_id(config: Mapping[str, Any]) -> str:
+    """The id of a resolved experiment: the first digits of the SHA-256 of its canonical JSON.
+
+    Device, threads and logging (:data:`algorithms.reporting.seed_groups.INCIDENTAL`) are left out: they do not affect
+    the result. It is not the same bit for bit: the number of threads changes last bits, and a GPU draws other random
+    numbers.
+    """
+    hashed = dict(config)
+    for key in INCIDENTAL:
+        *sections, last = key.split(".")
+        place = hashed
+        for section in sections:
+            place[section] = place = dict(place[section])
+        place.pop(last, None)
+    text = json.dumps(hashed, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:ID_DIGITS]
+
+
+def expand(settings: SweepSettings, scores: Scores) -> list[ManifestRow]:
+    """The runs of a sweep; every experiment is resolved, and every cell is built once to check it.
+
+    Args:
+        settings: the sweep.
+        scores: of the runs that have ended, by id. A search continues from them, so that the last rows are those of
+            its unfinished batch.
+
+    Raises:
+        ValueError: naming each invalid cell and its problem, or two cells with the same run.
+    """
+    bases = {path: read_mapping(find_config(path)) for path in settings.config}
+    names = short_names(settings.config)
+    rows: list[ManifestRow] = []
+    problems: list[str] = []
+    combinations = list(product(bases, *settings.grid.values()))
+    for path, *values in combinations:
+        grid = dict(zip(settings.grid, values, strict=True))
+        cell = {"config": names[path], **grid} if len(bases) > 1 else grid
+        try:
+            base = overridden(bases[path], {**settings.overrides, **grid}, cell)
+            if settings.search is not None:
+                rows += _search_rows(settings, cell, base, scores)
+            else:
+                asha = settings.ray.asha
+                rows += cell_rows(cell, base, settings.seeds, metric=None if asha is None else asha.metric)
+        except ValueError as error:
+            problems.append(str(error))
+    if problems:
+        more = len(problems) - MAX_PROBLEMS
+        shown = [*problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
+        raise ValueError(f"{len(problems)} of {len(combinations)} cells are invalid:\n  " + "\n  ".join(shown))
+    refuse_duplicates(rows)
+    return rows
+
+
+def _search_rows(
+    settings: SweepSettings, cell: dict[str, Any], base: dict[str, Any], scores: Scores
+) -> list[ManifestRow]:
+    """The rows of a hyperparameter search within one cell of the grid, which are scored on the validation split."""
+    search = settings.search
+    assert search is not None
+    evaluation = base.get("evaluation")
+    if not isinstance(evaluation, dict) or "split" not in evaluation:
+        base = overridden(base, {"evaluation.split": "validation"}, cell)
+    rows: list[ManifestRow] = []
+
+    def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
+        point_cell = {**cell, **point}
+        values = overridden(base, point, point_cell)
+        found = cell_rows(point_cell, values, settings.seeds, trial, metric=None if rows else search.metric)
+        known = {row.id for row in rows}  # a search may choose a point twice
+        rows.extend(row for row in found if row.id not in known)
+        return [row.id for row in found]
+
+    propose_points(search, runs_of, scores)
+    return rows
+
+
+def cell_rows(
+    cell: dict[str, Any],
+    values: Mapping[str, Any],
+    seeds: Sequence[int],
+    trial: int | None = None,
+    *,
+    metric: str | None = None,
+    build_once: bool = True,
+) -> list[ManifestRow]:
+    """The rows of one cell, one per seed.
+
+    Args:
+        cell: the varied values, by key.
+        values: the sections of the experiment.
+        seeds: of the runs.
+        trial: number of the settings that are tried, which must be scored on the validation split; None if none are.
+        metric: of the final evaluation, which the experiment must have; None to check none.
+        build_once: build the agent, to check that it can be built.
+
+    Raises:
+        ValueError: naming the cell and its problem.
+    """
+    where = _cell_name(cell)
+    experiment = make_experiment(overridden(values, {"training.seed": seeds[0]}, cell), where, here=False)
+    if trial is not None and experiment.evaluation.split != "validation":
+        raise ValueError(
+            f"{where}: evaluation.split = {experiment.evaluation.split!r}: settings are chosen by the final scores, "
+            "which needs 'validation'"
+        )
+    if build_once:
+        _check_buildable(experiment, where, metric)
+    resolved = _sorted(experiment.to_dict())
+    rows: list[ManifestRow] = []
+    for seed in seeds:
+        config = {**resolved, "training": {**resolved["training"], "seed": seed}}
+        name = run_id(config)
+        directory = f"{RUNS}/{directory_name(experiment.algorithm.name)}-seed{seed}-{name}"
+        rows.append(ManifestRow(name, directory, cell, seed, trial, config))
+    return rows
+
+
+def _check_buildable(experiment: Experiment, where: str, metric: str | None) -> None:
+    """Raise now the error that the run would raise when it starts, or whoever needs the metric at its end."""
+    from algorithms.runs.build import build
+    from algorithms.runs.policy_evaluation import final_metrics
+    from algorithms.runs.side_by_side import check_resident
+
+    try:
+        check_loggers(experiment)
+        if find_algorithm(experiment.algorithm.name).is_peer:
+            # This machine may not have the run's device.
+            settings = experiment.training.model_copy(update={"device": "cpu"})
+            here = experiment.model_copy(update={"training": settings})
+            peer_running().prepare(here, lambda _step, _metrics: None)
+        else:
+            if experiment.is_resident:
+                check_resident(experiment)
+            build(experiment, num_envs=1)
+        if metric is not None and metric not in (known := final_metrics(experiment)):
+            raise ValueError(f"metric {metric!r} is unknown; the nearest ones: {nearest_few(metric, known)}")
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _cell_name(cell: Mapping[str, Any]) -> str:
+    """The name of a cell in messages."""
+    return f"cell [{label(cell)}]"
+
+
+def overridden(values: Mapping[str, Any], changes: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of ``values`` with ``changes`` applied; errors name the cell."""
+    result = copy.deepcopy(dict(values))
+    try:
+        for key, value in changes.items():
+            override(result, key, copy.deepcopy(value))
+    except ValueError as error:
+        raise ValueError(f"{_cell_name(cell)}: {error}") from None
+    return result
+
+
+def _sorted(value: Any) -> Any:
+    """The value with the keys of all its mappings in alphabetical order."""
+    if isinstance(value, Mapping):
+        return {key: _sorted(value[key]) for key in sorted(value)}
+    return [_sorted(each) for each in value] if isinstance(value, list) else value
+
+
+def short_names(paths: Sequence[str]) -> dict[str, str]:
+    """Short names of config files and paths of classes: stems and classes, or all as given if two of them are equal."""
+    stems = [Path(directory_name(path)).stem for path in paths]
+    return dict(zip(paths, stems if len(set(stems)) == len(stems) else paths, strict=True))
+
+
+def refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
+    """Refuse two cells that are the same run.
+
+    Raises:
+        ValueError: naming both.
+    """
+    seen: dict[str, ManifestRow] = {}
+    for row in rows:
+        other = seen.setdefault(row.id, row)
+        if other is not row:
+            raise ValueError(
+                f"cells [{label(other.cell)}] and [{label(row.cell)}] have the same run (seed {row.seed}, {row.id}): "
+                "they do not differ in anything that affects its result"
+            )
+
+
+def manifest_lines(rows: Iterable[ManifestRow]) -> Iterator[bytes]:
+    """The lines of a manifest file."""
+    return (json.dumps(vars(row), separators=(",", ":"), allow_nan=False).encode() + b"\n" for row in rows)
+
+
+def write_manifest(sweep: Path, rows: Sequence[ManifestRow]) -> Path:
+    """Write the manifest into a sweep's directory, atomically; returns its path.
+
+    Raises:
+        ValueError: if a link leads out of the sweep.
+        OSError: if it cannot be written.
+    """
+    sweep.mkdir(parents=True, exist_ok=True)
+    path = own_path(sweep, FILE)
+    for row in rows:
+        own_path(sweep, row.directory)
+    atomic_write(path, manifest_lines(rows))
+    return path
+
+
+def is_sweep(path: Path) -> bool:
+    """Whether a directory is that of a sweep."""
+    return (path / FILE).is_file()
+
+
+def read_manifest(sweep: Path) -> list[ManifestRow]:
+    """All rows of a sweep's manifest; errors as of :func:`iterate_manifest`."""
+    return list(iterate_manifest(sweep))
+
+
+def iterate_manifest(sweep: Path) -> Iterator[ManifestRow]:
+    """The rows of a sweep's manifest, one at a time, because all of a large sweep take much memory.
+
+    Raises:
+        ValueError: if it is missing; or naming the line that is broken, and the field.
+    """
+    path, rows = sweep / FILE, TypeAdapter(ManifestRow)
+    if not path.is_file():
+        raise ValueError(f"{str(sweep)!r} is neither a sweep nor a study: it has no {FILE}")
+    with path.open("rb") as lines:
+        for number, line in enumerate(lines, 1):
+            try:
+                yield rows.validate_json(line)
+            except ValidationError as error:
+                problem = error.errors(include_url=False)[0]
+                field = f"{'.'.join(map(str, problem['loc']))} = {problem['input']!r}: " if problem["loc"] else ""
+                raise ValueError(
+                    f"manifest {str(path)!r} is broken in line {number}: {field}{problem['msg']}"
+                ) from None

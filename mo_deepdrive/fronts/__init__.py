@@ -1,0 +1,1 @@
+"""Reference points and best-known fronts."""

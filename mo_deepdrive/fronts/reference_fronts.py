@@ -1,0 +1,192 @@
+"""Best-known Pareto fronts: the best returns found so far, and the actions that earn them.
+
+A front belongs to a scenario that is the same in every episode (``fixed_destination``, ``fixed_obstacle``) with the
+default physics. It is stored as sequences of actions, and the returns are computed by replaying them. So a front is
+exact for every discount factor, and anyone can reproduce it. ``docs/fronts.md`` says how fronts are found and improved.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import dataclass
+from importlib import resources
+from typing import TYPE_CHECKING
+
+import moocore
+
+from mo_deepdrive.fronts.reference_points import default_discount, select_objectives
+from mo_deepdrive.support.names import nearest
+from mo_deepdrive.world.action_sequences import decode, discounted_sum, replay
+from mo_deepdrive.world.config import EnvConfig
+from mo_deepdrive.world.objectives import signs
+from mo_deepdrive.world.params import chosen_objectives
+from mo_deepdrive.world.scenarios import SCENARIOS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from importlib.resources.abc import Traversable
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+GAMMA = 0.99  # the discount factor, besides 1.0, for which fronts are searched
+TIME = "time"  # an objective that fronts have besides the scenario's own
+DATA = resources.files("mo_deepdrive") / "data"
+# The settings that the stored fronts do not depend on: they hold all objectives, maximised, and are replayed.
+_SELECTION = ("objectives", "cost_sign", "charge_remaining_time")
+
+
+@dataclass(frozen=True)
+class KnownPolicy:
+    """One policy of a best-known front.
+
+    Attributes:
+        actions: its actions, as :func:`mo_deepdrive.world.action_sequences.encode` writes them; idle afterwards.
+        undiscounted: its return in each objective of the scenario, maximised.
+        discounted: the same, discounted with GAMMA.
+        source: the method that found it.
+    """
+
+    actions: str
+    undiscounted: tuple[float, ...]
+    discounted: tuple[float, ...]
+    source: str
+
+
+def reference_front(
+    scenario: str = "one_waypoint",
+    action_type: str = "discrete",
+    gamma: float | None = None,
+    objectives: Sequence[str] | None = None,
+    charge_remaining_time: bool = False,
+) -> NDArray[np.float64]:
+    """The best-known front of a scenario that is the same in every episode (see :func:`front_config`).
+
+    Args:
+        scenario: "one_waypoint" or "static_obstacle".
+        action_type: "discrete", "discrete-16" or "continuous".
+        gamma: discount factor in [0, 1]; the fronts are searched for 0.99, for 1.0, and for 1.0 with the time. None for
+            :func:`mo_deepdrive.fronts.reference_points.default_discount`.
+        objectives: names, to select and order; "time" may be among them. None for all of the scenario's.
+        charge_remaining_time: the environment's setting.
+
+    Returns:
+        (K, d) returns of the non-dominated policies, discounted with ``gamma`` and maximised.
+
+    Raises:
+        ValueError: for an unknown name, a gamma out of range, or a scenario without a best-known front.
+    """
+    names = select_objectives(scenario, action_type, objectives)
+    gamma = default_discount(names) if gamma is None else gamma
+    if not 0.0 <= gamma <= 1.0:
+        raise ValueError(f"gamma = {gamma!r} must lie in [0, 1]")
+    rewards = _rewards(scenario, action_type, charge_remaining_time)
+    known = (*SCENARIOS[scenario].objectives, TIME)
+    if absent := [name for name in names if name not in known]:
+        raise ValueError(f"the best-known front has no {absent[0]!r}; {nearest(absent[0], known)}")
+    columns = [known.index(name) for name in names]
+    returns = discounted_sum(rewards, gamma)[:, columns]
+    kept: NDArray[np.float64] = returns[moocore.is_nondominated(returns, maximise=True)]
+    return kept
+
+
+def pareto_front(config: EnvConfig, gamma: float) -> list[NDArray[np.float64]]:
+    """The best-known front of an environment, in the environment's objectives and signs.
+
+    Args:
+        config: the environment's configuration.
+        gamma: discount factor in [0, 1].
+
+    Returns:
+        The returns (d,) of K non-dominated policies.
+
+    Raises:
+        ValueError: if there is no best-known front for this configuration.
+    """
+    if _file(config.scenario, config.action_type).is_file():
+        required = front_config(config.scenario, config.action_type)
+        differing = [
+            f"{name} = {getattr(required, name)!r} (not {getattr(config, name)!r})"
+            for name in EnvConfig.model_fields
+            if name not in _SELECTION and getattr(config, name) != getattr(required, name)
+        ]
+        if differing:
+            raise ValueError(f"the best-known front requires {', '.join(differing)}")
+    names = chosen_objectives(config)
+    returns = reference_front(config.scenario, config.action_type, gamma, names, config.charge_remaining_time)
+    if config.cost_sign == "paper":
+        # Adding zero turns a cost of -0.0 into 0.0.
+        returns = returns * signs(names) + 0.0
+    return list(returns)
+
+
+def front_config(scenario: str, action_type: str) -> EnvConfig:
+    """The configuration of a best-known front: the same scenario in every episode, everything else at its default."""
+    return EnvConfig(
+        scenario=scenario,
+        action_type=action_type,  # type: ignore[arg-type]
+        fixed_destination=True,
+        fixed_obstacle=SCENARIOS[scenario].obstacles > 0,
+    )
+
+
+def _file(scenario: str, action_type: str) -> Traversable:
+    return DATA / f"front_{scenario}_{action_type}.json"
+
+
+def shipped(scenario: str, action_type: str) -> tuple[KnownPolicy, ...]:
+    """The policies of a best-known front that comes with the package.
+
+    Raises:
+        ValueError: if there is no such front.
+    """
+    file = _file(scenario, action_type)
+    if not file.is_file():
+        found = [each.name for each in DATA.iterdir() if each.name.startswith("front_")]
+        known = sorted(name.removeprefix("front_").removesuffix(".json") for name in found)
+        raise ValueError(
+            f"no best-known front is shipped for scenario = {scenario!r} with action_type = {action_type!r}; "
+            f"known: {', '.join(known)}"
+        )
+    return read(file.read_text(encoding="utf-8"))
+
+
+def read(text: str) -> tuple[KnownPolicy, ...]:
+    """Parse the text of a front file, as :func:`write` returns it."""
+    return tuple(
+        KnownPolicy(row["actions"], tuple(row["undiscounted"]), tuple(row["discounted"]), row["source"])
+        for row in json.loads(text)["policies"]
+    )
+
+
+def write(scenario: str, action_type: str, policies: Sequence[KnownPolicy]) -> str:
+    """The text of a front file: JSON, one policy per line."""
+    head = {
+        "scenario": scenario,
+        "action_type": action_type,
+        "objectives": SCENARIOS[scenario].objectives,
+        "gamma": GAMMA,
+    }
+    rows = [
+        {
+            "undiscounted": policy.undiscounted,
+            "discounted": policy.discounted,
+            "source": policy.source,
+            "actions": policy.actions,
+        }
+        for policy in policies
+    ]
+    lines = ",\n".join(json.dumps(row) for row in rows)
+    return json.dumps(head)[:-1] + ', "policies": [\n' + lines + "\n]}\n"
+
+
+@functools.cache
+def _rewards(scenario: str, action_type: str, charge_remaining_time: bool) -> NDArray[np.float32]:
+    policies = shipped(scenario, action_type)
+    timed = {
+        "objectives": (*SCENARIOS[scenario].objectives, TIME),
+        "charge_remaining_time": charge_remaining_time,
+    }
+    config = front_config(scenario, action_type).model_copy(update=timed)
+    return replay(config, [decode(policy.actions, action_type) for policy in policies])

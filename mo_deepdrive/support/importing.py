@@ -1,0 +1,107 @@
+"""Importing what a user names, a module or ``package.module:name``, and the package ``algorithms`` of this one."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import sysconfig
+import traceback
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import module_from_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mo_deepdrive.support.names import nearest
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+
+def import_named(key: str, path: str) -> Any:
+    """The object that a setting names.
+
+    Args:
+        key: of the setting, for messages, such as "algorithm.network".
+        path: its value, ``package.module:name``.
+
+    Raises:
+        ValueError: in one line, if the path has another form, the module cannot be imported or lacks the name.
+    """
+    what = f"{key} = {path!r}"
+    module_name, _, name = path.partition(":")
+    if not module_name or not name:
+        raise ValueError(f"{what} must have the form package.module:name")
+    module = import_module(what, module_name)
+    if not hasattr(module, name):
+        own = [each for each, value in vars(module).items() if getattr(value, "__module__", None) == module_name]
+        raise ValueError(f"{what}: {module_name!r} has no {name!r}; {nearest(name, own)}")
+    return getattr(module, name)
+
+
+def import_module(what: str, name: str) -> ModuleType:
+    """The module ``name``.
+
+    Args:
+        what: names it, for messages.
+        name: of the module.
+
+    Raises:
+        ValueError: in one line, if it cannot be imported; if there is none, with the places where it was looked for.
+    """
+    try:
+        return importlib.import_module(name)
+    except (Exception, SystemExit) as error:  # a user's module may raise anything, such as SyntaxError
+        reason = failure(error)
+        if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
+            reason += f"; looked for in {', '.join([*_own_folders(), 'the installed packages'])}"
+        raise ValueError(f"{what}: {name!r} cannot be imported: {reason}") from error
+
+
+def failure(error: BaseException) -> str:
+    """An error of a user's code in one line, with the file and the line of that code, where they are known.
+
+    Args:
+        error: as caught by whoever imported or called the code.
+    """
+    ours = ("<frozen ", str(importlib.__file__), str(Path(__file__).parents[1]))
+    frames = traceback.extract_tb(error.__traceback__)[1:]  # without the caller
+    own = [each for each in frames if not each.filename.startswith(ours)]
+    last = next((each for each in reversed(own) if each.filename == own[0].filename), None)
+    where = f" at {Path(last.filename).name}:{last.lineno}" if last else ""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
+
+
+def own_algorithms() -> ModuleSpec:
+    """The package ``algorithms`` beside this one, wherever Python would find one of that name first.
+
+    Raises:
+        ImportError: if there is none.
+    """
+    root = str(Path(__file__).parents[2])
+    spec = PathFinder.find_spec("algorithms", [root])
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{root!r} has no package algorithms: reinstall mo-deepdrive")
+    return spec
+
+
+def load_own(spec: ModuleSpec | None) -> ModuleType:
+    """Load the package ``algorithms`` of this one under the name of ``spec``.
+
+    Raises:
+        ImportError: if another project's is installed over it.
+    """
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[spec.name] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not hasattr(module, "ALGORITHMS"):
+        raise ImportError(f"{spec.origin!r} is another project's, installed over mo-deepdrive's: separate them")
+    return module
+
+
+def _own_folders() -> list[str]:
+    """The folders of ``sys.path`` without those of Python and of installed packages."""
+    places = sysconfig.get_paths()
+    installed = {Path(places[name]) for name in ("stdlib", "platstdlib", "purelib", "platlib", "scripts")}
+    folders = [path for path in dict.fromkeys(Path(each).absolute() for each in sys.path) if path.is_dir()]
+    return [repr(str(path)) for path in folders if not installed & {path, *path.parents}]

@@ -1,0 +1,163 @@
+"""Improving a best-known front: search from the shipped front and from trained runs, select, compare, write."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import moocore
+import numpy as np
+
+import mo_deepdrive
+from mo_deepdrive.fronts.reference_fronts import GAMMA, KnownPolicy
+from mo_deepdrive.fronts.reference_fronts import read as read_front
+from mo_deepdrive.fronts.reference_fronts import write as format_front
+from mo_deepdrive.support.atomic_io import atomic_write
+from mo_deepdrive.world.action_sequences import decode as decode_actions
+from mo_deepdrive.world.action_sequences import encode as encode_actions
+from scripts.bounds.front_search import UNKNOWN_SOURCE, FrontSearch
+from scripts.bounds.plans import CRITERIA, Criterion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from scripts.bounds.plans import EvaluatedPlans
+    from scripts.bounds.trained_runs import RunRecording
+
+
+@dataclass(frozen=True)
+class FrontSearchSettings:
+    """Settings of a search, as on the command line of scripts/front.py.
+
+    Attributes:
+        scenario: "one_waypoint" or "static_obstacle".
+        action_type: "discrete", "discrete-16" or "continuous".
+        decisions: to simulate, at least; the last generation may exceed them.
+        seed: of all random choices.
+        anew: do not start from the shipped front.
+        episodes: sampled episodes per policy of the recorded runs; only for :meth:`command`.
+    """
+
+    scenario: str = "one_waypoint"
+    action_type: str = "discrete"
+    decisions: int = 300_000_000
+    seed: int = 0
+    anew: bool = False
+    episodes: int = 8
+
+    def command(self, runs: Sequence[str] = ()) -> str:
+        """The command line that repeats the search, also from the named runs."""
+        parts = [f"--scenario {self.scenario} --action-type {self.action_type}"]
+        parts.append(f"--decisions {self.decisions} --seed {self.seed}")
+        parts += ["--anew"] if self.anew else []
+        parts += [f"--from {' '.join(runs)} --episodes {self.episodes}"] if runs else []
+        return f"python scripts/front.py {' '.join(parts)}"
+
+
+@dataclass(frozen=True)
+class FrontImprovement:
+    """The shipped front and the one that a search found.
+
+    Attributes:
+        settings: of the search.
+        policies: of the front found.
+        sizes: policies on the shipped front and on the one found, for each of CRITERIA.
+        hypervolumes: of the shipped front and of the one found, for each of CRITERIA.
+    """
+
+    settings: FrontSearchSettings
+    policies: list[KnownPolicy]
+    sizes: list[tuple[int, int]]
+    hypervolumes: list[tuple[float, float]]
+
+    @property
+    def loses_hypervolume(self) -> bool:
+        """Whether the front found has a smaller hypervolume than the shipped one for any of CRITERIA."""
+        return any(after < before for before, after in self.hypervolumes)
+
+    def write(self, file: Path) -> int:
+        """Write the front found to ``file``, atomically; its size in characters.
+
+        Raises:
+            OSError: if the file cannot be written; it is then unchanged.
+        """
+        text = format_front(self.settings.scenario, self.settings.action_type, self.policies)
+        atomic_write(file, text.encode())
+        return len(text)
+
+
+def shipped_front_file(scenario: str, action_type: str) -> Path:
+    """Where the best-known front of a scenario and action set is shipped."""
+    return Path(mo_deepdrive.__file__).parent / "data" / f"front_{scenario}_{action_type}.json"
+
+
+def improve_front(
+    settings: FrontSearchSettings,
+    shipped: Path,
+    recordings: Sequence[RunRecording] = (),
+    on_progress: Callable[[int], None] = lambda _: None,
+) -> FrontImprovement:
+    """Search for a better front. The same arguments and shipped front give the same front.
+
+    Args:
+        settings: of the search.
+        shipped: file of the shipped front, which may be missing.
+        recordings: of trained runs, from which the search also starts.
+        on_progress: called after every generation with the number of decisions simulated.
+
+    Raises:
+        ValueError: if the shipped file is not a front of this action set.
+    """
+    search = FrontSearch(settings.scenario, settings.action_type, settings.seed)
+    evaluator, plan_format = search.evaluator, search.evaluator.format
+
+    policies = read_front(shipped.read_text(encoding="utf-8")) if shipped.is_file() else ()
+    sources = [policy.source for policy in policies]
+    sequences = [decode_actions(policy.actions, settings.action_type) for policy in policies]
+    before = evaluator.evaluate(plan_format.from_sequences(sequences), UNKNOWN_SOURCE)
+    before.sources[:] = np.arange(len(policies))
+    start = before.take(np.arange(0)) if settings.anew else before
+    for recording in recordings:
+        start = start.append(evaluator.evaluate(plan_format.from_sequences(recording.sequences), len(sources)))
+        sources.append(recording.source)
+    search.add(start)
+
+    this_search = len(sources)
+    sources.append(settings.command([recording.name for recording in recordings]))
+    search.archive.sources[search.archive.sources == UNKNOWN_SOURCE] = this_search
+    evaluator.simulated_decisions = 0
+    while evaluator.simulated_decisions < settings.decisions:
+        search.evolve(this_search)
+        on_progress(evaluator.simulated_decisions)
+
+    after = search.select_front(also=start)
+    volumes = zip(search.hypervolumes(before), search.hypervolumes(after), strict=True)
+    return FrontImprovement(
+        settings=settings,
+        policies=_known_policies(search, after, sources),
+        sizes=list(zip(_nondominated_counts(before), _nondominated_counts(after), strict=True)),
+        hypervolumes=list(volumes),
+    )
+
+
+def _nondominated_counts(evaluated: EvaluatedPlans) -> list[int]:
+    """How many plans no other dominates, for each of CRITERIA."""
+    return [int(moocore.is_nondominated(returns, maximise=True).sum()) for returns in evaluated.returns]
+
+
+def _known_policies(search: FrontSearch, evaluated: EvaluatedPlans, sources: Sequence[str]) -> list[KnownPolicy]:
+    """The plans as the policies of a front's file."""
+    undiscounted, discounted = (
+        np.round(evaluated.returns[CRITERIA.index(Criterion(gamma))], 6).tolist() for gamma in (1.0, GAMMA)
+    )
+    rows = zip(evaluated.plans, undiscounted, discounted, evaluated.sources, strict=True)
+    return [
+        KnownPolicy(
+            actions=encode_actions(search.evaluator.format.to_sequence(plan)),
+            undiscounted=tuple(whole),
+            discounted=tuple(present),
+            source=sources[source],
+        )
+        for plan, whole, present, source in rows
+    ]

@@ -1,0 +1,133 @@
+"""From experiments to agents: what does not fit together is refused before training."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from algorithms import MOA2C
+from algorithms.runs.build import build, load_policy, make_environment, training_memory
+from algorithms.runs.config import EnvironmentSettings, make_experiment
+from algorithms.runs.run_directory import Run
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.support.machine import GIB
+from tests.helpers.short_runs import VALUES
+
+
+def experiment_with(**sections: Any) -> Any:
+    return make_experiment({**VALUES, **sections})
+
+
+def test_an_agent_has_the_environments_utilities_and_hyperparameters_of_its_experiment() -> None:
+    agent = build(experiment_with(training={"total_timesteps": 96, "num_envs": 3, "seed": 9}))
+    assert isinstance(agent, MOA2C)
+    assert (agent.env.num_envs, agent.seed, agent.config.steps) == (3, 9, 8)
+    assert [utility.name for utility in agent.utilities] == ["one_waypoint_linear"]
+    assert build(experiment_with(), num_envs=1).env.num_envs == 1
+
+
+def test_vehicles_have_their_own_utilities() -> None:
+    environment = {"id": "mo-deepdrive-intersection-v0"}
+    weights = {"weights": [1, 0, 0, 0, 0, 0]}
+    utility: dict[str, Any] = {
+        "name": "intersection_linear",
+        "vehicles": {"vehicle_1": {"name": "linear", "arguments": weights}},
+    }
+    agent = build(experiment_with(environment=environment, utility=utility))
+    assert [each.name for each in agent.utilities] == ["intersection_linear", "linear"]
+    utility["vehicles"] = {"vehicle_2": {"name": "linear"}}
+    with pytest.raises(ValueError, match=r"utility\.vehicles has 'vehicle_2'; did you mean 'vehicle_1'"):
+        build(experiment_with(environment=environment, utility=utility))
+
+
+UTILITIES = {
+    "name": "intersection_linear",
+    "vehicles": {"vehicle_1": {"name": "linear", "arguments": {"weights": [1, 0, 0, 0, 0, 0]}}},
+}
+
+
+@pytest.mark.parametrize(
+    ("sections", "message"),
+    [
+        ({}, "share_policy = True needs several vehicles that learn; mo-deepdrive-one-waypoint-v0 has one"),
+        (
+            {"environment": {"id": "mo-deepdrive-intersection-v0"}, "utility": UTILITIES},
+            "share_policy = True needs one utility for all vehicles, not 'intersection_linear', 'linear'",
+        ),
+        (
+            {"algorithm": {"name": "pcn"}, "utility": None},
+            "training.share_policy: algorithm 'pcn' cannot share a policy",
+        ),
+    ],
+)
+def test_a_policy_that_cannot_be_shared_is_refused(sections: dict[str, Any], message: str) -> None:
+    training = {"total_timesteps": 96, "num_envs": 3, "share_policy": True}
+    with pytest.raises(ValueError, match=re.escape(message)):
+        build(experiment_with(training=training, **sections))
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("return returns", r"gives shape \(4,\) for returns of shape \(4,\) as numpy, not \(\)"),
+        ("raise RuntimeError('broken\\nagain')", r"fails on .* \(4,\) as numpy: RuntimeError: broken again$"),
+        ("return returns[:, 0]", r"fails on returns of shape \(4,\) as numpy: IndexError: too many indices"),
+        ("return returns.sum(1 if returns.ndim > 1 else 0)", r"gives shape \(3, 4\) for .* \(3, 2, 4\) as numpy, not"),
+        ("return returns[..., 0].astype(object)", r"gives array\(0\.0, dtype=object\) for .*, not numbers of numpy"),
+        ("return None if returns.ndim == 1 else returns[..., 0]", r"gives None for returns of shape \(4,\) as numpy"),
+        ("import numpy; return numpy.asarray(returns)[..., 0]", r"for returns of shape \(4,\) as torch, not numbers"),
+        ("return returns.numpy()[..., 0]", "fails on returns .* as numpy: AttributeError"),
+    ],
+)
+def test_a_users_utility_is_called_in_every_shape_before_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, message: str
+) -> None:
+    name = f"own_utility_{abs(hash(body))}"
+    (tmp_path / f"{name}.py").write_text(f"def utility(returns):\n    {body}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        build(experiment_with(utility={"name": f"{name}:utility"}))
+
+
+def test_an_environment_that_cannot_be_made_is_named_with_its_arguments() -> None:
+    settings = EnvironmentSettings(id="deep-sea-treasure-v0", arguments={"depth": 3})
+    with pytest.raises(ValueError, match=r"'deep-sea-treasure-v0' with arguments \{'depth': 3\} cannot be made"):
+        make_environment(settings, 1)
+
+
+def test_a_loaded_policy_acts_like_the_trained_one_and_knows_its_steps(tmp_path: Path) -> None:
+    experiment = experiment_with()
+    run = Run.create(experiment, tmp_path / "run")
+    run.unlock()
+    with pytest.raises(ValueError, match="checkpoint"):
+        load_policy(run)
+    trained = build(experiment)
+    trained.train(96)
+    trained.save(run.checkpoint)
+    policy = load_policy(run)
+    assert policy.step == trained.step >= 96
+    observations = make_environment(experiment.environment, 5).reset(seed=3)[0][:, None]
+    accrued_reward = AccruedReward.begin(5, 1, 4)
+    actions = [agent.act(observations, accrued_reward, None) for agent in (trained, policy)]
+    np.testing.assert_array_equal(*actions)
+
+
+@pytest.mark.parametrize("name", ["mo_a2c", "mo_ppo", "pcn", "conditioned_mo_ppo"])
+def test_environments_that_do_not_fit_into_memory_are_refused_before_they_are_made(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    training = {"total_timesteps": 10**7, "num_envs": 1_000_000}
+    values = {**VALUES, "algorithm": {"name": name}, "training": training}
+    if name in ("pcn", "conditioned_mo_ppo"):
+        del values["utility"]
+    monkeypatch.setattr("mo_deepdrive.support.machine.available_memory", lambda: 2 * GIB)
+    with pytest.raises(
+        ValueError, match=r"^training\.num_envs = 1000000 takes at least [\d.]+ GiB of memory; 2\.0 GiB"
+    ):
+        build(make_experiment(values))
+    few = make_experiment({**values, "training": {**training, "num_envs": 10_000}})
+    assert training_memory(few, 10_000) < GIB

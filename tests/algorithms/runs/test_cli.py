@@ -1,0 +1,231 @@
+"""What the scripts share: arguments, their checks, and exit codes."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from algorithms.runs.cli import (
+    PROCESS_DEFAULTS,
+    add_evaluation_arguments,
+    add_training_arguments,
+    check_directory,
+    check_file,
+    evaluation_arguments,
+    exit_on_error,
+    make_parser,
+    named_numbers,
+    new_runs,
+    parse_training_arguments,
+    prepare_process,
+)
+from algorithms.runs.config import Experiment, make_experiment
+from algorithms.runs.interrupts import DiskFull, Stopped
+from mo_deepdrive.evaluation.splits import Split
+from tests.helpers.short_runs import VALUES
+
+
+@pytest.fixture
+def experiment() -> Experiment:
+    return make_experiment(VALUES)
+
+
+def test_a_process_draws_without_a_display_unless_the_user_chose_one_for_rendering(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    environment, path = {"SDL_VIDEODRIVER": "x11", "MPLBACKEND": "module://matplotlib_inline.backend_inline"}, ["first"]
+    prepare_process(environment, path, PROCESS_DEFAULTS)
+    assert environment == PROCESS_DEFAULTS | {"SDL_VIDEODRIVER": "x11", "MPLBACKEND": "agg"}
+    assert environment["SDL_AUDIODRIVER"] == "dummy"
+    assert path == ["first", str(tmp_path)]
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "message"),
+    [
+        ("peers", ["--list", "--output", "x"], "--output has no effect beside --list"),
+        ("peers", ["--list", "--seed", "3"], "--seed=3 has no effect beside --list"),
+        ("evaluate", ["--zoo", "--episodes", "3"], "--episodes has no effect beside --zoo"),
+        ("evaluate", ["one_waypoint_nonlinear-mo_ppo", "--stochastic"], "--stochastic has no effect beside no --video"),
+        ("sweep", ["--output", "x", "--status", "--workers", "2"], "--workers has no effect beside --status"),
+        ("study", ["--config", "studies/suite", "--tables", "--on", "ray"], "--on has no effect beside --tables"),
+        ("study", ["--config", "studies/suite", "--verify", "--tasks", "K1"], "--tasks has no effect beside --verify"),
+        ("explore", ["best-known/x", "--output", "x.html", "--seed", "3"], "no effect on best-known fronts"),
+        ("suite", ["list", "--algorithm.gamma=1"], "unrecognized arguments: --algorithm.gamma=1"),
+    ],
+)
+def test_an_option_without_effect_beside_another_one_is_refused(
+    command: str, arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = import_module(f"algorithms.commands.{command}").main(arguments)
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_short_forms_become_overrides_and_come_last() -> None:
+    parser = make_parser("Text\n  as it is.")
+    parser.add_argument("--config")
+    add_training_arguments(parser)
+    arguments = ["--config=a.yaml", "--training.seed=1", "--seed", "3", "--output", "run", "--device=cpu"]
+    options, overrides = parse_training_arguments(parser, arguments)
+    assert (options.config, options.output) == ("a.yaml", "run")
+    assert overrides == ["--training.seed=1", "--seed=3", "--device=cpu"]
+    assert "Text\n  as it is." in parser.format_help()
+    with pytest.raises(SystemExit):
+        make_parser(None).parse_args(["--surplus"])
+
+
+def test_a_new_run_is_in_its_output_or_a_directory_named_after_its_config(
+    tmp_path: Path, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (given,) = new_runs(Namespace(config="fast.yaml", output="given"), [experiment])
+    (default,) = new_runs(Namespace(config="fast.yaml", output=None), [experiment])
+    given.unlock()
+    default.unlock()
+    assert given.path == Path("given")
+    assert default.path.parent == Path("runs/fast")
+
+
+def evaluation_options(
+    *arguments: str, default_episodes: int | None = None, default_split: Split | None = None
+) -> Namespace:
+    parser = make_parser(None)
+    add_evaluation_arguments(parser, default_episodes=default_episodes, default_split=default_split, video="film it")
+    return parser.parse_args(list(arguments))
+
+
+def test_episodes_and_seed_are_those_of_the_command_line_or_the_experiment(experiment: Experiment) -> None:
+    settings = experiment.evaluation
+    assert evaluation_arguments(evaluation_options(), experiment) == (settings.final_episodes, 3_000_000)
+    assert evaluation_arguments(evaluation_options(default_episodes=20), experiment) == (20, 3_000_000)
+    given = evaluation_options("--episodes=7", "--seed=0", default_episodes=20, default_split="validation")
+    assert evaluation_arguments(given, experiment) == (7, 0)
+    given = evaluation_options("--split=validation")
+    assert evaluation_arguments(given, experiment) == (settings.final_episodes, 2_000_000)
+    given = evaluation_options("--split=test", default_split="validation")
+    assert evaluation_arguments(given, experiment) == (settings.final_episodes, 3_000_000)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--episodes=0"], "--episodes 0 must be at least 1"),
+        (["--episodes=2001"], "--episodes = 2001 exceeds the 2,000 scenarios of the test split"),
+        (["--seed=-1"], "--seed -1 must be between 0 and 2147483647"),
+        (["--seed=2147483648"], "--seed 2147483648"),
+        (["--video=a.txt"], r"--video 'a\.txt' must end in \.mp4"),
+        (["--video=nowhere/a.mp4"], "--video 'nowhere/a.mp4': .*nowhere' is not a directory"),
+    ],
+)
+def test_arguments_of_an_evaluation_are_checked(experiment: Experiment, arguments: list[str], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        evaluation_arguments(evaluation_options(*arguments), experiment)
+
+
+def test_a_video_of_an_environment_without_frames_is_refused_before_the_evaluation(examples: None) -> None:
+    experiment = make_experiment(
+        {
+            **VALUES,
+            "environment": {"id": "commute:commute-v0"},
+            "utility": {"name": "linear", "arguments": {"weights": [1, 1]}},
+        }
+    )
+    with pytest.raises(ValueError, match=r"--video 'a\.mp4': environment 'commute:commute-v0' cannot be rendered"):
+        evaluation_arguments(evaluation_options("--video=a.mp4"), experiment)
+
+
+def test_a_file_is_refused_where_it_cannot_be_written(tmp_path: Path) -> None:
+    check_file("--output", None)
+    check_file("--output", tmp_path / "new.PNG", ".png")
+    with pytest.raises(ValueError, match=r"--output '.*nowhere/new': '.*nowhere' is not a directory"):
+        check_file("--output", tmp_path / "nowhere" / "new")
+    with pytest.raises(ValueError, match=rf"--output '{tmp_path}' is a directory; it must be a file"):
+        check_file("--output", tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_directory_is_refused_where_it_cannot_be_made(tmp_path: Path) -> None:
+    check_directory("--output", None)
+    check_directory("--output", tmp_path)
+    check_directory("--output", str(tmp_path / "new" / "newer"))
+    (tmp_path / "file").touch()
+    for path in ("file", "file/new"):
+        with pytest.raises(ValueError, match=rf"--output '{tmp_path}/{path}': '{tmp_path}/file' is not a directory"):
+            check_directory("--output", tmp_path / path)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "output", "rest"),
+    [
+        (["--output=~/a"], "HOME/a", []),
+        (["--output", "~/a"], "HOME/a", []),
+        (["--output=~"], "HOME", []),
+        (["--output", "~"], "HOME", []),
+        (["--a.b=~/c", "--a.d=~", "--a.e", "~"], None, ["--a.b=HOME/c", "--a.d=~", "--a.e", "~"]),
+        (["--output=a~/~"], "a~/~", []),
+    ],
+)
+def test_a_tilde_in_an_option_is_the_home_directory_and_alone_in_a_key_null(
+    monkeypatch: pytest.MonkeyPatch, arguments: list[str], output: str | None, rest: list[str]
+) -> None:
+    monkeypatch.setenv("HOME", "HOME")
+    parser = make_parser("")
+    add_training_arguments(parser)
+    options, overrides = parse_training_arguments(parser, arguments)
+    assert (options.output, overrides) == (output, rest)
+
+
+def test_named_numbers_are_read() -> None:
+    assert named_numbers("--w", ["b=2", "a=-1e3"], ("a", "b", "c")) == {"b": 2.0, "a": -1000.0}
+
+
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        (["d=1"], "--w 'd=1': unknown objective 'd'; known: a, b"),
+        (["a"], "--w 'a' must be of the form a=NUMBER"),
+        (["a=inf"], "must be of the form a=NUMBER"),
+        (["a=x"], "must be of the form a=NUMBER"),
+        (["a=1", "a=1"], "--w names 'a' twice"),
+    ],
+)
+def test_what_is_not_a_named_number_is_refused(pairs: list[str], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        named_numbers("--w", pairs, ("a", "b"))
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (ValueError("wrong"), 2, "error: wrong\n"),
+        (Stopped("no permission"), 1, "error: no permission\nresume with: X\n"),
+        (DiskFull("disk full"), 1, "error: disk full\nresume with: X\n"),
+        (KeyboardInterrupt(), 130, "interrupted; resume with: X\n"),
+    ],
+)
+def test_errors_end_a_script_with_a_message_and_a_code(
+    capsys: pytest.CaptureFixture[str], error: BaseException, code: int, message: str
+) -> None:
+    with pytest.raises(SystemExit) as caught, exit_on_error(ValueError, hint="resume with: X"):
+        raise error
+    assert caught.value.code == code
+    assert capsys.readouterr().err == message
+
+
+def test_errors_of_the_program_keep_their_traceback() -> None:
+    with pytest.raises(ValueError, match="bug"), exit_on_error():
+        raise ValueError("bug")
+    with exit_on_error(ValueError):
+        pass

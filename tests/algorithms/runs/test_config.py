@@ -1,0 +1,400 @@
+"""Experiments: typed YAML, overrides, and errors that name the key, the value and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+import mo_deepdrive
+from algorithms.peers import PEERS
+from algorithms.runs.build import build
+from algorithms.runs.config import load_experiment, make_experiment, parse_overrides
+from mo_deepdrive.support.yaml import dump
+
+TEXT = """
+environment:
+  id: mo-deepdrive-one-waypoint-v0
+  arguments: {time_limit: 10}
+utility:
+  name: one_waypoint_linear
+algorithm:
+  name: mo_a2c
+  learning_rate: 3e-4
+training:
+  total_timesteps: 1e5
+  num_envs: 8
+"""
+
+FRONT = """
+environment:
+  id: mo-deepdrive-one-waypoint-v0
+algorithm:
+  name: pcn
+training:
+  total_timesteps: 1e5
+  num_envs: 2
+"""
+
+Write = Callable[[str], Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def write(text: str) -> Path:
+        path = tmp_path / "experiment.yaml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_every_default_is_filled_in(write: Write) -> None:
+    experiment = load_experiment(write(TEXT))
+    assert experiment.training.total_timesteps == 100_000
+    assert experiment.evaluation.interval == 5_000
+    assert experiment.logging.checkpoint_interval == 5_000
+    assert experiment.environment.arguments["time_limit"] == 10.0
+    assert experiment.environment.arguments["decision_frequency"] == 10
+    assert experiment.algorithm.config.learning_rate == 3e-4
+    assert experiment.algorithm.config.gamma == 0.99
+
+
+def test_a_vehicle_can_have_a_different_utility(write: Write) -> None:
+    override = "--utility.vehicles.vehicle_1={name: linear, arguments: {weights: [1, 0, 0, 0]}}"
+    utility = load_experiment(write(TEXT), [override]).utility
+    assert utility.of_vehicle(0) is utility
+    assert utility.of_vehicle(1).name == "linear"
+    assert utility.of_vehicle(1).arguments == {"weights": [1, 0, 0, 0]}
+    assert load_experiment(write(TEXT)).utility.of_vehicle(1).name == utility.name
+
+
+def test_the_resolved_experiment_reloads_equal(write: Write, tmp_path: Path) -> None:
+    overrides = ["--logging.wandb={project: p, tags: [a, '1e3']}", "--environment.arguments.objectives=[distance]"]
+    experiment = load_experiment(write(TEXT), overrides)
+    path = tmp_path / "resolved.yaml"
+    path.write_text(dump(experiment.to_dict()))
+    assert load_experiment(path) == experiment
+    assert make_experiment(experiment.to_dict()) == experiment
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ([], None),
+        (
+            ["--training.total_timesteps=3_000_001"],
+            "training.total_timesteps = 3,000,001: evaluation.task = 'K1' allows",
+        ),
+        (
+            ["--environment.id=mo-deepdrive-static-obstacle-v0"],
+            "environment.id = 'mo-deepdrive-static-obstacle-v0': eval",
+        ),
+        (
+            ["--environment.arguments.action_delay=1"],
+            "environment.arguments.action_delay = 1: evaluation.task = 'K1' needs 0",
+        ),
+        (["--evaluation.task=K9"], "evaluation.task: task 'K9' is unknown"),
+    ],
+)
+def test_a_task_of_the_suite_is_trained_in_its_environment_and_within_its_budget(
+    write: Write, overrides: list[str], message: str | None
+) -> None:
+    task = [
+        "--environment={id: mo-deepdrive-static-obstacle-v1, arguments: {}}",
+        "--utility.name=static_obstacle_linear",
+    ]
+    given = [*task, "--evaluation.task=K1", *overrides]
+    if message is None:
+        assert load_experiment(write(TEXT), given).evaluation.task == "K1"
+    else:
+        with pytest.raises(ValueError, match=message):
+            load_experiment(write(TEXT), given)
+
+
+def test_the_committed_configs_are_valid(repository: Path) -> None:
+    found = sorted((repository / "configs").rglob("*.yaml"))
+    # The plan of the reproduction is another kind of file; test_reproduction.py reads it.
+    configs = [path for path in found if not {"sweeps", "studies", "suite"} & {*path.parts}]
+    assert configs
+    for path in configs:
+        load_experiment(path)
+
+
+def test_overrides_are_parsed_in_every_form() -> None:
+    arguments = ["--algorithm.learning_rate=3e-4", "--seed", "3", "--device=cpu", "--environment.arguments.a", "-1"]
+    assert parse_overrides(arguments) == [
+        ("algorithm.learning_rate", 3e-4),
+        ("training.seed", 3),
+        ("training.device", "cpu"),
+        ("environment.arguments.a", -1),
+    ]
+
+
+def test_overrides_change_the_experiment_and_the_last_one_counts(write: Write) -> None:
+    overrides = ["--algorithm.gamma=1", "--seed=3", "--algorithm={'steps': 4, 'hidden': [8]}", "--training.seed=4"]
+    experiment = load_experiment(write(TEXT), overrides)
+    assert experiment.training.seed == 4
+    assert experiment.algorithm.config.gamma == 1.0
+    assert experiment.algorithm.config.steps == 4
+    assert experiment.algorithm.config.hidden == [8]
+    assert experiment.algorithm.config.learning_rate == 3e-4
+
+
+def test_an_empty_mapping_clears_what_the_file_has() -> None:
+    config = "intersection/mo_ppo_nonlinear_tuned"
+    assert list(load_experiment(config, []).training.guides) == ["vehicle_0"]
+    assert load_experiment(config, ["--training.guides={}"]).training.guides == {}
+    merged = load_experiment(config, ["--training.guides={'vehicle_0': {'share': 0.25}}"]).training.guides["vehicle_0"]
+    assert (merged.driver, merged.share) == ("rule:gap_6", 0.25)
+
+
+def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
+    message = "'sweeps/search' is the file of a sweep; mo-deepdrive sweep --config sweeps/search trains its runs"
+    with pytest.raises(ValueError, match=message):
+        load_experiment("sweeps/search")
+
+
+@pytest.mark.parametrize(
+    ("override", "messages"),
+    [
+        ("--algorithm.learning_rat=1", ["learning_rat", "did you mean 'learning_rate'"]),
+        ("--algoritm.gamma=1", ["algoritm", "did you mean 'algorithm'"]),
+        ("--training.sed=1", ["training.sed", "did you mean 'seed'"]),
+        ("--environment.arguments.time_limi=1", ["time_limi", "did you mean 'time_limit'"]),
+        ("--environment.arguments.scenario=intersection", ["scenario", "set by the id"]),
+        ("--environment.id=mo-deepdrive-one-waypont-v0", ["did you mean 'mo-deepdrive-one-waypoint-v0'"]),
+        (
+            "--environment.id=no_such_module:x-v0",
+            ["'no_such_module' cannot be imported: ModuleNotFoundError", "looked for in '"],
+        ),
+        ("--environment.id=commute-v0", ["is not registered; for one of your own write 'module:commute-v0'"]),
+        ("--environment.arguments.objectives=[effort]", ["objectives has 'effort'", "an id of the form 'module:ID'"]),
+        ("--algorithm.name=mo_a2d", ["mo_a2d", "did you mean 'mo_a2c'"]),
+        ("--algorithm.name=[1]", ["algorithm.name", "known: a2c, conditioned_mo_ppo, mappo, mo_a2c"]),
+        ("--algorithm.gamma=2", ["'gamma' = 2", "less than or equal to 1"]),
+        ("--algorithm.learning_rate=fast", ["'learning_rate' = 'fast'", "number"]),
+        ("--algorithm.learning_rate=.nan", ["learning_rate", "finite"]),
+        ("--training.total_timesteps=0", ["training.total_timesteps", "greater than or equal to 1"]),
+        ("--training.total_timesteps=1.5", ["training.total_timesteps", "1.5", "integer"]),
+        ("--training.num_envs=many", ["training.num_envs", "'many'", "integer"]),
+        ("--training.seed=-1", ["training.seed", "greater than or equal to 0"]),
+        ("--training.seed=true", ["training.seed", "True", "integer"]),
+        ("--training.device=abacus", ["training.device", "abacus", "cpu, cuda"]),
+        ("--training.device=cuda:99", ["training.device", "cuda:99", "does not exist"]),
+        ("--training.device=cpu:5", ["training.device = 'cpu:5' is not supported; write cpu"]),
+        ("--evaluation.gamma=1.1", ["evaluation.gamma", "less than or equal to 1"]),
+        (
+            "--evaluation.reference_point=[0, 0, 0, 0]",
+            ["evaluation.reference_point = [0.0, 0.0, 0.0, 0.0] has no effect"],
+        ),
+        ("--utility=linear", ["utility", "'linear'"]),
+        ("--logging.wandb.projct=x", ["projct", "did you mean 'project'"]),
+        ("--utility.vehicles.vehicle_1.nam=x", ["utility.vehicles.vehicle_1.nam", "did you mean 'name'"]),
+        ("--utility.vehicles.vehicle_1={arguments: {}}", ["utility.vehicles.vehicle_1.name", "missing"]),
+        ("--utility.vehicles=[a, b]", ["utility.vehicles", "dictionary"]),
+        ("--training.seed.x.y=1", ["training.seed"]),
+        ("--training.num_envs=1e11", ["training.num_envs", "100000000000", "less than or equal to 1000000"]),
+        ("--training.total_timesteps=1e300", ["training.total_timesteps", "must be at most 1,000,000,000,000,000"]),
+        ("--algorithm.hidden=[1000000000000]", ["hidden", "layer sizes must be between 1 and 16384"]),
+        ("--utility.arguments={objectives: [a]}", ["utility.arguments", "'objectives' is set by the environment"]),
+        ("--utility.arguments={cost_sign: paper}", ["utility.arguments", "'cost_sign' is set by the environment"]),
+        ('--environment.id="a\\nb"', ["environment.id = 'a\\nb'", "write 'module:a\\nb', which"]),
+        (f"--algorithm.gamma={'x' * 9999}", [f"= '{'x' * 299}...: Input should be a valid number"]),
+    ],
+)
+def test_invalid_values_are_named_with_what_is_allowed(write: Write, override: str, messages: list[str]) -> None:
+    path = write(TEXT + "  seed: 1\n")
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
+        load_experiment(path, [override])
+    for message in messages:
+        assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["seed=3"], "'seed=3' is not of the form"),
+        (["--"], "is not of the form"),
+        (["--a..b=1"], "is not of the form"),
+        (["--seed"], "has no value"),
+        (["--seed", "--device=cpu"], "has no value"),
+        (["--algorithm=[1,"], "--algorithm: '[1,' is not a valid value"),
+    ],
+)
+def test_malformed_arguments_are_refused(arguments: list[str], message: str) -> None:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        parse_overrides(arguments)
+    assert message in str(caught.value)
+
+
+def test_several_problems_are_named_at_once(write: Write) -> None:
+    with pytest.raises(ValueError, match=r"learning_rat.*time_limi.*abacus"):
+        load_experiment(
+            write(TEXT), ["--environment.arguments.time_limi=1", "--algorithm.learning_rat=1", "--device=abacus"]
+        )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("- a\n- b\n", "holds a list"),
+        ("1: 2\n", "the key in line 1 is not a string"),
+        ("a: [1\n", "is not valid YAML"),
+        ("a: 1\nb: 2\na: 3\n", "'a' is duplicated, in lines 1 and 3"),
+        ("training: {seed: 1, seed: 2}\n", "'seed' is duplicated"),
+        ("!!python/object/apply:os.getcwd []\n", "is not valid YAML"),
+        ("algorithm: {learning_rate: 1}\n", "'environment' is missing"),
+    ],
+)
+def test_broken_files_are_refused_by_name(write: Write, text: str, message: str) -> None:
+    path = write(text)
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        load_experiment(path)
+    assert message in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_missing_and_unreadable_files_are_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"nowhere\.yaml' does not exist"):
+        load_experiment(tmp_path / "nowhere.yaml")
+    with pytest.raises(ValueError, match="cannot be read"):
+        load_experiment(tmp_path)
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="cannot be read"):
+        load_experiment(tmp_path / "binary.yaml")
+
+
+# Algorithms that learn a front.
+
+
+def test_a_utility_is_required_or_refused_depending_on_the_algorithm(write: Write) -> None:
+    assert load_experiment(write(TEXT)).known_utility is True
+    found = load_experiment(write(FRONT))
+    assert found.known_utility is False
+    assert found.utility is None
+    for name in ("a2c", "mo_a2c", "mo_ppo"):
+        with pytest.raises(ValueError, match=f"'utility' is missing: algorithm '{name}' learns for a known utility"):
+            load_experiment(write(FRONT), [f"--algorithm.name={name}"])
+    with pytest.raises(ValueError, match=r"utility = 'one_waypoint_linear': algorithm 'pcn' learns a front"):
+        load_experiment(write(FRONT), ["--utility.name=one_waypoint_linear"])
+
+
+@pytest.mark.parametrize("gamma", [0.99, 1.0])
+@pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
+@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
+def test_our_environments_have_a_default_reference_point(
+    write: Write, scenario: str, action_type: str, gamma: float
+) -> None:
+    overrides = [
+        f"--environment.id=mo-deepdrive-{scenario.replace('_', '-')}-v0",
+        f"--environment.arguments.action_type={action_type}",
+        f"--evaluation.gamma={gamma}",
+    ]
+    found = load_experiment(write(FRONT), overrides).evaluation.reference_point
+    agreed = mo_deepdrive.reference_point(scenario, action_type, gamma)
+    assert found == agreed.values.tolist()
+    assert len(agreed.objectives) == len(found)
+
+
+def test_a_front_with_time_is_undiscounted_unless_its_discount_is_given(write: Write) -> None:
+    v1 = "--environment.id=mo-deepdrive-static-obstacle-v1"
+    evaluation = load_experiment(write(FRONT), [v1]).evaluation
+    names = gymnasium.spec("mo-deepdrive-static-obstacle-v1").kwargs["objectives"]
+    expected = mo_deepdrive.reference_point("static_obstacle", objectives=names)
+    assert (evaluation.gamma, evaluation.reference_point) == (1.0, expected.values.tolist())
+    given = load_experiment(write(FRONT), [v1, "--evaluation.gamma=0.99"])
+    assert given.evaluation.gamma == 0.99
+    assert make_experiment(given.to_dict()) == given
+    assert load_experiment(write(FRONT)).evaluation.gamma == 0.99
+
+
+def test_the_front_of_two_vehicles_has_a_reference_point_only_if_it_is_given(write: Write) -> None:
+    environment = "--environment.id=mo-deepdrive-intersection-v0"
+    assert load_experiment(write(FRONT), [environment]).evaluation.reference_point is None
+    given = [environment, "--evaluation.reference_point=[-1, -1, -1, -1, -1, -1, -2, -2, -2, -2, -2, -2]"]
+    assert load_experiment(write(FRONT), given).evaluation.reference_point == [-1.0] * 6 + [-2.0] * 6
+
+
+def test_the_reference_point_has_the_chosen_objectives_in_their_order(write: Write) -> None:
+    override = "--environment.arguments.objectives=[jerk, distance]"
+    found = load_experiment(write(FRONT), [override]).evaluation.reference_point
+    whole = mo_deepdrive.reference_point("one_waypoint")
+    by_name = dict(zip(whole.objectives, whole.values.tolist(), strict=True))
+    assert found == [by_name["jerk"], by_name["distance"]]
+
+
+def test_a_given_reference_point_is_used(write: Write) -> None:
+    point = [-3.0, -0.5, -20.0, -900.0]
+    for gamma in (0.99, 0.5):  # there is no default for the second
+        overrides = [f"--evaluation.reference_point={point}", f"--evaluation.gamma={gamma}"]
+        experiment = load_experiment(write(FRONT), overrides)
+        assert experiment.evaluation.reference_point == point
+        assert make_experiment(experiment.to_dict()) == experiment
+
+
+def test_only_fronts_of_our_environments_get_a_reference_point(write: Write) -> None:
+    assert load_experiment(write(TEXT)).evaluation.reference_point is None
+    sea = "--environment={id: deep-sea-treasure-v0, arguments: {}}"
+    assert load_experiment(write(FRONT), [sea]).evaluation.reference_point is None
+    given = load_experiment(write(FRONT), [sea, "--evaluation.reference_point=[0.0, -25.0]"])
+    assert given.evaluation.reference_point == [0.0, -25.0]
+    assert build(given).env.objectives == ("objective_0", "objective_1")
+
+
+@pytest.mark.parametrize("point", [[0.0], [-1.0, -1.0, -1.0], [-1.0] * 5])
+@pytest.mark.parametrize("env_id", ["mo-deepdrive-one-waypoint-v0", "deep-sea-treasure-v0"])
+def test_a_reference_point_of_another_length_is_refused_before_training(
+    write: Write, point: list[float], env_id: str
+) -> None:
+    overrides = [f"--environment.id={env_id}", f"--evaluation.reference_point={point}"]
+    experiment = load_experiment(write(FRONT), overrides)
+    numbers = 4 if "deepdrive" in env_id else 2
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
+        build(experiment)
+    assert f"evaluation.reference_point = {point} needs {numbers} numbers" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "messages"),
+    [
+        ("--evaluation.gamma=0.5", ["evaluation.reference_point must be given", "gamma = 0.5", "known: 0.99, 1.0"]),
+        ("--environment.arguments.cost_sign=paper", ["environment.arguments.cost_sign = 'paper'", "'maximise'"]),
+        ("--evaluation.reference_point=[1.0, .nan]", ["reference_point", "finite"]),
+        ("--evaluation.reference_point=low", ["reference_point", "'low'", "list"]),
+        ("--algorithm.name=pnc", ["algorithm.name = 'pnc'", "did you mean 'pcn'?"]),
+        ("--algorithm.hidden=[]", ["'hidden' = []"]),
+        ("--algorithm.crowdin=1", ["did you mean 'crowding'?"]),
+    ],
+)
+def test_invalid_settings_of_a_front_are_named(write: Write, override: str, messages: list[str]) -> None:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
+        load_experiment(write(FRONT), [override])
+    for message in messages:
+        assert message in str(caught.value)
+
+
+def test_a_front_of_costs_as_magnitudes_is_refused_whatever_the_reference_point(write: Write) -> None:
+    overrides = ["--environment.arguments.cost_sign=paper", "--evaluation.reference_point=[1.0, 1.0, 1.0, 1.0]"]
+    with pytest.raises(ValueError, match="a front needs 'maximise'"):
+        load_experiment(write(FRONT), overrides)
+
+
+@pytest.mark.parametrize("name", sorted(PEERS))
+def test_peers_are_known_by_name_but_cannot_be_built(write: Write, name: str) -> None:
+    known = PEERS[name].known_utility
+    overrides = [f"--algorithm.name={name}", *(["--utility.name=one_waypoint_linear"] if known else [])]
+    experiment = load_experiment(write(FRONT), overrides)
+    assert experiment.algorithm.name == name
+    assert experiment.known_utility is known
+    reference = mo_deepdrive.reference_point("one_waypoint").values
+    if known:
+        assert experiment.evaluation.reference_point is None
+    else:
+        np.testing.assert_array_equal(experiment.evaluation.reference_point, reference)
+    with pytest.raises(ValueError, match=f"algorithm '{name}' is another library's; mo-deepdrive peers runs it"):
+        build(experiment)

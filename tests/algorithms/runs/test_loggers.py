@@ -1,0 +1,279 @@
+"""Logging to metrics.csv, TensorBoard and Weights & Biases."""
+
+from __future__ import annotations
+
+import errno
+import io
+import math
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from algorithms.reporting.training_log import read_metrics
+from algorithms.reporting.videos import video_writer
+from algorithms.runs.config import WandbSettings
+from algorithms.runs.loggers import Logger, log_results
+
+
+def scalars(directory: Path) -> dict[str, list[tuple[int, float]]]:
+    """The curves in TensorBoard's files: steps and values by name."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(directory / "tensorboard")).Reload()
+    return {name: [(e.step, e.value) for e in events.Scalars(name)] for name in events.Tags()["scalars"]}
+
+
+def test_every_row_is_stored_to_the_last_bit_and_columns_are_added(tmp_path: Path) -> None:
+    with Logger(tmp_path) as logger:
+        logger.log(0, {"a": 1 / 3})
+        logger.log(10, {"a": 2, "b/c": np.float32(0.1)})
+        logger.log(10, {"b/c": float("nan"), "d": float("inf")})
+        logger.log(20, {"a": 1e-300})
+    lines = (tmp_path / "metrics.csv").read_text().splitlines()
+    assert lines[0] == "step,a,b/c,d"
+    assert lines[1] == "0,0.3333333333333333,,"
+    columns = read_metrics(tmp_path / "metrics.csv")
+    np.testing.assert_array_equal(columns["step"], [0, 10, 10, 20])
+    np.testing.assert_array_equal(columns["a"], [1 / 3, 2, np.nan, 1e-300])
+    np.testing.assert_array_equal(columns["b/c"], [np.nan, np.float32(0.1), np.nan, np.nan])
+    np.testing.assert_array_equal(columns["d"], [np.nan, np.nan, np.inf, np.nan])
+    assert scalars(tmp_path)["a"] == [(0, pytest.approx(1 / 3)), (10, 2.0), (20, pytest.approx(0.0))]
+
+
+def test_rows_can_be_read_during_training(tmp_path: Path) -> None:
+    with Logger(tmp_path) as logger:
+        for step in range(3):
+            logger.log(step, {"a": step})
+            assert len(read_metrics(tmp_path / "metrics.csv")["step"]) == step + 1
+
+
+def test_a_resumed_run_writes_rows_after_the_checkpoint_again(tmp_path: Path) -> None:
+    with Logger(tmp_path) as logger:
+        for step in (0, 10, 20, 30):
+            logger.log(step, {"a": step})
+    with (tmp_path / "metrics.csv").open("a") as file:
+        file.write("40,4")  # torn by a crash
+    with Logger(tmp_path, after=10) as logger:
+        logger.log(20, {"a": -20, "b": 1})
+    columns = read_metrics(tmp_path / "metrics.csv")
+    np.testing.assert_array_equal(columns["step"], [0, 10, 20])
+    np.testing.assert_array_equal(columns["a"], [0, 10, -20])
+    assert scalars(tmp_path)["a"] == [(0, 0.0), (10, 10.0), (20, -20.0)]
+
+
+def test_tensorboard_shows_hyperparameters_final_scores_and_the_video_of_a_finished_run_once(tmp_path: Path) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+    from tensorboard.plugins.hparams import metadata
+
+    config = {
+        "algorithm": {"name": "a2c", "learning_rate": 0.001, "hidden": [8, 4], "clip": None},
+        "logging": {"interval": 10},
+    }
+    with video_writer(tmp_path / "video.mp4", fps=10) as write:
+        for shade in range(40):
+            write(np.full((64, 96, 3), 5 * shade, dtype=np.uint8))
+    with Logger(tmp_path) as logger:
+        logger.log(100, {"a": 1.0})
+    scores = {"greedy/utility_esr": 2.5, "greedy/success": math.nan, "greedy/end/time_limit": 1.0}
+    for _ in range(2):  # the end of a run may be repeated
+        log_results(tmp_path, 100, config, scores, tmp_path / "video.mp4")
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert len(list((tmp_path / "tensorboard").glob("*.results"))) == 1
+    assert scalars(tmp_path) == {"a": [(100, 1.0)], "final/greedy/utility_esr": [(100, 2.5)]}
+    content = events.PluginTagToContent("hparams")
+    started = metadata.parse_session_start_info_plugin_data(content[metadata.SESSION_START_INFO_TAG])
+    values = {name: getattr(value, value.WhichOneof("kind")) for name, value in started.hparams.items()}
+    assert values == {"algorithm.name": "a2c", "algorithm.learning_rate": 0.001, "algorithm.hidden": "[8, 4]"}
+    experiment = metadata.parse_experiment_plugin_data(content[metadata.EXPERIMENT_TAG])
+    assert [info.name.tag for info in experiment.metric_infos] == ["final/greedy/utility_esr"]
+    (image,) = events.Images("video")
+    assert (image.step, image.height, image.width) == (100, 64, 96)
+    with Image.open(io.BytesIO(image.encoded_image_string)) as gif:
+        assert gif.format == "GIF"
+        assert 2 <= gif.n_frames <= 40  # type: ignore[attr-defined]
+
+
+def test_a_run_without_checkpoint_starts_its_metrics_again(tmp_path: Path) -> None:
+    with Logger(tmp_path) as logger:
+        logger.log(0, {"a": 1})
+    with Logger(tmp_path, after=-1) as logger:
+        logger.log(0, {"a": 2})
+    np.testing.assert_array_equal(read_metrics(tmp_path / "metrics.csv")["a"], [2])
+
+
+def test_a_full_disk_is_an_error_and_keeps_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Logger(tmp_path) as logger:
+        logger.log(0, {"a": 1})
+
+        def full(*arguments: Any) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr("os.fsync", full)
+        with pytest.raises(OSError, match="No space left"):
+            logger.log(1, {"a": 2, "new": 3})
+    np.testing.assert_array_equal(read_metrics(tmp_path / "metrics.csv")["a"], [1])
+
+
+class FakeWandb:
+    """The part of wandb that the logger uses; it records the calls."""
+
+    Error = type("Error", (Exception,), {})
+
+    def __init__(self, key: bool = True, refuses: tuple[str, ...] = (), mode: str = "online"):
+        self.key, self.refuses, self.mode = key, refuses, mode
+        self.sweep_id: str | None = None
+        self.runs: list[dict[str, Any]] = []
+        self.rows: list[dict[str, float]] = []
+
+    def setup(self) -> Any:
+        settings = SimpleNamespace(mode=self.mode, base_url="http://127.0.0.1:9", sweep_id=self.sweep_id)
+        return SimpleNamespace(settings=settings)
+
+    def login(self, **options: Any) -> bool:
+        return self.key
+
+    def Settings(self, **options: Any) -> dict[str, Any]:
+        return options
+
+    def teardown(self) -> None:
+        return
+
+    def init(self, **options: Any) -> Any:
+        if options["mode"] in self.refuses:
+            raise self.Error(f"{options['mode']} does not work")
+        self.runs.append(options)
+        return SimpleNamespace(
+            id=options["id"] or "new-id",
+            entity=options["entity"] or ("team" if self.sweep_id else ""),
+            project=options["project"] or "elsewhere",
+            define_metric=lambda *a, **k: None,
+            log=lambda row: self.rows.append(row),
+            finish=lambda exit_code: self.rows.append({"exit_code": exit_code}),
+        )
+
+
+class FullList(list):  # type: ignore[type-arg]
+    """A list that refuses new rows."""
+
+    def append(self, row: Any) -> None:
+        raise ConnectionError("no server")
+
+
+SETTINGS = WandbSettings(project="p", group="g", tags=["t"])
+
+
+def log_with(fake: FakeWandb, path: Path, monkeypatch: pytest.MonkeyPatch, settings: Any = SETTINGS) -> list[str]:
+    """Log one row with ``fake`` in place of W&B; the messages."""
+    said: list[str] = []
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    after = 0 if (path / "metrics.csv").exists() else None
+    with Logger(path, after=after, wandb=settings, config={"x": 1}, name="n", say=said.append) as logger:
+        logger.log(5, {"a": 2.0})
+    return said
+
+
+def test_wandb_gets_the_rows_and_a_resumed_run_keeps_its_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urllib.request.urlopen", lambda *a, **k: SimpleNamespace(close=lambda: None))
+    fake = FakeWandb()
+    assert log_with(fake, tmp_path, monkeypatch) == []
+    assert fake.rows == [{"a": 2.0, "step": 5}, {"exit_code": 0}]
+    (first,) = fake.runs
+    assert (first["mode"], first["project"], first["group"], first["tags"]) == ("online", "p", "g", ["t"])
+    assert (first["config"], first["name"], first["id"], first["dir"]) == ({"x": 1}, "n", None, str(tmp_path))
+    log_with(fake, tmp_path, monkeypatch)
+    assert (fake.runs[1]["id"], fake.runs[1]["resume"]) == ("new-id", "allow")
+
+
+def test_a_run_of_a_sweep_is_resumed_in_the_sweeps_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = FakeWandb(mode="offline")
+    fake.sweep_id = "s"
+    assert log_with(fake, tmp_path, monkeypatch, WandbSettings(project="p", entity="e")) == []
+    fake.sweep_id = None
+    assert log_with(fake, tmp_path, monkeypatch, WandbSettings(project="p", entity="e")) == []
+    places = [(run["entity"], run["project"], run["id"]) for run in fake.runs]
+    assert places == [(None, None, None), ("team", "elsewhere", "new-id")]
+
+
+def test_a_resumed_run_that_began_without_an_entity_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = FakeWandb(mode="offline")
+    for _ in range(2):
+        assert log_with(fake, tmp_path, monkeypatch) == []
+    places = [(run["entity"], run["project"], run["id"]) for run in fake.runs]
+    assert places == [(None, "p", None), (None, "p", "new-id")]
+
+
+def test_a_run_that_wandb_was_disabled_for_has_no_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert log_with(FakeWandb(mode="disabled"), tmp_path, monkeypatch) == []
+    assert not list(tmp_path.glob("wandb*"))
+
+
+@pytest.mark.parametrize(("key", "refuses", "said"), [(False, (), "no API key"), (True, (), "no connection")])
+def test_wandb_goes_offline_without_key_or_network(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: bool, refuses: tuple[str, ...], said: str
+) -> None:
+    fake = FakeWandb(key, refuses)  # nobody listens at its address
+    (message,) = log_with(fake, tmp_path, monkeypatch)
+    assert said in message
+    assert [run["mode"] for run in fake.runs] == ["offline"]
+
+
+def test_wandb_goes_offline_when_the_server_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urllib.request.urlopen", lambda *a, **k: SimpleNamespace(close=lambda: None))
+    fake = FakeWandb(refuses=("online",))
+    (message,) = log_with(fake, tmp_path, monkeypatch)
+    assert "online does not work" in message
+    assert [run["mode"] for run in fake.runs] == ["offline"]
+
+
+def test_training_continues_when_wandb_fails_altogether(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (message,) = log_with(FakeWandb(key=False, refuses=("offline",)), tmp_path, monkeypatch, SETTINGS)[1:]
+    assert "is disabled" in message
+    assert len(read_metrics(tmp_path / "metrics.csv")["step"]) == 1
+
+
+def test_training_continues_when_wandb_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with Logger(tmp_path, wandb=SETTINGS, say=said.append) as logger:
+        logger.log(0, {"a": 1})
+        logger.log(1, {"a": 1})
+    (message,) = said
+    assert "is disabled" in message
+    assert len(read_metrics(tmp_path / "metrics.csv")["step"]) == 2
+
+
+def test_a_run_without_wandb_installed_is_told_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    said: list[str] = []
+    with Logger(tmp_path, wandb=WandbSettings(project="p"), say=said.append) as logger:
+        logger.log(0, {"a": 1})
+    reason = "logging.wandb needs wandb: pip install 'mo-deepdrive[wandb]'"
+    assert said == [f"warning: Weights & Biases is disabled: {reason}"]
+
+
+def test_wandb_that_fails_during_training_is_disabled_with_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake, said = FakeWandb(), []
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    offline = WandbSettings(project="p", mode="offline")
+    with Logger(tmp_path, wandb=offline, say=said.append) as logger:
+        fake.rows = FullList()
+        logger.log(0, {"a": 1})
+        logger.log(1, {"a": 1})
+    (message,) = said
+    assert "Weights & Biases is disabled: no server" in message
+
+
+@pytest.mark.slow
+def test_the_real_wandb_stores_an_offline_run(tmp_path: Path) -> None:
+    pytest.importorskip("wandb")
+    with Logger(tmp_path, wandb=WandbSettings(project="p", mode="offline"), say=pytest.fail) as logger:
+        logger.log(0, {"a": 1})
+    assert (tmp_path / "wandb_id").read_text().strip()
+    assert list((tmp_path / "wandb").glob("offline-run-*"))

@@ -1,0 +1,173 @@
+"""Names of algorithms and trained policies: looked up without importing what is not asked for."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from algorithms import ALGORITHMS, zoo
+from algorithms.peers import PEERS
+from algorithms.runs.registry import (
+    agent_class,
+    algorithm_names,
+    directory_name,
+    find_algorithm,
+    find_trained_policy,
+)
+
+
+def test_names_are_known_without_importing_an_algorithm(run_python: Callable[[str], str]) -> None:
+    loaded = run_python(
+        "import sys\n"
+        "from algorithms.runs.registry import algorithm_names\n"
+        "print(algorithm_names())\n"
+        "packages = ('algorithms.runs', 'algorithms.hyperparameters')\n"
+        "print([name for name in sys.modules if name.startswith('algorithms.') and not name.startswith(packages)], "
+        "'torch' in sys.modules)"
+    )
+    assert loaded.splitlines() == [str(sorted(ALGORITHMS)), "[] False"]
+
+
+@pytest.mark.slow
+def test_peers_are_not_imported_for_an_algorithm_of_this_project(run_python: Callable[[str], str]) -> None:
+    loaded = run_python(
+        "import sys\n"
+        "from algorithms.runs.registry import find_algorithm\n"
+        "find_algorithm('pcn')\n"
+        "print([name for name in ('algorithms.pcn', 'algorithms.a2c', 'algorithms.peers') if name in sys.modules])"
+    )
+    assert loaded == "['algorithms.pcn']\n"
+
+
+def test_every_algorithm_has_an_entry_and_a_class() -> None:
+    assert algorithm_names() == sorted(ALGORITHMS)
+    for name, algorithm in ALGORITHMS.items():
+        entry = find_algorithm(name)
+        assert (entry.name, entry.known_utility, entry.is_peer) == (name, algorithm.known_utility, False)
+        assert entry.config_class is algorithm.Config
+        assert agent_class(name) is algorithm
+
+
+def test_peers_have_an_entry_but_no_class() -> None:
+    for name, peer in PEERS.items():
+        entry = find_algorithm(name)
+        assert (entry.known_utility, entry.config_class, entry.is_peer) == (peer.known_utility, peer.Config, True)
+        with pytest.raises(ValueError, match=f"algorithm '{name}' is another library's"):
+            agent_class(name)
+
+
+@pytest.mark.parametrize("name", ["mo_a2d", "", None, 3, ["pcn"]])
+def test_unknown_algorithms_are_refused(name: object) -> None:
+    with pytest.raises(ValueError, match=r"algorithm.name = .* is unknown; .*known: a2c, .*mo_a2c"):
+        find_algorithm(name)
+
+
+def test_trained_policies_are_found_in_the_zoo() -> None:
+    for name in zoo.names():
+        assert find_trained_policy(name) == zoo.find(name)
+    with pytest.raises(ValueError, match="zoo"):
+        find_trained_policy("no-such-policy")
+
+
+# ------------------------------------------------------------------------------------------------- a user's algorithm
+
+USERS = """
+from algorithms import Agent, FrontAgent, MOPPO
+from algorithms.actor_critic import ActorCritic
+from mo_deepdrive.world.config import Settings
+
+class Learner(Agent):
+    class Config(Settings):
+        rate: float = 1.0
+    def act(self, observations, accrued_reward, generator): ...
+    def update(self, progress): ...
+    def get_state(self): ...
+    def set_state(self, state): ...
+
+class Renamed(MOPPO):
+    name = "mine"
+
+class Inherited(MOPPO):
+    pass
+
+class Partial(Agent):
+    Config = Learner.Config
+    def act(self, observations, accrued_reward, generator): ...
+    def update(self, progress): ...
+
+class WithoutConfig(Learner):
+    Config = dict
+
+class Front(FrontAgent):
+    Config = Learner.Config
+    def update(self, progress): ...
+    def get_state(self): ...
+    def set_state(self, state): ...
+
+class NoLoss(ActorCritic):
+    Config = Learner.Config
+
+class Unknown(Learner):
+    known_utility = False
+
+def function(): ...
+"""
+
+
+@pytest.fixture
+def users_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The modules users_agents and users_mistake, which can be imported in this test."""
+    (tmp_path / "users_agents.py").write_text(USERS)
+    (tmp_path / "users_mistake.py").write_text("class Learner(:\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("users_agents", "users_mistake"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+
+
+@pytest.mark.usefixtures("users_module")
+def test_a_users_algorithm_is_found_by_its_path() -> None:
+    cls = agent_class("users_agents:Learner")
+    entry = find_algorithm("users_agents:Learner")
+    assert (entry.name, entry.known_utility, entry.is_peer) == ("users_agents:Learner", True, False)
+    assert entry.config_class is cls.Config
+    assert directory_name(entry.name) == "Learner"
+    assert directory_name("morl_baselines.pcn") == "morl_baselines.pcn"
+
+
+@pytest.mark.usefixtures("users_module")
+def test_an_algorithm_has_the_name_of_its_class_unless_it_defines_one() -> None:
+    names = {name: agent_class(f"users_agents:{name}").name for name in ("Learner", "Renamed", "Inherited")}
+    assert names == {"Learner": "Learner", "Renamed": "mine", "Inherited": "Inherited"}
+
+
+@pytest.mark.usefixtures("users_module")
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("no_such_module:A", "= 'no_such_module:A': 'no_such_module' cannot be imported: ModuleNotFoundError: "),
+        ("users_mistake:A", "= 'users_mistake:A': 'users_mistake' cannot be imported: SyntaxError: invalid syntax"),
+        ("users_agents:Lerner", "= 'users_agents:Lerner': 'users_agents' has no 'Lerner'; did you mean 'Learner'?"),
+        ("users_agents:", "= 'users_agents:' must have the form package.module:name"),
+        (":Learner", "= ':Learner' must have the form package.module:name"),
+        ("users_agents:function", "must be a subclass of algorithms.Agent; it is <function function"),
+        (
+            "users_agents:Settings",
+            "must be a subclass of algorithms.Agent; it is <class 'mo_deepdrive.world.config.Settings'>",
+        ),
+        ("users_agents:Partial", "= 'users_agents:Partial' does not define get_state, set_state"),
+        ("users_agents:Front", "= 'users_agents:Front' does not define condition_names, conditions, policies"),
+        ("users_agents:NoLoss", "= 'users_agents:NoLoss' does not define advantages, loss"),
+        ("users_agents:Unknown", "known_utility = False needs a subclass of algorithms.FrontAgent"),
+        ("users_agents:WithoutConfig", "WithoutConfig': Config = <class 'dict'> must be a subclass of"),
+        ("algorithms:Agent", "= 'algorithms:Agent' does not define Config, act, get_state, set_state, update"),
+    ],
+)
+def test_a_users_algorithm_that_cannot_be_used_is_refused_in_one_line(path: str, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)) as caught:
+        find_algorithm(path)
+    assert str(caught.value).startswith(f"algorithm.name = {path!r}")
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,325 @@
+"""Run directories: what they store, who may write to them, and which are refused."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import pytest
+
+from algorithms.runs.config import Experiment, make_experiment
+from algorithms.runs.interrupts import Moved
+from algorithms.runs.run_directory import Run, default_directory, imported_paths, read_status, versions
+from algorithms.runs.run_files import changed_files
+from algorithms.runs.training import resume
+from mo_deepdrive.support.atomic_io import write_json
+from mo_deepdrive.support.yaml import dump
+
+VALUES: dict[str, Any] = {
+    "environment": {"id": "mo-deepdrive-one-waypoint-v0"},
+    "utility": {"name": "one_waypoint_linear"},
+    "algorithm": {"name": "a2c"},
+    "training": {"total_timesteps": 1000, "num_envs": 2, "seed": 3},
+}
+
+
+@pytest.fixture
+def experiment() -> Experiment:
+    return make_experiment(VALUES)
+
+
+def test_a_new_run_stores_its_experiment_and_versions(tmp_path: Path, experiment: Experiment) -> None:
+    run = Run.create(experiment, tmp_path / "a" / "run")
+    run.unlock()
+    assert Run.open(run.path).experiment == experiment
+    assert run.status["state"] == "running"
+    assert run.status["total_timesteps"] == 1000
+    assert run.versions == versions()
+    assert run.versions["packages"]["torch"] is not None
+    assert run.changed_versions() == []
+
+
+def test_changed_versions_are_named(tmp_path: Path, experiment: Experiment) -> None:
+    run = Run.create(experiment, tmp_path / "run")
+    then = run.versions
+    then["packages"]["torch"] = "0.1"
+    write_json(run.path / "versions.json", then)
+    (change,) = run.changed_versions()
+    assert change.startswith("torch: 0.1 then")
+
+
+def test_a_directory_that_is_not_empty_is_refused(tmp_path: Path, experiment: Experiment) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(ValueError, match=r"is not empty; choose another$"):
+        Run.create(experiment, tmp_path)
+    assert (tmp_path / "file").read_text() == "mine"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_the_directory_of_a_run_is_refused_with_the_options_that_resume_it(
+    tmp_path: Path, experiment: Experiment
+) -> None:
+    path = tmp_path / "a run"
+    Run.create(experiment, path).unlock()
+    with pytest.raises(ValueError, match=rf"is not empty; choose another, or use --resume '{path}'$"):
+        Run.create(experiment, path)
+    values = experiment.to_dict()
+    values["algorithm"]["network"] = "my_networks:deep"
+    (path / "config.yaml").write_text(dump(values))
+    with pytest.raises(ValueError, match=rf"or use --resume '{path}' --trust$"):
+        Run.create(experiment, path)
+    (path / "config.yaml").write_text("{")
+    with pytest.raises(ValueError, match=r"choose another$"):
+        Run.create(experiment, path)
+
+
+def test_a_path_that_cannot_be_written_is_refused(tmp_path: Path, experiment: Experiment) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="cannot be written"):
+        Run.create(experiment, tmp_path / "file" / "run")
+    with pytest.raises(ValueError, match="cannot be made"):
+        default_directory(tmp_path / "file", "config.yaml", experiment)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_directory_is_refused(tmp_path: Path, experiment: Experiment) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(ValueError, match="cannot be written"):
+        Run.create(experiment, tmp_path / "run")
+
+
+def test_a_file_that_another_process_renames_during_the_check_is_not_refused(
+    tmp_path: Path, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = tmp_path / ".versions.json.abc.tmp"
+    temporary.write_text("{}")
+    listed = Path.iterdir
+
+    def list_and_rename(folder: Path) -> Iterator[Path]:
+        entries = list(listed(folder))
+        if temporary.exists():
+            temporary.replace(folder / "versions.json")
+        return iter(entries)
+
+    monkeypatch.setattr(Path, "iterdir", list_and_rename)
+    Run.create(experiment, tmp_path).unlock()
+    assert not temporary.exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="runs are locked on POSIX systems")
+def test_two_processes_do_not_train_in_one_directory(tmp_path: Path, experiment: Experiment) -> None:
+    first = Run.create(experiment, tmp_path / "run")
+    second = Run.open(tmp_path / "run")
+    with pytest.raises(ValueError, match="in use by another process"):
+        second.lock()
+    first.unlock()
+    second.lock()
+    second.unlock()
+
+
+def test_the_default_directory_of_a_users_algorithm_is_named_after_its_class(
+    tmp_path: Path, experiment: Experiment
+) -> None:
+    own = experiment.model_copy(
+        update={"algorithm": experiment.algorithm.model_copy(update={"name": "package.module:Own"})}
+    )
+    assert default_directory(tmp_path, "fast.yaml", own).name.startswith("Own-seed3-")
+
+
+def test_default_directories_are_named_after_the_run_and_are_unique(tmp_path: Path, experiment: Experiment) -> None:
+    paths = [default_directory(tmp_path, "configs/x/fast.yaml", experiment) for _ in range(3)]
+    assert len(set(paths)) == 3
+    for path in paths:
+        assert path.parent == tmp_path / "fast"
+        assert path.name.startswith("a2c-seed3-")
+        assert path.is_dir()
+
+
+def test_a_directory_without_a_valid_config_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"is not a run directory: it has no config\.yaml"):
+        Run.open(tmp_path)
+    (tmp_path / "config.yaml").write_text("algorithm: 3\n")
+    with pytest.raises(ValueError, match=r"config\.yaml.*'environment' is missing"):
+        Run.open(tmp_path)
+
+
+def test_a_run_can_be_opened_where_its_device_is_not(tmp_path: Path) -> None:
+    write = {**VALUES, "training": {**VALUES["training"], "device": "cuda:99"}}
+    write_json(tmp_path / "config.yaml", write)  # JSON is YAML
+    run = Run.open(tmp_path)
+    assert run.experiment.training.device == "cuda:99"
+    with pytest.raises(ValueError, match=r"training\.device = 'cuda:99' does not exist"):
+        resume(run)
+
+
+@pytest.mark.parametrize("name", [".lock", "metrics.csv", "checkpoint.safetensors", "tensorboard", "train.log"])
+def test_a_run_with_a_link_is_not_locked_and_the_target_is_kept(
+    tmp_path: Path, experiment: Experiment, name: str
+) -> None:
+    run = Run.create(experiment, tmp_path / "run")
+    run.unlock()
+    target = tmp_path / "target"
+    target.mkdir()
+    (run.path / name).unlink(missing_ok=True)
+    (run.path / name).symlink_to(target)
+    (tmp_path / "link").symlink_to(run.path)
+    linked = Run.open(tmp_path / "link")
+    with pytest.raises(ValueError, match=rf"{name}' leads to '.*target'; nothing is written or deleted through a link"):
+        linked.lock()
+    assert list(target.iterdir()) == []
+    (run.path / name).unlink()
+    linked.lock()
+    linked.unlock()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX locks")
+def test_a_file_system_without_locks_is_noted(
+    tmp_path: Path, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    run = Run.create(experiment, tmp_path / "run")
+    run.set_status("running", 1)
+    assert not run.locked
+    run.unlock()
+
+
+def test_a_run_whose_directory_was_replaced_writes_nothing_to_the_other_one(
+    tmp_path: Path, experiment: Experiment
+) -> None:
+    run = Run.create(experiment, tmp_path / "run")
+    run.path.rename(tmp_path / "renamed")
+    with pytest.raises(Moved, match="was renamed, deleted or replaced while the run was training"):
+        run.set_status("running", 1)
+    other = Run.create(experiment, tmp_path / "run")
+    before = {path: path.read_bytes() for path in other.path.iterdir()}
+    with pytest.raises(Moved):
+        run.set_status("running", 2)
+    assert {path: path.read_bytes() for path in other.path.iterdir()} == before
+    for each in (run, other):
+        each.unlock()
+
+
+OWN: dict[str, Any] = {"name": "own_code:utility"}
+
+
+@pytest.mark.parametrize(
+    ("sections", "key", "path"),
+    [
+        ({"utility": OWN}, "utility.name", "own_code:utility"),
+        (
+            {"utility": {"name": "one_waypoint_linear", "vehicles": {"vehicle_0": OWN}}},
+            "utility.vehicles.vehicle_0.name",
+            "own_code:utility",
+        ),
+        ({"environment": {"id": "own_code:own-v0"}}, "environment.id", "own_code:own-v0"),
+        ({"algorithm": {"name": "own_code:Own"}}, "algorithm.name", "own_code:Own"),
+        ({"algorithm": {"name": "a2c", "network": "own_code:network"}}, "algorithm.network", "own_code:network"),
+    ],
+)
+def test_a_run_that_names_code_is_opened_only_if_it_is_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sections: dict[str, Any], key: str, path: str
+) -> None:
+    (tmp_path / "own_code.py").write_text(
+        f"open({str(tmp_path / 'imported')!r}, 'w').close()\ndef utility(returns):\n    return returns[..., 0]\n"
+        "from algorithms import A2C\nclass Own(A2C):\n    pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_code", raising=False)
+    monkeypatch.setitem(gymnasium.registry, "own-v0", gymnasium.registry["deep-sea-treasure-v0"])  # removed afterwards
+    write_json(tmp_path / "config.yaml", {**VALUES, **sections})
+    with pytest.raises(ValueError, match=rf"config\.yaml' has {key} = '{path}', code that .*; add --trust if"):
+        Run.open(tmp_path)
+    assert not (tmp_path / "imported").exists()
+    assert Run.open(tmp_path, trust=True).path == tmp_path
+
+
+def test_no_module_is_imported_that_hides_behind_one_of_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    env_id = "gymnasium:evil:mo-deepdrive-one-waypoint-v0"
+    (tmp_path / "gymnasium:evil.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w').close()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    write_json(tmp_path / "config.yaml", {**VALUES, "environment": {"id": env_id}})
+    with pytest.raises(ValueError, match=f"has environment.id = '{env_id}', code that .*; add --trust if"):
+        Run.open(tmp_path)
+    with pytest.raises(ValueError, match=f"environment.id = '{env_id}' must be an id, or of the form module:id"):
+        Run.open(tmp_path, trust=True)
+    assert not (tmp_path / "imported").exists()
+
+
+def test_what_an_experiment_would_import_is_found_whatever_its_form() -> None:
+    assert imported_paths(VALUES) == {}
+    assert imported_paths({"environment": {"id": "mo_deepdrive:mo-deepdrive-one-waypoint-v0"}}) == {}
+    assert imported_paths({"environment": {"id": "mo_deepdrive.own:x-v0"}}) == {
+        "environment.id": "mo_deepdrive.own:x-v0"
+    }
+    for evil in ("gymnasium:evil:x-v0", "mo_deepdrive:mo_gymnasium:x-v0", ":x-v0"):
+        assert imported_paths({"environment": {"id": evil}}) == {"environment.id": evil}
+    assert imported_paths({"environment": 3, "utility": ["a:b"]}) == {}
+    assert imported_paths({"utility": {"name": "mo_deepdrive:f"}}) == {"utility.name": "mo_deepdrive:f"}
+    assert imported_paths({"algorithm": {"name": 3, "network": ["a:b"]}}) == {}
+    assert imported_paths({"algorithm": ["a:b"]}) == {}
+    assert imported_paths({"environment": {"id": 3}, "utility": {"name": None, "vehicles": "a:b"}}) == {}
+
+
+@pytest.mark.parametrize(
+    "status",
+    [
+        [],
+        "text",
+        {"state": ["finished"], "step": "abc", "seconds": "long", "logged": 3, "metrics_gap": 1, "files": "x"},
+        {"state": True, "step": True, "seconds": None, "logged": [3, {"step": 0}]},
+    ],
+)
+def test_odd_contents_of_a_status_are_left_out(tmp_path: Path, experiment: Experiment, status: Any) -> None:
+    Run.create(experiment, tmp_path / "run").unlock()
+    write_json(tmp_path / "run" / "status.json", status)
+    assert not read_status(tmp_path / "run").keys() - {"logged"}
+    run = Run.open(tmp_path / "run")
+    assert run.logged_rows(0, "metrics.csv") is None
+    run.set_status("interrupted", 5)
+    assert run.status["state"] == "interrupted"
+
+
+@pytest.mark.parametrize("content", ["[]", "3", "{", '{"packages": []}', '{"packages": 3}'])
+def test_odd_versions_are_those_of_another_machine(tmp_path: Path, experiment: Experiment, content: str) -> None:
+    Run.create(experiment, tmp_path / "run").unlock()
+    (tmp_path / "run" / "versions.json").write_text(content)
+    changes = Run.open(tmp_path / "run").changed_versions()
+    assert any(change.startswith("torch: None then, ") for change in changes)
+
+
+def test_a_run_that_another_process_has_trained_since_is_known_when_it_is_locked(
+    tmp_path: Path, experiment: Experiment
+) -> None:
+    first = Run.create(experiment, tmp_path / "run")
+    second = Run.open(tmp_path / "run")
+    rows = {"rows": 3, "sha256": "0"}
+    first.note_rows(500, {"metrics.csv": rows})
+    first.add_metrics_gap("a gap")
+    first.set_status("interrupted", 500)
+    first.unlock()
+    second.lock()
+    assert (second.logged_rows(500, "metrics.csv"), second.metrics_gap) == (rows, "a gap")
+    assert second.logged_rows(400, "metrics.csv") is None
+    second.unlock()
+
+
+def test_a_final_evaluation_that_is_written_again_is_recorded_again(tmp_path: Path, experiment: Experiment) -> None:
+    run = Run.create(experiment, tmp_path / "run")
+    run.unlock()
+    for name in ("evaluation.json", "metrics.csv"):
+        (run.path / name).write_text("old")
+    run.record_results()
+    assert "files" not in run.status  # of a run that is not finished
+    run.set_status("finished", 1000)
+    for name in ("evaluation.json", "metrics.csv"):
+        (run.path / name).write_text("new")
+    run.record_results()
+    assert changed_files(run.path) == ["metrics.csv: changed since the run finished"]

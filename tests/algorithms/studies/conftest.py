@@ -1,0 +1,46 @@
+"""Fixtures: an experiment, the manifest of a sweep of it, and the scripts that show sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from algorithms.studies.sweep_manifest import ManifestRow
+from tests.helpers.made_up_sweeps import Script, config_of, make_row
+
+
+@pytest.fixture(scope="session")
+def base() -> dict[str, Any]:
+    """A resolved experiment."""
+    return config_of("one_waypoint/mo_a2c_linear")
+
+
+@pytest.fixture
+def grid(base: dict[str, Any]) -> list[ManifestRow]:
+    """Six cells of three seeds."""
+    rates, steps = (1e-4, 1e-3, 1e-2), (16, 32)
+    cells = [{"algorithm.learning_rate": rate, "algorithm.steps": step} for rate, step in product(rates, steps)]
+    return [make_row(base, cell, seed) for cell in cells for seed in range(3)]
+
+
+@pytest.fixture
+def table(load_script: Callable[[str], ModuleType]) -> Script:
+    """Call scripts/table.py."""
+    return lambda *arguments: load_script("table").main([str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def plot(load_script: Callable[[str], ModuleType]) -> Script:
+    """Call scripts/plot.py."""
+
+    def call(*arguments: Any) -> int:
+        try:
+            return int(load_script("plot").main([str(argument) for argument in arguments]))
+        except SystemExit as end:
+            return int(end.code or 0)
+
+    return call

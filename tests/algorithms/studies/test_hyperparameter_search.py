@@ -1,0 +1,160 @@
+"""Hyperparameter search: the points that are proposed from scores."""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+
+from algorithms.studies.hyperparameter_search import propose_points
+from algorithms.studies.sweep_settings import HyperparameterSearchSettings
+from mo_deepdrive.world.config import parse
+
+RATE = "algorithm.learning_rate"
+METRIC = "greedy/utility_esr"
+
+
+def settings_of(**settings: Any) -> HyperparameterSearchSettings:
+    """Settings of a search over the learning rate, with changes."""
+    space = {RATE: {"low": 1e-4, "high": 1e-2, "log": True}}
+    return parse(HyperparameterSearchSettings, {"space": space, "metric": METRIC, "trials": 6, **settings}, "search")
+
+
+def points(
+    settings: HyperparameterSearchSettings, scores: Mapping[str, float | None] | None = None
+) -> list[dict[str, Any]]:
+    """The proposed points; the run of trial n has the id "n"."""
+    found: list[dict[str, Any]] = []
+
+    def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
+        assert trial == len(found)
+        found.append(point)
+        return [str(trial)]
+
+    propose_points(settings, runs_of, scores or {})
+    return found
+
+
+def test_integer_bounds_give_integers_unless_the_step_is_a_fraction() -> None:
+    space = {
+        "whole": {"low": 1, "high": 9},
+        "halves": {"low": 1, "high": 9, "step": 0.5},
+        "real": {"low": 1, "high": 2.0},
+    }
+    found = points(settings_of(space=space, sampler="random", trials=60))
+    assert {type(point["whole"]) for point in found} == {int}
+    assert {point["whole"] for point in found} == set(range(1, 10))
+    assert any(point["halves"] % 1 == 0.5 for point in found)
+    assert {type(point["real"]) for point in found} == {float}
+
+
+def test_a_logarithmic_range_is_sampled_evenly_over_orders_of_magnitude() -> None:
+    space = {"log": {"low": 1e-6, "high": 1.0, "log": True}, "even": {"low": 1e-6, "high": 1.0}}
+    found = points(settings_of(space=space, sampler="random", trials=300))
+    assert -3.5 < statistics.median(math.log10(point["log"]) for point in found) < -2.5
+    assert 0.4 < statistics.median(point["even"] for point in found) < 0.6
+
+
+@pytest.mark.filterwarnings("ignore:Choices for a categorical distribution")
+def test_choices_keep_their_types() -> None:
+    choices = [None, True, 3, 0.5, "word", [8, 8], {"steps": 8}]
+    found = points(settings_of(space={"a": choices}, sampler="random", trials=100))
+    assert {json.dumps(point["a"]) for point in found} == {json.dumps(choice) for choice in choices}
+
+
+def test_a_random_search_proposes_all_points_at_once_and_ignores_scores() -> None:
+    settings = settings_of(sampler="random", trials=20, batch=2)
+    found = points(settings)
+    assert len(found) == 20
+    assert points(settings, {str(trial): float(trial) for trial in range(20)}) == found
+    assert len({point[RATE] for point in found}) == 20
+    assert points(settings_of(sampler="random", trials=20, seed=1)) != found
+
+
+def test_tpe_proposes_a_batch_once_all_scores_of_the_previous_batches_are_known() -> None:
+    settings = settings_of(trials=10, batch=4)
+    scores: dict[str, float | None] = {str(trial): float(trial) for trial in range(10)}
+    first = points(settings)
+    assert len(first) == 4
+    for missing in range(4):
+        known = {run: score for run, score in scores.items() if run != str(missing)}
+        assert points(settings, known) == first
+    second = points(settings, {run: scores[run] for run in "0123"})
+    assert len(second) == 8
+    assert second[:4] == first
+    assert len(points(settings, {run: scores[run] for run in "01234567"})) == 10
+    assert points(settings, scores)[:8] == second
+    assert len(points(settings, scores)) == 10
+    assert points(settings_of(trials=10, batch=4, seed=1)) != first
+
+
+def negative_squared_error(point: dict[str, Any]) -> float:
+    """A score whose maximum is at a learning rate of 0.001."""
+    return -((math.log10(point[RATE]) + 3) ** 2)
+
+
+def all_points(
+    settings: HyperparameterSearchSettings, score: Callable[[int, dict[str, Any]], float | None]
+) -> list[dict[str, Any]]:
+    """All points of a search, proposed batch by batch."""
+    scores: dict[str, float | None] = {}
+    while True:
+        found = points(settings, scores)
+        if len(found) == len(scores):
+            return found
+        scores |= {str(trial): score(trial, found[trial]) for trial in range(len(scores), len(found))}
+
+
+def test_tpe_is_deterministic_given_the_scores_and_approaches_the_optimum() -> None:
+    settings = settings_of(trials=36, batch=6)
+    found = all_points(settings, lambda trial, point: negative_squared_error(point))
+    assert all_points(settings, lambda trial, point: negative_squared_error(point)) == found
+    other = all_points(settings, lambda trial, point: -negative_squared_error(point))
+    assert other[:6] == found[:6]
+    assert other[-6:] != found[-6:]
+    assert np.mean([negative_squared_error(point) for point in found[-12:]]) > np.mean(
+        [negative_squared_error(point) for point in found[:12]]
+    )
+    minimised = all_points(
+        settings_of(trials=36, batch=6, direction="minimize"), lambda trial, point: -negative_squared_error(point)
+    )
+    assert np.mean([negative_squared_error(point) for point in minimised[-12:]]) > np.mean(
+        [negative_squared_error(point) for point in minimised[:12]]
+    )
+
+
+@pytest.fixture
+def studies(monkeypatch: pytest.MonkeyPatch) -> list[optuna.Study]:
+    """All Optuna studies that are created during the test."""
+    made: list[optuna.Study] = []
+    create = optuna.create_study
+
+    def keep(**options: Any) -> optuna.Study:
+        made.append(create(**options))
+        return made[-1]
+
+    monkeypatch.setattr(optuna, "create_study", keep)
+    return made
+
+
+def test_optuna_gets_the_mean_over_seeds_and_trials_with_failed_runs_fail(studies: list[optuna.Study]) -> None:
+    scores = {"0a": 1.0, "0b": 4.0, "1a": 2.0, "1b": None, "2a": None, "2b": None, "3a": -1.0, "3b": -2.0}
+    found = []
+
+    def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
+        found.append(trial)
+        return [f"{trial}a", f"{trial}b"]
+
+    propose_points(settings_of(trials=6, batch=4, direction="minimize"), runs_of, scores)
+    assert found == [0, 1, 2, 3, 4, 5]
+    (study,) = studies
+    assert study.direction == optuna.study.StudyDirection.MINIMIZE
+    states = [trial.state.name for trial in study.trials]
+    assert states == ["COMPLETE", "FAIL", "FAIL", "COMPLETE", "RUNNING", "RUNNING"]
+    assert [study.trials[trial].value for trial in (0, 3)] == [2.5, -1.5]

@@ -1,0 +1,332 @@
+"""The Slurm backend, where it can be tested without Slurm; tests/cluster has the other tests."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import pickle
+import shutil
+import subprocess
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.helpers.short_runs import quiet
+from tests.helpers.sweep_files import write_sweep
+
+pytest.importorskip("submitit", reason="submitit is not installed: pip install 'mo-deepdrive[sweep]'")
+
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from algorithms.runs.dashboard import Dashboard
+from algorithms.runs.jobs import Job
+from algorithms.studies import slurm, slurm_script
+from algorithms.studies import sweep_runner as runner
+from algorithms.studies.sweep_manifest import expand, read_manifest, write_manifest
+from algorithms.studies.sweep_settings import SweepSettings, load_sweep
+
+
+@dataclass
+class FakeSlurm:
+    """Slurm's queue: what is submitted, and states by id of the job.
+
+    Attributes:
+        arrays: the tasks of every job array.
+        states: what squeue prints; a job that is not in it is unknown.
+        accounting: what sacct prints; None if there is no accounting.
+        after_submission: called after every submission with the ids of the jobs.
+        commands: the calls of scontrol and sacct.
+    """
+
+    sweep: Path
+    arrays: list[list[slurm.ArrayTask]] = field(default_factory=list)
+    states: dict[str, str] = field(default_factory=dict)
+    accounting: dict[str, str] | None = None
+    after_submission: Callable[[list[str]], None] = lambda jobs: None
+    commands: list[list[str]] = field(default_factory=list)
+
+    def start(self, job: str) -> None:
+        """Leave what Slurm leaves of a job that starts."""
+        (self.sweep / "slurm" / f"{job}_0_log.out").touch()
+
+    def run(self, command: Sequence[str], **options: Any) -> subprocess.CompletedProcess[str]:
+        """The commands of Slurm."""
+        self.commands += [list(command)]
+        found = {"squeue": self.states, "sacct": self.accounting, "scontrol": {}}[command[0]]
+        if found is None:
+            return subprocess.CompletedProcess(command, 1, "", "Slurm accounting storage is disabled\n")
+        return subprocess.CompletedProcess(command, 0, "".join(f"{job}|{state}\n" for job, state in found.items()))
+
+    def calls(self, program: str) -> list[list[str]]:
+        """The calls of a program."""
+        return [command for command in self.commands if command[0] == program]
+
+
+@pytest.fixture
+def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeSlurm:
+    """A fake Slurm, whose jobs end only if a test says so."""
+    found = FakeSlurm(tmp_path)
+
+    class Executor(slurm_script._ScriptWriter):
+        @contextlib.contextmanager
+        def batch(self, allow_implicit_submissions: bool = False) -> Iterator[None]:
+            found.arrays.append([])
+            yield
+            found.after_submission([f"{len(found.arrays)}_{task}" for task in range(len(found.arrays[-1]))])
+
+        def submit(self, fn: Any, *args: Any, **kwargs: Any) -> Any:
+            found.arrays[-1].append(fn)
+            return SimpleNamespace(job_id=f"{len(found.arrays)}_{len(found.arrays[-1]) - 1}")
+
+    (tmp_path / "slurm").mkdir()
+    monkeypatch.setattr(slurm, "TaskExecutor", Executor)
+    monkeypatch.setattr(shutil, "which", lambda program: f"/usr/bin/{program}")
+    monkeypatch.setattr(subprocess, "run", found.run)
+    monkeypatch.setattr(slurm, "POLL", 1e-3)
+    monkeypatch.setattr(slurm.time, "sleep", lambda seconds: None)
+    return found
+
+
+def jobs_of(settings: SweepSettings, sweep: Path) -> list[Job]:
+    """The runs of a sweep."""
+    return [row.job(sweep) for row in expand(settings, {})]
+
+
+def run_on_slurm(settings: SweepSettings, jobs: Sequence[Job], sweep: Path, **options: Any) -> dict[Job, str]:
+    """Call the backend."""
+    dashboard = Dashboard(jobs, quiet())
+    return slurm.run_on_slurm(jobs, settings, sweep, dashboard, **{"stop": lambda: False, **options})
+
+
+def test_tasks_beyond_the_maximum_size_of_an_array_go_to_further_arrays(
+    tmp_path: Path, fake: FakeSlurm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = load_sweep(write_sweep(tmp_path, seeds=7, slurm={"runs_per_job": 2}))
+    jobs = jobs_of(settings, tmp_path)
+    monkeypatch.setattr(slurm, "MAX_ARRAY_TASKS", 3)
+    slurm.SlurmQueue(tmp_path).submit(slurm.array_tasks(jobs, settings), settings, tmp_path)
+    assert [len(array) for array in fake.arrays] == [3, 3, 1]
+    submitted = json.loads((tmp_path / "slurm" / "jobs.json").read_text())
+    assert [run for runs in submitted.values() for run in runs] == [job.id for job in jobs]
+    assert list(submitted) == ["1_0", "1_1", "1_2", "2_0", "2_1", "2_2", "3_0"]
+    assert slurm.SlurmQueue(tmp_path).jobs == submitted
+
+
+def test_two_commands_in_the_same_sweep_keep_each_others_jobs(tmp_path: Path, fake: FakeSlurm) -> None:
+    settings = load_sweep(write_sweep(tmp_path))
+    first, second = slurm.array_tasks(jobs_of(settings, tmp_path), settings)
+    queues = [slurm.SlurmQueue(tmp_path), slurm.SlurmQueue(tmp_path)]
+    queues[0].submit([first], settings, tmp_path)
+    queues[1].submit([second], settings, tmp_path)
+    assert slurm.SlurmQueue(tmp_path).jobs == {"1_0": [first.jobs[0].id], "2_0": [second.jobs[0].id]}
+
+
+# --------------------------------------------------------------------------------------------------------- the manifest
+
+
+def test_a_queued_task_trains_its_runs_after_the_manifest_has_changed(
+    tmp_path: Path, fake: FakeSlurm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = load_sweep(write_sweep(tmp_path, seeds=2))
+    write_manifest(tmp_path, expand(settings, {}))
+    jobs = jobs_of(settings, tmp_path)
+    assert run_on_slurm(settings, jobs, tmp_path, wait=False) == {}
+    queued = pickle.dumps(fake.arrays[0])
+    write_manifest(tmp_path, expand(load_sweep(write_sweep(tmp_path, seeds=[7])), {}))
+    trained: list[Job] = []
+
+    def perform_all(given: Sequence[Job], *_: Any, **__: Any) -> dict[Job, str]:
+        trained.extend(given)
+        return {}
+
+    monkeypatch.setattr(slurm, "perform_all", perform_all)
+    for task in pickle.loads(queued):
+        assert task() == []
+    assert trained == [job.without_code() for job in jobs]
+    assert {row.seed for row in read_manifest(tmp_path)} == {7}
+
+
+def test_the_process_of_a_task_needs_no_torch_which_its_workers_import(
+    tmp_path: Path, run_python: Callable[[str], str]
+) -> None:
+    settings = load_sweep(write_sweep(tmp_path))
+    (tmp_path / "task").write_bytes(pickle.dumps(slurm.array_tasks(jobs_of(settings, tmp_path), settings)[0]))
+    loaded = run_python(
+        "import pathlib, pickle, sys\n"
+        f"task = pickle.loads(pathlib.Path({str(tmp_path / 'task')!r}).read_bytes())\n"
+        "slow = [name for name in ('torch', 'numba', 'scipy.stats') if name in sys.modules]\n"
+        "print([job.done for job in task.jobs], slow)"
+    )
+    assert loaded == "[False] []\n"
+
+
+# ------------------------------------------------------------------------------------------------------ cancelled, lost
+
+
+def test_an_array_task_that_is_cancelled_before_it_starts_is_not_submitted_again(
+    tmp_path: Path, fake: FakeSlurm
+) -> None:
+    """Slurm forgets it at once."""
+    settings = load_sweep(write_sweep(tmp_path))
+    _, second = jobs = jobs_of(settings, tmp_path)
+
+    def cancel_second(submitted: list[str]) -> None:
+        fake.states = {"1_0": "RUNNING"}
+        fake.start("1_0")
+
+    fake.after_submission = cancel_second
+    failed = run_on_slurm(settings, jobs, tmp_path, stop=lambda: len(fake.calls("squeue")) > 4)
+    assert failed == {second: "Slurm job 1_1 ended (CANCELLED) before the run did"}
+    assert len(fake.arrays) == 1
+
+
+@pytest.mark.parametrize("state", ["NODE_FAIL", "gone"])
+@pytest.mark.parametrize("retries", [0, 2])
+def test_a_job_that_dies_is_submitted_again_as_often_as_allowed(
+    tmp_path: Path, fake: FakeSlurm, state: str, retries: int
+) -> None:
+    settings = load_sweep(write_sweep(tmp_path, grid={}, retries=retries))
+    (job,) = jobs_of(settings, tmp_path)
+
+    def die(submitted: list[str]) -> None:
+        fake.start(submitted[0])
+        fake.states = {} if state == "gone" else {submitted[0]: state}
+
+    fake.after_submission = die
+    failed = run_on_slurm(settings, [job], tmp_path)
+    assert len(fake.arrays) == 1 + retries
+    last = f"{1 + retries}_0"
+    shown = "LOST" if state == "gone" else state
+    log = tmp_path / "slurm" / f"{last}_0_log.out"
+    assert failed == {job: f"Slurm job {last} ended ({shown}) before the run did; see {log}"}
+
+
+@pytest.mark.parametrize(
+    ("state", "submissions", "shown"), [("CANCELLED by 0", 1, "CANCELLED"), ("NODE_FAIL", 2, "NODE_FAIL")]
+)
+def test_where_there_is_accounting_it_is_asked_about_jobs_that_are_gone(
+    tmp_path: Path, fake: FakeSlurm, state: str, submissions: int, shown: str
+) -> None:
+    settings = load_sweep(write_sweep(tmp_path, grid={}, retries=1))
+    (job,) = jobs_of(settings, tmp_path)
+
+    def vanish(submitted: list[str]) -> None:
+        fake.accounting = {submitted[0]: state, "99_[2-3]": "PENDING"}
+        fake.start(submitted[0])
+
+    fake.after_submission = vanish
+    failed = run_on_slurm(settings, [job], tmp_path)
+    assert len(fake.arrays) == submissions
+    assert failed[job].startswith(f"Slurm job {submissions}_0 ended ({shown}) before the run did")
+    assert "--jobs=1" in fake.calls("sacct")[0]
+
+
+@pytest.mark.parametrize(
+    ("states", "requeued"),
+    [({"4_1": "RUNNING"}, True), ({"4_1": "CANCELLED"}, False), ({}, False)],
+)
+def test_a_task_that_was_stopped_requeues_itself_alone_unless_it_was_cancelled(
+    tmp_path: Path, fake: FakeSlurm, monkeypatch: pytest.MonkeyPatch, states: dict[str, str], requeued: bool
+) -> None:
+    monkeypatch.setenv("SLURM_ARRAY_JOB_ID", "4")
+    monkeypatch.setenv("SLURM_ARRAY_TASK_ID", "1")
+    monkeypatch.setenv("SLURM_JOB_ID", "4")  # one task has the id of the array, by which Slurm would requeue all tasks
+    monkeypatch.setenv("SUBMITIT_EXECUTOR", "slurm")
+    fake.states = states
+    handlers: list[Callable[[int, None], None]] = []
+    monkeypatch.setattr(slurm.signal, "signal", lambda number, handler: handlers.append(handler))
+
+    def perform_all(*_: Any, stop: Callable[[], bool], **__: Any) -> dict[Job, str]:
+        handlers[0](15, None)
+        assert stop()
+        return {}
+
+    monkeypatch.setattr(slurm, "perform_all", perform_all)
+    assert slurm.ArrayTask((), side_by_side=1, retries=0)() == []
+    by_itself = [["scontrol", "requeue", "4_1"]]
+    assert fake.calls("scontrol") == (by_itself if requeued else [])
+    near_the_time_limit: list[list[str]] = []
+    monkeypatch.setattr(subprocess, "check_call", lambda command, **_: near_the_time_limit.append(command))
+    slurm.submitit.JobEnvironment()._requeue(1)
+    assert near_the_time_limit == by_itself
+
+
+# ------------------------------------------------------------------------------------------------------ without waiting
+
+
+def fail(job: Job) -> None:
+    """Leave what a run leaves that fails."""
+    job.path.mkdir(parents=True, exist_ok=True)
+    (job.path / "status.json").write_text('{"state": "failed", "reason": "made to fail"}')
+
+
+def test_without_waiting_a_search_goes_on_without_runs_that_failed(tmp_path: Path, fake: FakeSlurm) -> None:
+    pytest.importorskip("optuna")
+    space = {"algorithm.learning_rate": {"low": 1e-4, "high": 1e-2}}
+    search = {"space": space, "metric": "greedy/utility_esr", "trials": 4, "batch": 2}
+    settings = load_sweep(write_sweep(tmp_path, search=search))
+    fake.after_submission = lambda submitted: fake.states.update(dict.fromkeys(submitted, "RUNNING"))
+
+    def submit() -> int:
+        return runner.SweepRunner(settings, tmp_path, runner.Backend("slurm", wait=False), quiet()).run()
+
+    assert submit() == 0
+    first, second = (row.job(tmp_path) for row in read_manifest(tmp_path))
+    fail(first)
+    assert submit() == 0  # its job has not ended and may repeat it
+    fake.states["1_0"] = "COMPLETED"
+    assert submit() == 1
+    assert len(fake.arrays) == 1  # the second run of the batch has not ended
+    fail(second)
+    fake.states["1_1"] = "COMPLETED"
+    assert submit() == 1
+    assert [[task.jobs[0].id for task in array] for array in fake.arrays] == [
+        [first.id, second.id],
+        [row.id for row in read_manifest(tmp_path)[2:]],
+    ]
+
+
+def test_without_waiting_a_sweep_without_search_submits_failed_runs_again(tmp_path: Path, fake: FakeSlurm) -> None:
+    settings = load_sweep(write_sweep(tmp_path, grid={}))
+    (job,) = jobs_of(settings, tmp_path)
+    fail(job)
+    assert run_on_slurm(settings, [job], tmp_path, wait=False) == {}
+    assert len(fake.arrays) == 1
+
+
+# ------------------------------------------------------------------------------------------------------------- messages
+
+
+@pytest.mark.parametrize(
+    ("states", "message"),
+    [
+        ({"1_0": "RUNNING", "1_1": "COMPLETED"}, "the jobs stay in Slurm's queue: the same command watches them again, "
+         "`scancel 1` cancels them"),
+        ({}, "no job is in Slurm's queue: the same command submits the runs that are not done"),
+    ],
+)  # fmt: skip
+def test_after_an_interrupt_the_command_that_cancels_the_jobs_is_shown_if_there_are_any(
+    tmp_path: Path, fake: FakeSlurm, states: dict[str, str], message: str
+) -> None:
+    settings = load_sweep(write_sweep(tmp_path))
+    slurm.SlurmQueue(tmp_path).submit(slurm.array_tasks(jobs_of(settings, tmp_path), settings), settings, tmp_path)
+    fake.states = states
+    sweep = runner.SweepRunner(settings, tmp_path, runner.Backend("slurm"), quiet())
+    assert sweep._after_interrupt() == message
+
+
+@pytest.mark.parametrize(("seeds", "note"), [(3, ""), (4, "4 tasks are submitted as 2 job arrays of at most 3 tasks")])
+def test_a_dry_run_says_how_many_arrays_are_submitted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], seeds: int, note: str
+) -> None:
+    monkeypatch.setattr(slurm_script, "MAX_ARRAY_TASKS", 3)
+    settings = load_sweep(write_sweep(tmp_path, grid={}, seeds=seeds))
+    sweep = runner.SweepRunner(settings, tmp_path / "sweep", runner.Backend("slurm"), quiet())
+    assert sweep.print_batch_script() == 0
+    said = capsys.readouterr()
+    assert "#SBATCH --array=0-2%3\n" in said.out
+    assert said.err == (f"{note}; this is the script of the first\n" if note else "")

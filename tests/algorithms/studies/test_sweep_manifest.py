@@ -1,0 +1,452 @@
+"""The manifest: the runs of a sweep, their ids and directories, and its file."""
+
+from __future__ import annotations
+
+import copy
+import datetime
+import json
+import math
+import os
+import random
+import re
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from algorithms.runs import config
+from algorithms.runs.config import make_experiment
+from algorithms.studies.sweep_manifest import (
+    FILE,
+    ManifestRow,
+    expand,
+    label,
+    manifest_lines,
+    read_manifest,
+    run_id,
+    write_manifest,
+)
+from algorithms.studies.sweep_settings import load_sweep
+from mo_deepdrive.support.extras import MissingExtraError
+from tests.helpers.short_runs import VALUES
+from tests.helpers.sweep_files import run_sweep, write_sweep
+
+RATE = "algorithm.learning_rate"
+METRIC = "greedy/utility_esr"
+
+
+def expanded(folder: Path, scores: Mapping[str, float | None] | None = None, **settings: Any) -> list[ManifestRow]:
+    """The runs of a sweep."""
+    return expand(load_sweep(write_sweep(folder, **settings)), scores or {})
+
+
+def refused_cells(folder: Path, **settings: Any) -> str:
+    """The error message for a sweep with invalid cells."""
+    with pytest.raises(ValueError, match="cell") as error:
+        expanded(folder, **settings)
+    return str(error.value)
+
+
+def write_yaml(path: Path, values: Mapping[str, Any]) -> Path:
+    """A YAML file whose keys are in the order of ``values``."""
+    path.write_text(yaml.safe_dump(dict(values), sort_keys=False))
+    return path
+
+
+@pytest.mark.slow
+def test_the_manifest_is_the_same_in_another_directory_and_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = {"grid": {RATE: [0.001, 0.003], "algorithm.steps": [8, 16]}, "seeds": 2}
+    file = write_sweep(tmp_path, **settings)
+    here = b"".join(manifest_lines(expand(load_sweep(file), {})))
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    shutil.copy(file, elsewhere)
+    monkeypatch.chdir(elsewhere)
+    assert b"".join(manifest_lines(expand(load_sweep("short.yaml"), {}))) == here
+    write_yaml(tmp_path / "base.yaml", dict(reversed(VALUES.items())))
+    environment = {**os.environ, "PYTHONHASHSEED": "7"}
+    done = run_sweep(elsewhere / "short.yaml", "--on", "manifest", "--output", "made", environment=environment)
+    assert done.returncode == 0
+    assert done.stdout == f"{Path('made') / FILE}: 8 runs\n"
+    assert [path.name for path in (elsewhere / "made").iterdir()] == [FILE]
+    assert (elsewhere / "made" / FILE).read_bytes() == here
+
+
+UTILITY = {"name": "augmented_chebyshev", "arguments": {"weights": [1, 1, 1, 1], "ideal": [0, 0, 0, 0], "rho": 0.1}}
+
+
+def reordered(values: Any, generator: random.Random) -> Any:
+    """The same value, with the keys of every mapping in another order."""
+    if not isinstance(values, Mapping):
+        return values
+    keys = list(values)
+    generator.shuffle(keys)
+    return {key: reordered(values[key], generator) for key in keys}
+
+
+@pytest.mark.parametrize("utility", [VALUES["utility"], UTILITY], ids=["without", "with"])
+def test_the_manifest_does_not_depend_on_the_order_of_keys_in_a_base_config(
+    tmp_path: Path, utility: dict[str, Any]
+) -> None:
+    """With and without arguments of a utility, whose order is not fixed by a schema."""
+    file = write_sweep(tmp_path, seeds=2)
+    found = set()
+    for number in range(8):
+        write_yaml(tmp_path / "base.yaml", reordered({**VALUES, "utility": utility}, random.Random(number)))
+        found.add(tuple(manifest_lines(expand(load_sweep(file), {}))))
+    assert len(found) == 1
+
+
+def test_cells_are_in_the_order_of_the_file_and_seeds_in_order_within_each_cell(tmp_path: Path) -> None:
+    bases = [str(write_yaml(tmp_path / f"{name}.yaml", VALUES)) for name in ("second", "first")]
+    settings = {
+        "config": bases,
+        "overrides": {"evaluation.episodes": 3},
+        "grid": {"training.num_envs": [4, 2], RATE: [0.003, 0.001]},
+        "seeds": [5, 1],
+    }
+    write_yaml(tmp_path / "second.yaml", {**VALUES, "algorithm": {**VALUES["algorithm"], "gamma": 0.5}})
+    rows = expand(load_sweep(write_yaml(tmp_path / "sweep.yaml", settings)), {})
+    assert [(*row.cell.values(), row.seed) for row in rows] == [
+        (name, envs, rate, seed)
+        for name in ("second", "first")
+        for envs in (4, 2)
+        for rate in (0.003, 0.001)
+        for seed in (5, 1)
+    ]
+    for row in rows:
+        assert list(row.cell) == ["config", "training.num_envs", RATE]
+        assert row.config["training"]["num_envs"] == row.cell["training.num_envs"]
+        assert row.config["algorithm"]["learning_rate"] == row.cell[RATE]
+        assert row.config["algorithm"]["gamma"] == (0.5 if row.cell["config"] == "second" else 0.99)
+        assert row.config["training"]["seed"] == row.seed
+        assert row.config["evaluation"]["episodes"] == 3
+        assert row.directory == f"runs/mo_a2c-seed{row.seed}-{row.id}"
+        assert re.fullmatch("[0-9a-f]{12}", row.id)
+        assert row.trial is None
+    assert len({row.id for row in rows}) == len(rows) == 16
+
+
+def test_base_configs_with_the_same_name_are_identified_by_their_paths(tmp_path: Path) -> None:
+    paths = []
+    for folder, gamma in (("a", 0.5), ("b", 0.6)):
+        (tmp_path / folder).mkdir()
+        values = {**VALUES, "algorithm": {**VALUES["algorithm"], "gamma": gamma}}
+        paths.append(str(write_yaml(tmp_path / folder / "same.yaml", values)))
+    rows = expand(load_sweep(write_yaml(tmp_path / "sweep.yaml", {"config": paths})), {})
+    assert [row.cell["config"] for row in rows] == paths
+
+
+def test_without_a_grid_every_base_config_is_a_cell(tmp_path: Path) -> None:
+    (row,) = expanded(tmp_path, grid={})
+    assert row.cell == {}
+    assert row.name == f"seed 0 ({row.id})"
+    assert row.config == make_experiment({**VALUES, "training": {**VALUES["training"], "seed": 0}}).to_dict()
+
+
+def test_a_mapping_is_merged_into_its_section(tmp_path: Path) -> None:
+    first, second = expanded(
+        tmp_path,
+        overrides={"evaluation": {"episodes": 7}},
+        grid={"training": [{"num_envs": 2, "total_timesteps": 480}, {"num_envs": 6}]},
+    )
+    for row in (first, second):
+        assert row.config["evaluation"]["episodes"] == 7
+        assert row.config["evaluation"]["final_episodes"] == VALUES["evaluation"]["final_episodes"]
+    assert [row.config["training"]["num_envs"] for row in (first, second)] == [2, 6]
+    assert [row.config["training"]["total_timesteps"] for row in (first, second)] == [480, 960]
+    assert label(first.cell) == 'training={"num_envs": 2, "total_timesteps": 480}'
+
+
+def test_a_cell_has_the_values_of_the_file_even_if_another_key_changes_the_same_mapping(tmp_path: Path) -> None:
+    arguments = {"weights": [1, 1, 1, 1], "ideal": [0, 0, 0, 0]}
+    grid = {"utility.arguments": [arguments], "utility.arguments.rho": [0.1, 0.2]}
+    rows = expanded(tmp_path, overrides={"utility.name": "augmented_chebyshev"}, grid=grid)
+    assert [row.cell for row in rows] == [
+        {"utility.arguments": arguments, "utility.arguments.rho": rho} for rho in (0.1, 0.2)
+    ]
+    assert [row.config["utility"]["arguments"] for row in rows] == [arguments | {"rho": rho} for rho in (0.1, 0.2)]
+
+
+@pytest.fixture(scope="module")
+def resolved() -> dict[str, Any]:
+    """A resolved experiment, with Weights & Biases."""
+    values = copy.deepcopy(VALUES)
+    values["logging"]["wandb"] = {"project": "p", "tags": ["t"]}
+    return make_experiment(values).to_dict()
+
+
+def leaves(values: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Paths of all values that are not mappings, or empty ones."""
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from leaves(value, (*path, key))
+        else:
+            yield (*path, key)
+
+
+def changed(values: Mapping[str, Any], path: tuple[str, ...], value: Any) -> dict[str, Any]:
+    """A copy with another value in one place."""
+    result = copy.deepcopy(dict(values))
+    place = result
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    return result
+
+
+def does_not_affect_the_result(path: tuple[str, ...]) -> bool:
+    """Whether a value only affects where a run is trained or what it logs."""
+    return path[0] == "logging" or path in [("training", each) for each in ("device", "seeds", "threads")]
+
+
+def test_the_id_of_a_run_changes_with_every_single_setting_that_affects_its_result(
+    resolved: dict[str, Any],
+) -> None:
+    ids = {(): run_id(resolved)}
+    ignored = []
+    for path in leaves(resolved):
+        if does_not_affect_the_result(path):
+            ignored.append(path)
+            assert run_id(changed(resolved, path, "another")) == ids[()], path
+        else:
+            ids[path] = run_id(changed(resolved, path, "another"))
+    assert len(set(ids.values())) == len(ids)
+    assert len(ignored) >= 8
+    assert {path[0] for path in ids if path} == {"environment", "utility", "algorithm", "training", "evaluation"}
+    assert run_id(changed(resolved, ("logging",), {})) == ids[()]
+
+
+def test_runs_that_differ_in_device_threads_or_logging_have_the_same_directory(tmp_path: Path) -> None:
+    plain = expanded(tmp_path, seeds=2)
+    other = expanded(
+        tmp_path,
+        seeds=2,
+        overrides={
+            "training.device": "cuda:7",
+            "training.threads": 3,
+            "logging": {"interval": 1, "checkpoint_interval": 5, "save_figures": True, "wandb": {"project": "p"}},
+        },
+    )
+    assert [row.directory for row in plain] == [row.directory for row in other]
+    assert other[0].config["training"]["device"] == "cuda:7"
+    assert other[0].config["logging"]["wandb"]["project"] == "p"
+
+
+def test_an_explicit_default_gives_the_same_run(tmp_path: Path) -> None:
+    plain = expanded(tmp_path)
+    written = expanded(tmp_path, overrides={"evaluation.interval": 48, "algorithm.gamma": 0.99})
+    assert [row.id for row in plain] == [row.id for row in written]
+
+
+@pytest.mark.parametrize(
+    ("grid", "first", "second"),
+    [
+        ({RATE: [0.001, 0.002, 1e-3]}, f"{RATE}=0.001", f"{RATE}=0.001"),
+        ({"training.device": ["cpu", "cuda"]}, "training.device=cpu", "training.device=cuda"),
+        ({"algorithm.gamma": [0.5, 0.99], "training.threads": [1, 2]}, "gamma=0.5 training.threads=1", "threads=2"),
+    ],
+)
+def test_two_cells_with_the_same_run_are_refused_by_name(
+    tmp_path: Path, grid: dict[str, Any], first: str, second: str
+) -> None:
+    said = refused_cells(tmp_path, grid=grid, seeds=[4])
+    assert "have the same run (seed 4, " in said
+    one, other = said.split(" have the same run")[0].split(" and ")
+    assert one.endswith(f"{first}]")
+    assert other.endswith(f"{second}]")
+
+
+@pytest.mark.parametrize("count", [5, 6])
+def test_up_to_five_invalid_cells_are_named(tmp_path: Path, count: int) -> None:
+    rates = [-1.0 - number for number in range(count)]
+    said = refused_cells(tmp_path, grid={RATE: [0.1, *rates]})
+    assert said.startswith(f"{count} of {count + 1} cells are invalid:\n")
+    named = [rate for rate in rates if f"cell [{RATE}={rate}]" in said]
+    assert named == rates[:5]
+    assert (f"and {count - 5} more" in said) == (count > 5)
+    assert len(said.splitlines()) == 1 + min(count, 5) + (count > 5)
+
+
+@pytest.mark.parametrize(
+    ("grid", "cell", "message"),
+    [
+        (
+            {"utility.name": ["one_waypoint_linear", "static_obstacle_linear"]},
+            "utility.name=static_obstacle_linear",
+            "needs collision",
+        ),
+        ({"utility": [{"name": "linear", "arguments": {"weights": [1, 2]}}]}, "weights", "must be 4 finite numbers"),
+        ({"utility": [{"name": "linear", "arguments": {"weights": [math.nan] * 4}}]}, "NaN", "4 finite numbers"),
+        ({"utility.name": ["statistics:median_low"]}, "statistics:median_low", "fails on returns"),
+        ({"utility.vehicles": [{"vehicle_7": UTILITY}]}, "vehicle_7", "vehicle_0"),
+        ({"algorithm.learning_rate.deeper": [1]}, "algorithm.learning_rate.deeper=1", "learning_rate"),
+        ({"training.device": ["quantum"]}, "training.device=quantum", "is not a valid device"),
+        ({"environment.id": ["mo-deepdrive-one-waypint-v0"]}, "one-waypint", "mo-deepdrive-one-waypoint-v0"),
+        ({"algorithm.name": ["mo_a2d"]}, "algorithm.name=mo_a2d", "'mo_a2c'"),
+        (
+            {"training": [{"num_env": 2}]},
+            'training={"num_env": 2}',
+            "'training.num_env' is unknown; did you mean 'num_envs'?",
+        ),
+        ({"environment.id.deeper": [1]}, "environment.id.deeper=1", "is not a section"),
+        # YAML has dates, JSON does not.
+        ({"utility.arguments.since": [datetime.date(2024, 1, 1)]}, "2024-01-01", "utility.arguments.since"),
+    ],
+)
+def test_a_cell_that_cannot_be_built_is_refused_by_name(
+    tmp_path: Path, grid: dict[str, Any], cell: str, message: str
+) -> None:
+    said = refused_cells(tmp_path, grid=grid)
+    assert cell in said
+    assert message in said
+
+
+def test_a_logger_that_is_not_installed_is_refused_before_a_run_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(config.importlib.util, "find_spec", lambda _: None)
+    assert "logging.wandb needs wandb: pip install" in refused_cells(tmp_path, grid={"logging.wandb.project": ["p"]})
+
+
+def test_the_job_of_a_row_has_the_same_experiment_also_on_a_device_that_this_machine_does_not_have(
+    tmp_path: Path,
+) -> None:
+    row = expanded(tmp_path, seeds=[3], overrides={"training.device": "cuda:99"})[1]
+    wanted = row.job(tmp_path / "sweep")
+    assert wanted.path == tmp_path / "sweep" / row.directory
+    assert wanted.id == row.id
+    assert wanted.name == f"{RATE}=0.003 seed 3 ({row.id})"
+    assert wanted.experiment.to_dict() == row.config
+    assert wanted.experiment.training.device == "cuda:99"
+
+
+def test_a_manifest_is_read_as_it_was_written(tmp_path: Path) -> None:
+    rows = expanded(tmp_path, grid={"utility": [UTILITY], RATE: [1e-3, 0.1 + 0.2]}, seeds=3)
+    path = write_manifest(tmp_path / "a" / "sweep", rows)
+    assert read_manifest(tmp_path / "a" / "sweep") == rows
+    assert len(path.read_text().splitlines()) == len(rows)
+    assert [entry.name for entry in path.parent.iterdir()] == [FILE]
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        lambda line: line[: len(line) // 2],
+        lambda line: b"[1, 2]",
+        lambda line: line.replace(b'"seed"', b'"sead"', 1),
+        lambda line: line.replace(b'{"id"', b'{"more":1,"id"', 1),
+        lambda line: b"\xff\xfe" + line,
+    ],
+    ids=["torn", "list", "without a field", "with an extra field", "not text"],
+)
+def test_a_broken_manifest_is_refused_with_the_number_of_the_line(
+    tmp_path: Path, broken: Callable[[bytes], bytes]
+) -> None:
+    path = write_manifest(tmp_path / "sweep", expanded(tmp_path, seeds=2))
+    lines = path.read_bytes().splitlines()
+    lines[2] = broken(lines[2])
+    path.write_bytes(b"\n".join(lines) + b"\n")
+    with pytest.raises(ValueError, match="is broken in line 3") as error:
+        read_manifest(tmp_path / "sweep")
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "problem"),
+    [
+        ("directory", "/elsewhere/run", "String should match pattern '^runs/[^/.][^/]*$'"),
+        ("directory", "runs/../../run", "String should match pattern '^runs/[^/.][^/]*$'"),
+        ("directory", "runs/..", "String should match pattern '^runs/[^/.][^/]*$'"),
+        ("seed", True, "Input should be a valid integer"),
+        ("cell", [], "Input should be an object"),
+    ],
+)
+def test_a_row_that_no_sweep_writes_is_refused_by_its_field(
+    tmp_path: Path, field: str, value: Any, problem: str
+) -> None:
+    path = write_manifest(tmp_path / "sweep", expanded(tmp_path, seeds=1))
+    first, *rest = path.read_text().splitlines()
+    path.write_text("\n".join([json.dumps({**json.loads(first), field: value}), *rest]))
+    with pytest.raises(ValueError, match="manifest") as caught:
+        read_manifest(tmp_path / "sweep")
+    assert str(caught.value) == f"manifest {str(path)!r} is broken in line 1: {field} = {value!r}: {problem}"
+
+
+@pytest.mark.parametrize("linked", [FILE, "runs", "runs/NAME"])
+def test_a_sweep_in_which_a_link_leads_elsewhere_is_read_but_not_written(tmp_path: Path, linked: str) -> None:
+    rows = expanded(tmp_path, seeds=1)
+    sweep, elsewhere = tmp_path / "sweep", tmp_path / "elsewhere"
+    write_manifest(elsewhere, rows)
+    link = sweep / (rows[0].directory if linked == "runs/NAME" else linked)
+    link.parent.mkdir(parents=True)
+    link.symlink_to(elsewhere / FILE if linked == FILE else elsewhere)
+    with pytest.raises(ValueError, match=rf"leads to '{elsewhere}.*; nothing is written or deleted through a link"):
+        write_manifest(sweep, rows)
+    if linked != FILE:
+        (sweep / FILE).write_bytes((elsewhere / FILE).read_bytes())
+    assert read_manifest(sweep) == rows
+    (tmp_path / "link").symlink_to(elsewhere)
+    write_manifest(tmp_path / "link", rows)
+
+
+def test_a_directory_without_a_manifest_is_not_a_sweep(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"is neither a sweep nor a study: it has no manifest\.jsonl"):
+        read_manifest(tmp_path)
+
+
+def test_the_error_without_optuna_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    with pytest.raises(MissingExtraError, match=r"a search needs optuna: pip install 'mo-deepdrive\[sweep\]'"):
+        expanded(tmp_path, search={"space": {RATE: [1e-3]}, "metric": METRIC, "trials": 1})
+    assert len(expanded(tmp_path)) == 2  # a sweep without a search does not need Optuna
+
+
+def test_a_search_adds_its_points_to_every_cell_of_the_grid(tmp_path: Path) -> None:
+    settings = {
+        "grid": {"algorithm.steps": [8, 16]},
+        "seeds": 2,
+        "search": {"space": {RATE: {"low": 1e-4, "high": 1e-2}}, "metric": METRIC, "trials": 5, "batch": 3},
+    }
+    rows = expanded(tmp_path, **settings)
+    assert [(row.cell["algorithm.steps"], row.trial, row.seed) for row in rows] == [
+        (steps, trial, seed) for steps in (8, 16) for trial in range(3) for seed in (0, 1)
+    ]
+    for row in rows:
+        assert row.config["algorithm"]["learning_rate"] == row.cell[RATE]
+        assert row.config["algorithm"]["steps"] == row.cell["algorithm.steps"]
+    scores: dict[str, float | None] = {row.id: 1.0 for row in rows if row.cell["algorithm.steps"] == 16}
+    more = expanded(tmp_path, scores, **settings)
+    assert [(row.cell["algorithm.steps"], row.trial) for row in more if row.seed == 0] == [
+        *((8, trial) for trial in range(3)),
+        *((16, trial) for trial in range(5)),
+    ]
+    partly = dict.fromkeys(list(scores)[1:], 1.0)
+    assert expanded(tmp_path, partly, **settings) == rows
+
+
+def test_a_search_is_scored_on_the_validation_split(tmp_path: Path) -> None:
+    search = {"space": {RATE: [1e-3]}, "metric": METRIC, "trials": 1, "sampler": "random"}
+    for row in expanded(tmp_path, search=search):
+        assert row.config["evaluation"]["split"] == "validation"
+    said = refused_cells(tmp_path, search=search, overrides={"evaluation.split": "test"})
+    assert "evaluation.split = 'test': settings are chosen by the final scores, which needs 'validation'" in said
+    said = refused_cells(tmp_path, search={**search, "metric": "greedy/utility_ers"})
+    assert "metric 'greedy/utility_ers' is unknown; the nearest ones: greedy/utility_ser, greedy/utility_esr, " in said
+    misspelt = {**search, "space": {"algorithm.step": [8]}}
+    assert "did you mean 'steps'?" in refused_cells(tmp_path, search=misspelt)
+    assert expanded(tmp_path)[0].config["evaluation"]["split"] == "test"
+
+
+def test_a_search_may_choose_a_point_twice(tmp_path: Path) -> None:
+    """It must, if there are few choices; the run is then listed once."""
+    search = {"space": {"algorithm.steps": [8, 16]}, "metric": METRIC, "trials": 6}
+    rows = expanded(tmp_path, search=search)
+    assert len({row.id for row in rows}) == len(rows) == 2
+    assert {row.cell["algorithm.steps"] for row in rows} == {8, 16}

@@ -1,0 +1,226 @@
+"""The order in which a sweep's runs are made, what is repeated, and the exit codes, with runs that do not train."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from algorithms.runs.dashboard import Dashboard
+from algorithms.runs.jobs import Job
+from algorithms.studies.sweep_manifest import read_manifest
+from algorithms.studies.sweep_runner import Backend, SweepRunner
+from algorithms.studies.sweep_settings import load_sweep
+from tests.helpers.sweep_files import write_sweep
+
+RATE = "algorithm.learning_rate"
+SEARCH = {"space": {RATE: {"low": 1e-4, "high": 1e-2}}, "metric": "greedy/utility_esr", "trials": 6, "batch": 2}
+
+
+class MadeUpRuns(SweepRunner):
+    """A runner whose runs end at once, with a score, or with an error if their number is in ``failing``."""
+
+    def __init__(self, directory: Path, file: Path, *failing: int, **backend: Any):
+        self.said = io.StringIO()
+        super().__init__(load_sweep(file), directory, Backend(**backend), Console(file=self.said, width=200))
+        self.failing = failing
+        self.batches: list[list[str]] = []
+
+    def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+        numbers = {row.id: i for i, row in enumerate(read_manifest(jobs[0].path.parents[1]))}
+        self.batches.append([])
+        failed: dict[Job, str] = {}
+        for job in jobs:
+            if job.done:
+                continue
+            assert job.id is not None
+            self.batches[-1].append(job.id)
+            job.path.mkdir(parents=True, exist_ok=True)
+            status: dict[str, Any] = {"state": "finished", "step": 1}
+            if numbers[job.id] in self.failing:
+                failed[job] = "made to fail"
+                status |= {"state": "failed", "reason": failed[job]}
+            (job.path / "status.json").write_text(json.dumps(status))
+            summary = {"greedy": {"utility_esr": {"value": float(numbers[job.id]), "low": None, "high": None}}}
+            (job.path / "evaluation.json").write_text(json.dumps({"policies": summary}))
+        return failed
+
+
+def ids(directory: Path) -> list[str]:
+    return [row.id for row in read_manifest(directory)]
+
+
+def test_what_trains_is_not_imported_to_show_the_status() -> None:
+    code = "import sys, algorithms.studies.sweep_runner; print([m for m in ('torch', 'numba') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_all_runs_are_made_once(tmp_path: Path) -> None:
+    file, sweep = write_sweep(tmp_path, seeds=3), tmp_path / "sweep"
+    runner = MadeUpRuns(sweep, file)
+    assert runner.run() == 0
+    assert runner.batches == [ids(sweep)]
+    assert len(ids(sweep)) == 6
+    assert "6 runs, 0 of them done" in runner.said.getvalue()
+    again = MadeUpRuns(sweep, file)
+    assert again.run() == 0
+    assert again.batches == []
+
+
+def test_a_failed_run_is_reported_and_repeated_by_the_next_command(tmp_path: Path) -> None:
+    file, sweep = write_sweep(tmp_path, seeds=2), tmp_path / "sweep"
+    runner = MadeUpRuns(sweep, file, 1)
+    assert runner.run() == 1
+    assert "made to fail" in runner.said.getvalue()
+    again = MadeUpRuns(sweep, file)
+    assert again.run() == 0
+    assert again.batches == [[ids(sweep)[1]]]
+    assert "4 runs, 3 of them done" in again.said.getvalue()
+
+
+def test_runs_that_the_sweep_no_longer_has_are_counted(tmp_path: Path) -> None:
+    sweep = tmp_path / "sweep"
+    MadeUpRuns(sweep, write_sweep(tmp_path, seeds=3)).run()
+    fewer = MadeUpRuns(sweep, write_sweep(tmp_path, seeds=2))
+    assert fewer.run() == 0
+    assert "2 runs of the previous manifest are no longer in the sweep" in fewer.said.getvalue()
+
+
+def test_the_directory_of_another_sweep_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    sweep = tmp_path / "sweep"
+    assert MadeUpRuns(sweep, write_sweep(tmp_path, seeds=2)).run() == 0
+    before = (sweep / "manifest.jsonl").read_bytes()
+    other = write_sweep(tmp_path, overrides={"training.total_timesteps": 640})
+    message = (
+        r"sweep' has another sweep: none of its 4 runs, such as algorithm.learning_rate=0.001 seed 0 \([0-9a-f]+\), is "
+        "in this one; choose another directory, or delete that sweep"
+    )
+    runner = MadeUpRuns(sweep, other)
+    listing = MadeUpRuns(sweep, other, name="manifest")
+    for start in (listing.run, runner.run, runner.remake, runner.print_batch_script):
+        with pytest.raises(ValueError, match=message):
+            start()
+    assert runner.batches == []
+    assert (sweep / "manifest.jsonl").read_bytes() == before
+
+
+def test_a_sweep_is_extended_by_seeds_and_cells(tmp_path: Path) -> None:
+    sweep = tmp_path / "sweep"
+    MadeUpRuns(sweep, write_sweep(tmp_path, seeds=1)).run()
+    first = ids(sweep)
+    extended = write_sweep(tmp_path, seeds=2, grid={"algorithm.learning_rate": [0.003, 0.01]})
+    runner = MadeUpRuns(sweep, extended)
+    assert runner.run() == 0
+    assert len(runner.batches[0]) == 3
+    assert set(first) & set(ids(sweep)) == {first[1]}
+
+
+def test_a_search_refuses_another_sweep_whatever_its_scores_are(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    sweep = tmp_path / "sweep"
+    MadeUpRuns(sweep, write_sweep(tmp_path)).run()
+    search = {**SEARCH, "metric": "greedy/success", "seed": 1}
+    other = MadeUpRuns(sweep, write_sweep(tmp_path, search=search))
+    for start in (other.run, other.remake):
+        with pytest.raises(ValueError, match="has another sweep: none of its 2 runs"):
+            start()
+    MadeUpRuns(tmp_path / "search", write_sweep(tmp_path, search=SEARCH)).run()
+    longer = MadeUpRuns(tmp_path / "search", write_sweep(tmp_path, search={**SEARCH, "trials": 8}))
+    assert longer.run() == 0
+    assert [len(batch) for batch in longer.batches] == [2]
+
+
+def test_the_directory_of_a_run_is_refused(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.yaml").touch()
+    with pytest.raises(ValueError, match="run' is the directory of a run; choose another directory"):
+        MadeUpRuns(run, write_sweep(tmp_path)).run()
+    assert [path.name for path in run.iterdir()] == ["config.yaml"]
+
+
+def test_the_exit_code_after_a_signal_is_that_of_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    class Interrupted(MadeUpRuns):
+        def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+            assert not stop()
+            signal.raise_signal(signal.SIGTERM)
+            assert stop()
+            return {}
+
+    assert Interrupted(tmp_path / "sweep", write_sweep(tmp_path)).run() == 128 + signal.SIGTERM
+    assert "the same command resumes them" in capsys.readouterr().err
+
+
+def test_without_waiting_only_the_first_batch_of_a_search_is_made(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    runner = MadeUpRuns(tmp_path / "sweep", write_sweep(tmp_path, search=SEARCH), wait=False)
+    assert runner.run() == 0
+    assert [len(batch) for batch in runner.batches] == [2]
+
+
+def test_failed_points_of_a_search_are_repeated_only_while_no_later_points_depend_on_them(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    file, sweep = write_sweep(tmp_path, search=SEARCH), tmp_path / "sweep"
+    runner = MadeUpRuns(sweep, file, 0, 3, 5)
+    assert runner.run() == 1
+    assert [len(batch) for batch in runner.batches] == [2, 2, 2]
+    again = MadeUpRuns(sweep, file)
+    assert again.run() == 1
+    assert again.batches == [[ids(sweep)[5]]]
+    assert again.said.getvalue().count("made to fail") == 2
+
+
+def test_failed_points_of_a_random_search_are_all_repeated(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    search = {**{key: value for key, value in SEARCH.items() if key != "batch"}, "sampler": "random"}
+    file, sweep = write_sweep(tmp_path, search=search), tmp_path / "sweep"
+    assert MadeUpRuns(sweep, file, 0, 3, 5).run() == 1
+    again = MadeUpRuns(sweep, file)
+    assert again.run() == 0
+    assert again.batches == [[ids(sweep)[i] for i in (0, 3, 5)]]
+
+
+def test_failed_points_of_a_cell_are_repeated_whatever_batch_the_other_cells_have_reached(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    file = write_sweep(tmp_path, search=SEARCH, grid={"algorithm.gamma": [0.9, 0.99]})
+    sweep = tmp_path / "sweep"
+    MadeUpRuns(sweep, file, wait=False).run()
+    behind = read_manifest(sweep)[-1]
+    (sweep / behind.directory / "status.json").write_text('{"state": "failed", "reason": "made to fail"}')
+    MadeUpRuns(sweep, file, name="manifest").run()
+    assert [row.cell["algorithm.gamma"] for row in read_manifest(sweep)] == [0.9] * 4 + [0.99] * 2
+    again = MadeUpRuns(sweep, file)
+    assert again.run() == 0
+    assert behind.id in again.batches[0]
+
+
+@pytest.mark.parametrize("search", [None, SEARCH])
+def test_a_manifest_that_names_code_is_not_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, search: dict[str, Any] | None
+) -> None:
+    (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w').close()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    file = write_sweep(tmp_path, **({} if search is None else {"search": search}))
+    runner = MadeUpRuns(tmp_path / "sweep", file)
+    runner.run()
+    path = tmp_path / "sweep" / "manifest.jsonl"
+    first, last = path.read_text().splitlines()[0], json.loads(path.read_text().splitlines()[-1])
+    last["config"]["algorithm"]["name"] = "evil:Algorithm"
+    path.write_text(f"{first}\n{json.dumps(last)}\n")
+    status = {"state": "finished", "files": {"config.yaml": {}}}
+    (tmp_path / "sweep" / last["directory"] / "status.json").write_text(json.dumps(status))
+    again = MadeUpRuns(tmp_path / "sweep", file)
+    message = "has algorithm.name = 'evil:Algorithm', code that this sweep does not name; choose another"
+    for start in (again.remake,) if search is None else (again.remake, again.run):
+        with pytest.raises(ValueError, match=message):
+            start()
+    assert not (tmp_path / "imported").exists()

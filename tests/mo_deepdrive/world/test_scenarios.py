@@ -1,0 +1,770 @@
+"""The scenarios and their rules: spawns, lanes, objectives, action sets, observations and how an episode ends."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mo_deepdrive.simulation.state import ENDS
+from mo_deepdrive.world.actions import action_names
+from mo_deepdrive.world.observation import layout
+from mo_deepdrive.world.scenarios import SCENARIOS
+
+# Sections 1 and 4 of the specification, independently.
+SCALE = 405 / 5.17652 / 4  # pixels per metre
+C = (900 / 2 + 50) / SCALE
+LANE = 3.048
+HALF_LANE = 1.524
+HALF_LENGTH, HALF_WIDTH = 5.17652 / 2, 2.300675555555556 / 2
+START = ((900 * 0.1 + 50) / SCALE, (900 * 0.5 + 50) / SCALE, -math.pi / 2)
+LEFT_TURN = ((C + 1.524, C - 3.048), (C - 3.048, C + 1.524), (1.840549443086846, C + 1.524))
+STRAIGHT = ((C - 1.524, 4.139197872452702),)
+LEFT_X = 27.0770290995851
+MAX_ACCELERATION = 3.625
+
+IDLE = 0
+OPEN = ("one_waypoint", "static_obstacle")
+EXACT = {"rtol": 1e-12, "atol": 1e-12}
+SINGLE = {"rtol": 2e-7, "atol": 2e-6}  # float32
+
+
+def map_point(p: Any) -> np.ndarray:
+    """Metres of a normalised map coordinate."""
+    return (900 * np.asarray(p) + 50) / SCALE
+
+
+def generator(seed: int) -> np.random.Generator:
+    """The generator with which Gymnasium seeds an environment."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+
+
+def named(env: Any, observation: np.ndarray) -> dict[str, float]:
+    """An observation as a dict by entry."""
+    names = [entry.name for entry in layout(SCENARIOS[env.config.scenario])]
+    return dict(zip(names, (float(value) for value in observation), strict=True))
+
+
+def front(x: float, y: float, heading: float) -> np.ndarray:
+    return np.array([x - math.sin(heading) * HALF_LENGTH, y + math.cos(heading) * HALF_LENGTH])
+
+
+def corners(x: float, y: float, heading: float) -> np.ndarray:
+    """Front left, front right, back right, back left."""
+    ahead = np.array([-math.sin(heading), math.cos(heading)]) * HALF_LENGTH
+    right = np.array([math.cos(heading), math.sin(heading)]) * HALF_WIDTH
+    return np.array([x, y]) + np.array([ahead - right, ahead + right, right - ahead, -ahead - right])
+
+
+def angle_to(x: float, y: float, heading: float, point: Any) -> float:
+    """Angle at the front from the heading to the point, positive to the right."""
+    dx, dy = np.asarray(point) - front(x, y, heading)
+    turn = (heading + math.pi / 2) - math.atan2(dy, dx)
+    return math.atan2(math.sin(turn), math.cos(turn))
+
+
+def distance_to(x: float, y: float, heading: float, point: Any) -> float:
+    return float(np.hypot(*(np.asarray(point) - front(x, y, heading))))
+
+
+def set_vehicle(env: Any, vehicle: int = 0, **fields: Any) -> None:
+    """Change the state of the first world of a vector environment."""
+    saved = env.get_state()
+    car = saved["state"].view(env.batch.state.dtype)[0, vehicle]
+    for name, value in fields.items():
+        car[name] = value
+    if "heading" in fields:
+        # It drove straight.
+        car.cos_heading = car.cos_before = math.cos(car.heading)
+        car.sin_heading = car.sin_before = math.sin(car.heading)
+    env.set_state(saved)
+
+
+def rewards_by_name(env: Any, reward: np.ndarray) -> dict[str, float]:
+    return dict(zip(env.objectives, (float(value) for value in reward), strict=True))
+
+
+# --------------------------------------------------------------------------------------------------------- spawning
+
+
+def test_the_destination_of_an_open_scenario_follows_its_two_draws(make_single: Any) -> None:
+    env = make_single()
+    for seed in range(100):
+        u = generator(seed).random(5)
+        observation, _ = env.reset(seed=seed)
+        goal = map_point([0.1 + 0.5 * u[0] + 0.1, 0.5 + (2 * u[1] - 1) * 0.5])
+        np.testing.assert_allclose(env.batch.state[0, 0].waypoints[0], goal, **EXACT)
+        seen = named(env, observation)
+        np.testing.assert_allclose(seen["next_distance"], distance_to(*START, goal), **SINGLE)
+        np.testing.assert_allclose(seen["next_angle"], angle_to(*START, goal), **SINGLE)
+        car = env.telemetry()[0]
+        np.testing.assert_allclose([car["x"], car["y"], car["heading"]], START, **EXACT)
+        assert {car[name] for name in ("speed", "yaw_rate", "steer", "throttle", "brake", "g_force", "jerk")} == {0.0}
+
+
+def test_the_bicycle_follows_its_three_draws(make_single: Any) -> None:
+    env = make_single("static_obstacle")
+    compared = 0
+    for seed in range(100):
+        u = generator(seed).random(5)
+        env.reset(seed=seed)
+        car = env.batch.state[0, 0]
+        goal = map_point([0.1 + 0.5 * u[0] + 0.1, 0.5 + (2 * u[1] - 1) * 0.5])
+        if not np.allclose(car.waypoints[0], goal):
+            continue  # drawn again, see test_departures.py
+        # In map coordinates, as in the specification.
+        route = np.array([0.1 + 0.5 * u[0], (2 * u[1] - 1) * 0.5])
+        size = np.hypot(*route)
+        middle = np.array([0.1, 0.5]) + (0.6 * u[2] * size + 0.1) * route / size
+        side = (0.025 + 0.1 * u[3]) / 2 * np.array([math.cos(math.pi * u[4]), math.sin(math.pi * u[4])])
+        np.testing.assert_allclose(car.obstacle, map_point([middle + side, middle - side]), **EXACT)
+        compared += 1
+    assert compared > 80
+
+
+def test_the_starts_at_the_intersection_follow_their_draws(make_vector: Any) -> None:
+    env = make_vector("intersection")
+    for seed in range(100):
+        u = generator(seed).random(5)
+        env.reset(seed=seed)
+        poses = [[car["x"], car["y"], car["heading"]] for car in env.telemetry()[0]]
+        expected = [[LEFT_X, 6 + 12 * u[0], 0.0], [C - 1.524, 33 + 14 * u[1], math.pi]]
+        np.testing.assert_allclose(poses, expected, **EXACT)
+        state = env.batch.state[0]
+        np.testing.assert_allclose(state[0].waypoints, LEFT_TURN, **EXACT)
+        np.testing.assert_allclose(state[1].waypoints[:1], STRAIGHT, **EXACT)
+
+
+@pytest.mark.parametrize("scenario", OPEN)
+def test_a_fixed_destination_is_the_same_in_every_episode(make_single: Any, scenario: str) -> None:
+    env = make_single(scenario, fixed_destination=True)
+    goal = map_point([0.1 + 0.5 * 0.2 + 0.1, 0.5 + (2 * 0.2 - 1) * 0.5])
+    bicycles = set()
+    for seed in range(20):
+        env.reset(seed=seed)
+        np.testing.assert_allclose(env.batch.state[0, 0].waypoints[0], goal, **EXACT)
+        bicycles.add(env.batch.state[0, 0].obstacle.tobytes())
+    if scenario == "static_obstacle":
+        assert len(bicycles) == 20
+
+
+def test_a_fixed_bicycle_is_the_same_in_every_episode(make_single: Any) -> None:
+    env = make_single("static_obstacle", fixed_destination=True, fixed_obstacle=True)
+    cars = set()
+    for seed in range(20):
+        env.reset(seed=seed)
+        cars.add(env.batch.state[0, 0].tobytes())
+    assert len(cars) == 1
+    car = env.batch.state[0, 0]
+    route = np.array([0.2, -0.3])
+    middle = np.array([0.1, 0.5]) + (0.6 * 0.4 + 0.1 / np.hypot(*route)) * route
+    side = (0.025 + 0.1 * 0.5) / 2 * np.array([math.cos(math.pi * 0.2), math.sin(math.pi * 0.2)])
+    np.testing.assert_allclose(car.obstacle, map_point([middle + side, middle - side]), **EXACT)
+
+
+def test_a_fixed_bicycle_does_not_change_the_draw_of_the_destination(make_single: Any) -> None:
+    env, free = (make_single("static_obstacle", fixed_obstacle=fixed) for fixed in (True, False))
+    compared = 0
+    for seed in range(20):
+        env.reset(seed=seed)
+        free.reset(seed=seed)
+        bicycle, other = env.batch.state[0, 0], free.batch.state[0, 0]
+        u = generator(seed).random(5)
+        goal = map_point([0.1 + 0.5 * u[0] + 0.1, 0.5 + (2 * u[1] - 1) * 0.5])
+        if not np.allclose(other.waypoints[0], goal):
+            continue  # drawn again, see test_departures.py
+        np.testing.assert_array_equal(bicycle.waypoints, other.waypoints)
+        assert np.hypot(*(bicycle.obstacle[0] - bicycle.obstacle[1])) == pytest.approx(0.075 * 900 / SCALE)
+        compared += 1
+    assert compared > 15
+
+
+def test_reset_options_replace_draws_and_the_rest_is_drawn_as_before(make_single: Any) -> None:
+    env = make_single("static_obstacle")
+    free = make_single("static_obstacle")
+    free.reset(seed=5)
+    drawn = free.batch.state[0, 0]
+    bicycle = np.array([[20.0, 30.0], [21.0, 31.0]])
+    env.reset(seed=5, options={"obstacle": bicycle})
+    car = env.batch.state[0, 0]
+    np.testing.assert_array_equal(car.obstacle, bicycle)
+    np.testing.assert_array_equal(car.waypoints, drawn.waypoints)
+    env.reset(seed=5, options={"destination": (40.0, 41.0)})
+    np.testing.assert_array_equal(env.batch.state[0, 0].waypoints[0], [40.0, 41.0])
+    observation, _ = env.reset(
+        seed=5, options={"start": (-3.0, 2.0, 0.5), "destination": [4, 41], "obstacle": bicycle.tolist()}
+    )
+    reading = env.telemetry()[0]
+    assert (reading["x"], reading["y"], reading["heading"]) == (-3.0, 2.0, 0.5)
+    np.testing.assert_allclose(named(env, observation)["next_distance"], distance_to(-3.0, 2.0, 0.5, (4, 41)), **SINGLE)
+    # A reset option holds for one episode.
+    env.reset(seed=5)
+    assert env.batch.state[0, 0].tobytes() == drawn.tobytes()
+
+
+def test_reset_options_hold_in_every_world_of_the_intersection(make_vector: Any) -> None:
+    env = make_vector("intersection", 3)
+    starts = ((27.0, 9.0, 0.1), (24.0, 41.0, 3.0))
+    env.reset(seed=0, options={"starts": starts})
+    for world in env.telemetry():
+        assert [(car["x"], car["y"], car["heading"]) for car in world] == list(starts)
+
+
+# ------------------------------------------------------------------------------------------------ how episodes end
+
+
+def run(env: Any, policy: Any, most: int = 700) -> tuple[tuple[str, ...], np.ndarray, int]:
+    """Step a vector environment with one world until the episode is over: ends, return, decisions."""
+    observations = env.batch.observations.copy()
+    total = 0.0
+    for decision in range(1, most):
+        actions = [policy(v, observations[0, v]) for v in range(env.vehicles)]
+        array = np.array(actions if env.vehicles > 1 else actions[0])[None]
+        _, rewards, terminated, truncated, _ = env.step(array)
+        observations = env.batch.observations.copy()
+        total = total + rewards[0].astype(np.float64)
+        if (terminated | truncated)[0].all():
+            return env.batch.end_names(0), total, decision
+    raise AssertionError("the episode does not end")
+
+
+def control(steer: float = 0.0, accelerate: float = 0.0, brake: float = -1.0) -> np.ndarray:
+    return np.array([steer, accelerate, brake], dtype=np.float32)
+
+
+@pytest.fixture
+def world(make_vector: Any) -> Any:
+    """Make a vector environment with one world and continuous actions, without autoreset."""
+
+    def make(scenario: str = "one_waypoint", **options: Any) -> Any:
+        return make_vector(scenario, 1, **{"action_type": "continuous", "autoreset_mode": "Disabled", **options})
+
+    return make
+
+
+def test_driving_to_the_destination_arrives(world: Any, chase: Any) -> None:
+    env = world()
+    for seed in range(20):
+        env.reset(seed=seed)
+        ends, total, _ = run(env, lambda _, observation: chase(observation))
+        assert ends == ("arrived",)
+        assert rewards_by_name(env, total)["destination"] == 1.0
+
+
+def test_driving_into_the_bicycle_collides(world: Any, chase: Any) -> None:
+    env = world("static_obstacle")
+    for seed in range(20):
+        env.reset(seed=seed)
+        ends, total, _ = run(env, lambda _, observation: chase(observation))
+        assert ends == ("collision",)
+        assert rewards_by_name(env, total)["collision"] == -1.0
+        assert rewards_by_name(env, total)["destination"] == 0.0
+
+
+def test_a_harmful_g_force_ends_the_episode_unless_the_limit_is_none(world: Any) -> None:
+    hard = control(1.0, 1.0)
+    env = world()
+    env.reset(seed=0)
+    assert run(env, lambda *_: hard)[0] == ("harmful_g_force",)
+    assert env.telemetry()[0][0]["g_force"] > 1.0
+    low = world(harmful_g_force=0.2)
+    low.reset(seed=0)
+    assert run(low, lambda *_: control(0.0, 0.9))[0] == ("harmful_g_force",)
+    never = world(harmful_g_force=None)
+    never.reset(seed=0)
+    assert run(never, lambda *_: hard)[0] != ("harmful_g_force",)
+
+
+def test_a_harmful_jerk_ends_the_episode_if_it_is_limited(world: Any) -> None:
+    jerky = control(0.0, 1.0)
+    free = world()
+    free.reset(seed=0)
+    env = world(harmful_jerk=20.0)
+    env.reset(seed=0)
+    assert run(env, lambda *_: jerky)[0] == ("harmful_jerk",)
+    assert env.telemetry()[0][0]["jerk"] > 20.0
+    assert run(free, lambda *_: jerky)[0] != ("harmful_jerk",)
+
+
+def test_leaving_the_lane_ends_the_episode_if_requested(world: Any) -> None:
+    def veer(v: int, observation: np.ndarray) -> np.ndarray:
+        return control(0.05, 0.5) if v == 0 else control()
+
+    env = world("intersection", end_on_lane_violation=True)
+    env.reset(options={"starts": ((LEFT_X, 8.0, 0.0), (C - 1.524, 45.0, math.pi))})
+    lanes = []
+    while env.batch.end_names(0)[0] == "":
+        env.step(np.stack([veer(0, None), veer(1, None)])[None])
+        car = env.telemetry()[0][0]
+        lanes.append(min(car["left_lane_distance"], car["right_lane_distance"]))
+    assert env.batch.end_names(0) == ("off_lane", "")
+    assert lanes[-1] < -0.25 <= lanes[-2]
+    assert lanes[-2] < 0.0
+    free = world("intersection")
+    free.reset(options={"starts": ((LEFT_X, 8.0, 0.0), (C - 1.524, 45.0, math.pi))})
+    assert run(free, veer)[0][0] != "off_lane"
+
+
+def test_driving_past_a_waypoint_skips_it(world: Any) -> None:
+    env = world("intersection")
+    # It turns left before its first waypoint and gets closer to the second one.
+    env.reset(options={"starts": ((26.2, 21.0, math.radians(30)), (C - 1.524, 47.0, math.pi))})
+    nearest = []
+    while env.batch.end_names(0)[0] == "":
+        env.step(np.stack([control(0.0, 0.5), control()])[None])
+        car = env.telemetry()[0][0]
+        here = front(car["x"], car["y"], car["heading"])
+        nearest.append(int(np.argmin(np.linalg.norm(np.array(LEFT_TURN) - here, axis=1))))
+    assert env.batch.end_names(0) == ("skipped_waypoint", "")
+    assert env.batch.state[0, 0].next_waypoint == 0
+    assert nearest[-1] == 1
+    assert set(nearest[:-1]) == {0}
+
+
+def test_driving_past_the_second_waypoint_to_the_last_skips_it(world: Any) -> None:
+    env = world("intersection")
+    env.reset(options={"starts": ((8.0, LEFT_TURN[2][1], math.radians(90)), (C - 1.524, 47.0, math.pi))})
+    set_vehicle(env, 0, next_waypoint=2, furthest=0.0)
+    env.step(np.stack([control(), control()])[None])
+    assert env.batch.end_names(0) == ("", ""), "the last waypoint is the next one"
+    set_vehicle(env, 0, next_waypoint=1, furthest=0.0)
+    env.step(np.stack([control(), control()])[None])
+    assert env.batch.end_names(0) == ("skipped_waypoint", "")
+
+
+def test_falling_two_metres_behind_is_backwards(world: Any) -> None:
+    env = world()
+    env.reset(options={"start": (0.0, 0.0, 0.0), "destination": (0.0, 50.0)})
+    distances = [env.telemetry()[0][0]["route_distance"]]
+    assert distances == [pytest.approx(HALF_LENGTH)]
+    while env.batch.end_names(0) == ("",):
+        env.step(control(0.0, 0.5 if len(distances) < 15 else -0.5)[None])
+        distances.append(env.telemetry()[0][0]["route_distance"])
+    assert env.batch.end_names(0) == ("backwards",)
+    assert max(distances) > HALF_LENGTH + 1.0, "it was farther away than at its start"
+    assert distances[-1] < max(distances) - 2.0 <= distances[-2]
+
+
+def test_a_vehicle_that_faces_away_falls_behind_from_a_furthest_of_zero(world: Any) -> None:
+    env = world()
+    env.reset(options={"start": (0.0, 0.0, math.pi), "destination": (0.0, 50.0)})
+    assert env.telemetry()[0][0]["route_distance"] == pytest.approx(-HALF_LENGTH)
+    assert run(env, lambda *_: control())[0::2] == (("backwards",), 1)
+    env.reset(options={"start": (0.0, 0.0, math.radians(135)), "destination": (0.0, 50.0)})
+    assert -2.0 < env.telemetry()[0][0]["route_distance"] < -1.5
+    assert run(env, lambda *_: control())[0::2] == (("time_limit",), 600)
+
+
+def test_with_end_together_the_other_vehicle_ends_the_episode(world: Any) -> None:
+    env = world("intersection", end_together=True)
+    env.reset(seed=0)
+    assert run(env, lambda v, _: control(0.0, -0.5 if v == 0 else 0.0))[0] == ("backwards", "other_vehicle")
+    env.reset(seed=0)
+    assert run(env, lambda v, _: control(0.0, -0.5 if v == 1 else 0.0))[0] == ("other_vehicle", "backwards")
+
+
+def test_of_simultaneous_ends_the_first_in_the_list_counts(world: Any) -> None:
+    # One decision that collides, arrives, exceeds g-force and jerk and is the last one before the time limit.
+    bicycle = ((8.7, -1.0), (8.7, 1.0))
+    pins = {"start": (0.0, 0.0, -math.pi / 2), "destination": (10.0, 0.0), "obstacle": bicycle}
+    common: dict[str, Any] = {"time_limit": 0.1, "harmful_jerk": 1.0, "harmful_g_force": 0.01}
+
+    def end(scenario: str, **options: Any) -> tuple[str, np.ndarray]:
+        env = world(scenario, **{**common, **options})
+        env.reset(options={name: pins[name] for name in pins if name != "obstacle" or scenario == "static_obstacle"})
+        set_vehicle(env, x=6.0, speed=10.0, vx=8.0)
+        ends, total, decisions = run(env, lambda *_: control(0.0, 1.0))
+        assert decisions == 1
+        return ends[0], total
+
+    quiet = {"harmful_jerk": None, "harmful_g_force": None}
+    assert end("static_obstacle")[0] == "collision"
+    assert end("static_obstacle", **quiet)[0] == "collision"
+    assert end("one_waypoint")[0] == "harmful_g_force"
+    assert end("one_waypoint", harmful_g_force=None)[0] == "harmful_jerk"
+    name, total = end("one_waypoint", **quiet)
+    assert name == "arrived"
+    assert total[1] == 1.0
+    # Only an arrival earns the destination reward.
+    assert end("one_waypoint")[1][1] == 0.0
+
+
+# -------------------------------------------------------------------------------------------------- what does not pay
+
+
+def distance_return(env: Any, seed: int, policy: Any) -> float:
+    env.reset(seed=seed)
+    return rewards_by_name(env, run(env, policy)[1])["distance"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", OPEN)
+def test_spinning_reversing_and_parking_earn_nothing(world: Any, chase: Any, scenario: str) -> None:
+    env = world(scenario)
+    spins = (control(1.0, 0.1), control(-1.0, 0.1), control(1.0, -0.1), control(0.3, 0.2), control(-1.0, 0.03))
+    for seed in range(15):
+        driving = distance_return(env, seed, lambda _, observation: chase(observation))
+        assert driving > 1.0
+        assert distance_return(env, seed, lambda *_: control()) == 0.0
+        assert distance_return(env, seed, lambda *_: control(0.0, 0.0, 1.0)) == 0.0
+        assert distance_return(env, seed, lambda *_: control(0.0, -0.3)) < 0.0
+        assert distance_return(env, seed, lambda *_: control(0.0, -1.0)) < 0.0
+        for spin in spins:
+            assert distance_return(env, seed, lambda _, __, spin=spin: spin) < 0.5 * driving
+
+
+def test_turning_round_and_round_gains_nothing(world: Any) -> None:
+    env = world(harmful_g_force=None)
+    env.reset(options={"start": (0.0, 0.0, 0.0), "destination": (0.0, 20.0)})
+    set_vehicle(env, speed=1.0, previous_speed=1.0, vy=1.0)
+    gained = []
+    for _ in range(300):
+        # Neither circling nor falling behind ends the episode.
+        set_vehicle(env, furthest=-1e3, start_heading=env.telemetry()[0][0]["heading"])
+        seen = env.batch.observations[0, 0]
+        _, rewards, terminated, _, _ = env.step(control(1.0, 1.0 - named(env, seen)["speed"])[None])
+        assert not terminated[0]
+        gained.append(float(rewards[0, 0]))
+    assert env.telemetry()[0][0]["heading"] > 10 * 2 * math.pi
+    assert sum(gain for gain in gained if gain > 0) > 50.0
+    assert abs(sum(gained)) < 5.0
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**31), wobble=st.floats(0, 1))
+def test_the_distance_return_is_the_gained_route_whatever_the_path(make_single: Any, seed: int, wobble: float) -> None:
+    env = make_single(action_type="continuous", harmful_g_force=None)
+    env.reset(seed=seed)
+    before = env.telemetry()[0]["route_distance"]
+    rng = np.random.default_rng(seed)
+    action, total, info = control(), 0.0, {}
+    while not info:
+        if rng.random() < 0.2:
+            action = rng.uniform(-1, 1, 3).astype(np.float32) * (1.0, wobble, 1.0) + (0.0, 1.0 - wobble, 0.0)
+        _, reward, _, _, info = env.step(action)
+        total += float(reward[0])
+    assert total == pytest.approx(env.telemetry()[0]["route_distance"] - before, rel=1e-5, abs=1e-4)
+
+
+# --------------------------------------------------------------------------------------------------- lanes and yield
+
+
+def expected_lanes(vehicle: int, x: float, y: float, heading: float) -> tuple[float, float, bool, bool]:
+    """Left and right lane distance, crossing, approaching (section 4)."""
+    points = corners(x, y, heading)
+    nose = front(x, y, heading)
+    rear = 2 * np.array([x, y]) - nose
+    if vehicle == 1:
+        centre = C - 1.524
+        right = points[:, 0].min() - (centre - HALF_LANE)
+        left = centre + HALF_LANE - points[:, 0].max()
+        return left, right, False, bool(points[:, 1].min() > C + LANE)
+    if nose[1] < LEFT_TURN[0][1]:
+        return points[:, 0].min() - (LEFT_X - HALF_LANE), LEFT_X + HALF_LANE - points[:, 0].max(), False, False
+    if nose[0] < LEFT_TURN[1][0]:
+        counted = points[:2] if rear[0] > LEFT_TURN[1][0] else points
+        exit_y = LEFT_TURN[1][1]
+        left = counted[:, 1].min() - (exit_y - HALF_LANE)
+        return left, exit_y + HALF_LANE - counted[:, 1].max(), False, False
+    return HALF_LANE, HALF_LANE, True, False
+
+
+def test_lane_distances_and_flags_are_those_of_the_corners(make_vector: Any) -> None:
+    env = make_vector("intersection", 1, autoreset_mode="Disabled")
+    rng = np.random.default_rng(0)
+    kinds = set()
+    for _ in range(800):
+        starts = rng.uniform([[5, 5, -4], [18, 5, -4]], [[33, 40, 4], [30, 48, 4]])
+        observations, _ = env.reset(options={"starts": starts})
+        for v in range(2):
+            left, right, crossing, approaching = expected_lanes(v, *starts[v])
+            reading, seen = env.telemetry()[0][v], named(env, observations[0, v])
+            np.testing.assert_allclose(reading["left_lane_distance"], left, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(reading["right_lane_distance"], right, rtol=1e-9, atol=1e-9)
+            assert seen["left_lane_distance"] == pytest.approx(left, rel=1e-6, abs=1e-6)
+            assert seen["right_lane_distance"] == pytest.approx(right, rel=1e-6, abs=1e-6)
+            assert seen["crossing"] == float(crossing)
+            assert bool(env.batch.state[0, v].approaching) == approaching
+            kinds.add((v, crossing, approaching, reading["left_lane_distance"] < 0))
+    assert {(0, True, False, False), (1, False, True, True), (1, False, False, True), (0, False, False, True)} <= kinds
+
+
+@pytest.mark.parametrize("scenario", OPEN)
+def test_without_lanes_the_lane_distances_are_half_a_lane(make_single: Any, scenario: str) -> None:
+    env = make_single(scenario)
+    env.reset(seed=0)
+    for _ in range(5):
+        observation = env.step(3)[0]
+        seen = named(env, observation)
+        assert (seen["left_lane_distance"], seen["right_lane_distance"]) == (np.float32(1.524), np.float32(1.524))
+        assert seen["crossing"] == 0.0
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.5, 2.0])
+def test_lane_violation_is_the_distance_within_the_margin_of_both_lines(make_vector: Any, margin: float) -> None:
+    env = make_vector("intersection", 16, action_type="continuous", lane_margin=margin, cost_sign="paper")
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    at = env.objectives.index("lane_violation")
+    positive = zero = 0
+    for _ in range(150):
+        actions = rng.uniform([-0.2, 0.0, -1.0], [0.2, 1.0, -1.0], (16, 2, 3)).astype(np.float32)
+        _, rewards, _, _, infos = env.step(actions)
+        cars = env.telemetry()
+        for world in range(16):
+            for v in range(2):
+                if infos["acted"][world, v]:
+                    left, right = cars[world][v]["left_lane_distance"], cars[world][v]["right_lane_distance"]
+                    expected = max(0.0, margin - left) + max(0.0, margin - right)
+                    assert rewards[world, v, at] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+                    positive += expected > 0
+                    zero += expected == 0
+    assert positive > 100
+    assert zero > 100 or margin > 0.3736  # a car in the middle of its lane is 0.3737 m from both lines
+
+
+def enter_the_crossing(env: Any, starts: Any, speed: float = 2.0) -> None:
+    """The left turn drives to its second waypoint at ``speed`` (m/s)."""
+    env.reset(options={"starts": starts})
+    set_vehicle(env, 0, next_waypoint=1)
+    env.step(np.stack([control(), control()])[None])
+    heading = env.telemetry()[0][0]["heading"]
+    set_vehicle(env, 0, speed=speed, vx=-speed * math.sin(heading), vy=speed * math.cos(heading))
+
+
+def test_progress_of_the_left_turn_is_negative_while_the_other_approaches(world: Any) -> None:
+    starts = ((25.5, 24.0, math.radians(45)), (C - 1.524, 45.0, math.pi))
+    gains = {}
+    for rule in (True, False):
+        env = world("intersection", yield_to_oncoming=rule)
+        enter_the_crossing(env, starts)
+        _, rewards, _, _, _ = env.step(np.stack([control(), control()])[None])
+        assert env.batch.state[0, 0].crossing
+        assert env.batch.state[0, 1].approaching
+        gains[rule] = rewards[0, :, env.objectives.index("distance")]
+    assert gains[False][0] > 0.05
+    assert gains[True][0] == -gains[False][0]
+    assert gains[True][1] == gains[False][1]
+    # Once the other has left the road or entered the crossing, progress is positive.
+    env = world("intersection")
+    enter_the_crossing(env, starts)
+    set_vehicle(env, 1, end=ENDS.index("backwards"))
+    assert env.batch.state[0, 1].approaching
+    _, rewards, _, _, _ = env.step(np.stack([control(), control()])[None])
+    assert rewards[0, 0, 0] == gains[False][0]
+    env = world("intersection")
+    enter_the_crossing(env, (starts[0], (C - 1.524, 12.0, math.pi)))
+    _, rewards, _, _, _ = env.step(np.stack([control(), control()])[None])
+    assert rewards[0, 0, 0] == gains[False][0]
+
+
+@pytest.mark.parametrize("speed", [2.0, -2.0])
+def test_backing_out_of_the_crossing_is_no_gain_while_the_other_approaches(world: Any, speed: float) -> None:
+    """The rule turns progress negative; it does not turn a loss into a gain."""
+    gains = {}
+    for rule in (True, False):
+        env = world("intersection", yield_to_oncoming=rule)
+        enter_the_crossing(env, ((25.5, 24.0, math.radians(45)), (C - 1.524, 45.0, math.pi)), speed)
+        _, rewards, _, _, _ = env.step(np.stack([control(), control()])[None])
+        assert env.batch.state[0, 0].crossing
+        assert env.batch.state[0, 1].approaching
+        gains[rule] = float(rewards[0, 0, env.objectives.index("distance")])
+    assert math.copysign(1.0, gains[False]) == math.copysign(1.0, speed)
+    assert gains[True] == -abs(gains[False]) < -0.05
+
+
+# ----------------------------------------------------------------------------------------------------------- actions
+
+SMALL, MICRO = 0.0174533, 0.00174533
+STEERS_22 = ("decay", SMALL, -SMALL, MICRO, -MICRO, "large left", "large right")
+STEERS_16 = ("decay", SMALL, -SMALL, "large left", "large right")
+
+
+def expected_controls(
+    action: int, steers: tuple[Any, ...], car: dict[str, float], before: float
+) -> tuple[float, float, float]:
+    """Target steer, throttle and brake of a discrete action (section 2)."""
+    if action == 0:
+        return 0.0, 0.0, 0.0
+    group, change = divmod(action - 1, 3)
+    steer = steers[group]
+    if steer == "decay":
+        steer = 0.9 * car["steer"]
+    elif steer in ("large left", "large right"):
+        steer = (1 if steer == "large left" else -1) * math.pi / (30 * max(car["speed"], 1.0) ** 2)
+    if change == 1:
+        return steer, 0.0, 1.0 if car["throttle"] == 0.0 else 0.0
+    if change == 2:
+        return steer, 1.0, 0.0
+    factor = 0.99 if car["speed"] > before else 1.01 if car["speed"] < before else 1.0
+    return steer, car["throttle"] * factor, 0.0
+
+
+HELD = [
+    # steer, throttle, brake, speed, speed at the previous decision
+    (0.0, 0.0, 0.0, 0.0, 0.0),
+    (0.1, 0.5, 0.0, 3.0, 2.9),
+    (-0.1, 0.5, 0.0, 3.0, 3.1),
+    (0.3, 0.8, 0.0, 0.5, 0.5),
+    (-0.4, -0.7, 0.0, -2.0, -1.9),
+    (0.2, -0.7, 0.0, -1.9, -2.0),
+    (0.05, 0.0, 1.0, 8.0, 8.3),
+]
+
+
+@pytest.mark.parametrize(("action_type", "steers"), [("discrete", STEERS_22), ("discrete-16", STEERS_16)])
+def test_every_discrete_action_sets_the_controls_of_the_specification(
+    world: Any, action_type: str, steers: tuple[Any, ...]
+) -> None:
+    count = 1 + 3 * len(steers)
+    env = world(action_type=action_type, harmful_g_force=None)
+    assert env.single_action_space.n == count == len(action_names(action_type))
+    for steer, throttle, brake, speed, before in HELD:
+        for action in range(count):
+            env.reset(options={"start": (0.0, 0.0, 0.0), "destination": (0.0, 50.0)})
+            held = {"steer": steer, "throttle": throttle, "brake": brake, "speed": speed, "previous_speed": before}
+            set_vehicle(env, **held)
+            env.step(np.array([action]))
+            car = env.telemetry()[0][0]
+            expected = expected_controls(action, steers, held, before)
+            assert (car["steer"], car["throttle"], car["brake"]) == pytest.approx(expected, rel=1e-12, abs=0), action
+
+
+def test_steer_actions_are_absolute_and_only_decay_depends_on_the_held_steer(world: Any) -> None:
+    env = world(action_type="discrete")
+    env.reset(seed=0)
+    steer_small_left, decay = np.array([4]), np.array([1])
+    for _ in range(3):
+        env.step(steer_small_left)
+        assert env.telemetry()[0][0]["steer"] == SMALL
+    for power in (1, 2, 3):
+        env.step(decay)
+        assert env.telemetry()[0][0]["steer"] == pytest.approx(SMALL * 0.9**power, rel=1e-12)
+    env.step(np.array([IDLE]))
+    assert env.telemetry()[0][0]["steer"] == 0.0
+
+
+def test_maintaining_speed_compares_with_the_speed_at_the_previous_decision(world: Any) -> None:
+    env = world(action_type="discrete")
+    env.reset(options={"start": (0.0, 0.0, 0.0), "destination": (0.0, 240.0)})
+    maintain, increase = np.array([1]), np.array([3])
+    env.step(increase)
+    throttle = env.telemetry()[0][0]["throttle"]
+    assert throttle == 1.0
+    speeds = [0.0, env.telemetry()[0][0]["speed"]]
+    for _ in range(200):
+        throttle *= 0.99 if speeds[-1] > speeds[-2] else 1.01
+        env.step(maintain)
+        car = env.telemetry()[0][0]
+        assert car["throttle"] == pytest.approx(throttle, rel=1e-9)
+        speeds.append(car["speed"])
+    assert (np.diff(speeds) > 0).any()
+    assert (np.diff(speeds) < 0).any()
+
+
+def test_braking_with_the_discrete_set_takes_two_decisions(world: Any) -> None:
+    env = world(action_type="discrete")
+    env.reset(seed=0)
+    for action, throttle, brake in ((3, 1.0, 0.0), (2, 0.0, 0.0), (2, 0.0, 1.0), (1, 0.0, 0.0), (2, 0.0, 1.0)):
+        env.step(np.array([action]))
+        car = env.telemetry()[0][0]
+        assert (car["throttle"], car["brake"]) == (throttle, brake)
+
+
+def test_continuous_actions_are_scaled_and_clipped(world: Any) -> None:
+    env = world()
+    for action in ([0.5, -0.25, 0.0], [-1.0, 1.0, 1.0], [3.0, -7.0, -9.0], [0.0, 0.0, -1.0], [1e30, -1e30, 1e30]):
+        env.reset(seed=0)
+        env.step(np.array([action], dtype=np.float32))
+        steer, accelerate, brake = np.clip(np.array(action, dtype=np.float32).astype(np.float64), -1, 1)
+        car = env.telemetry()[0][0]
+        assert car["steer"] == pytest.approx(steer * math.pi / 6, rel=1e-12)
+        assert car["throttle"] == pytest.approx(accelerate * MAX_ACCELERATION, rel=1e-12)
+        assert car["brake"] == pytest.approx(MAX_ACCELERATION * (1 + brake) / 2, rel=1e-12)
+
+
+# ------------------------------------------------------------------------------------------------------ observations
+
+
+def expected_observation(env: Any, world: int, v: int) -> list[float]:
+    """The observation by section 7, from telemetry and the scenario."""
+    car = env.telemetry()[world][v]
+    pose = (car["x"], car["y"], car["heading"])
+    state = env.batch.state[world, v]
+    points = state.waypoints[: state.n_waypoints]
+    k = int(state.next_waypoint)
+    after = points[k + 1] if k + 1 < len(points) else None
+    away = distance_to(*pose, points[k])
+    expected = [angle_to(*pose, points[k]), angle_to(*pose, points[k] if after is None else after)]
+    expected += [away, away + (0.0 if after is None else distance_to(*pose, after))]
+    expected += [car[name] for name in ("vx", "vy", "ax", "ay", "steer", "throttle", "brake", "speed")]
+    expected += [car["left_lane_distance"], car["right_lane_distance"]]
+    crossing = env.config.scenario in ("intersection", "left_turn") and v == 0 and expected_lanes(0, *pose)[2]
+    expected.append(float(crossing))
+    if env.config.scenario == "static_obstacle":
+        expected += [distance_to(*pose, end) for end in state.obstacle]
+        expected += [angle_to(*pose, end) for end in state.obstacle]
+    if env.config.scenario == "intersection":
+        other = env.telemetry()[world][1 - v]
+        expected += [other["vx"] - car["vx"], other["vy"] - car["vy"]]
+        expected += [other[name] for name in ("vx", "vy", "ax", "ay")]
+        for corner in corners(other["x"], other["y"], other["heading"]):
+            expected += [angle_to(*pose, corner), distance_to(*pose, corner)]
+    if env.config.scenario == "left_turn":
+        numbers = [number for number in range(1, 6) if car[f"car_{number}_present"]]
+        ways = {number: car[f"car_{number}_y"] - HALF_LENGTH - (C + LANE) for number in numbers}
+        # From the northern edge of the crossing; a car has passed when its rear is beyond the southern one.
+        seen = [number for number in numbers if -(2 * LANE + 2 * HALF_LENGTH) <= ways[number] <= 100.0][:2]
+        for number in seen:
+            expected += [ways[number], car[f"car_{number}_speed"]]
+        expected += [100.0, 0.0] * (2 - len(seen))
+    return expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", [name for name, scenario in SCENARIOS.items() if not scenario.roads])
+def test_an_observation_is_that_of_the_specification(make_vector: Any, chase: Any, scenario: str) -> None:
+    env = make_vector(scenario, 6, action_type="continuous")
+    observations, _ = env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    noise = np.zeros(env.action_space.shape)
+    compared = 0
+    for step in range(120):
+        if step % 6 == 0:
+            noise = rng.normal(0.0, (0.15, 0.3, 0.1), env.action_space.shape)
+        rows = observations.reshape(-1, observations.shape[-1])
+        actions = np.array([chase(row) for row in rows]).reshape(env.action_space.shape)
+        observations = env.step((actions + noise).astype(np.float32))[0]
+        running = env.batch.state["end"] == 0
+        for world in np.flatnonzero(running.all(axis=1)):
+            for v in range(env.vehicles):
+                seen = observations[world] if env.vehicles == 1 else observations[world, v]
+                np.testing.assert_allclose(seen, expected_observation(env, world, v), rtol=1e-6, atol=1e-5)
+                compared += 1
+    assert compared > 300
+
+
+def test_a_vehicle_that_has_left_the_road_is_observed_far_away_and_at_rest(world: Any) -> None:
+    env = world("intersection")
+    env.reset(seed=0)
+    while env.batch.end_names(0) != ("", "backwards"):
+        observations = env.step(np.stack([control(0.0, 0.05), control(0.0, -0.5)])[None])[0]
+    seen = named(env, observations[0, 0])
+    others = {name: value for name, value in seen.items() if name.startswith("other_")}
+    assert len(others) == 14
+    assert {value for name, value in others.items() if name.endswith("_distance")} == {100.0}
+    assert {value for name, value in others.items() if not name.endswith("_distance")} == {0.0}
+    assert seen["speed"] > 0.0
+
+
+@pytest.mark.parametrize(("degrees", "end"), [(399.5, ""), (400.5, "circling"), (-399.5, ""), (-400.5, "circling")])
+def test_circling_begins_at_400_degrees(world: Any, degrees: float, end: str) -> None:
+    env = world()
+    env.reset(options={"start": (0.0, 0.0, -math.pi / 2), "destination": (50.0, 0.0)})
+    set_vehicle(env, heading=-math.pi / 2 + math.radians(degrees))
+    env.step(control()[None])
+    assert env.batch.end_names(0) == (end,)

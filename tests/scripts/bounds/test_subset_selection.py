@@ -1,0 +1,38 @@
+"""The selection of a front by hypervolume."""
+
+from __future__ import annotations
+
+import moocore
+import numpy as np
+
+from mo_deepdrive.fronts.reference_points import reference_point
+from scripts.bounds.plan_evaluation import PlanEvaluator
+from scripts.bounds.plans import CRITERIA
+from scripts.bounds.subset_selection import dominated_volume, greedy_hypervolume_subset, select_front
+
+
+def test_the_greedy_subset_is_that_of_a_plain_loop() -> None:
+    rng = np.random.default_rng(0)
+    returns = rng.random((40, 3))
+    reference = np.full(3, -0.1)
+    selected = greedy_hypervolume_subset(returns, reference, 6)
+    expected: list[int] = []
+    for _ in range(6):
+        volumes = [dominated_volume(returns[[*expected, row]], reference) for row in range(40)]
+        expected.append(int(np.argmax(volumes)))
+    assert selected == expected
+    full = greedy_hypervolume_subset(returns, reference, 40)
+    assert set(full) == set(np.flatnonzero(moocore.is_nondominated(returns, maximise=True)))
+
+
+def test_plans_that_do_not_dominate_the_reference_points_are_not_selected() -> None:
+    evaluator = PlanEvaluator("one_waypoint", "continuous")
+    gentle, hard = np.array([[0.0, 0.1, -1.0]] * 30), np.array([[0.0, 1.0, -1.0], [0.0, -0.9, -1.0]] * 30)
+    evaluated = evaluator.evaluate(evaluator.format.from_sequences([gentle, hard, np.zeros((0, 3))]), 0)
+    references = [
+        reference_point("one_waypoint", "continuous", criterion.gamma, criterion.objectives("one_waypoint")).values
+        for criterion in CRITERIA
+    ]
+    assert (evaluated.returns[0][1] < references[0]).any()
+    selected = select_front(evaluated, references)
+    np.testing.assert_array_equal(selected.plans, evaluated.plans[[0, 2]])

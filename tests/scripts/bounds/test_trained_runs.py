@@ -1,0 +1,48 @@
+"""Action sequences of trained runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from algorithms.runs.build import build
+from algorithms.runs.config import load_experiment
+from scripts.bounds.trained_runs import record_run
+
+
+@pytest.mark.parametrize("arguments", [{}, {"objectives": ["jerk", "distance", "destination", "g_force"]}])
+def test_a_run_is_recorded_with_its_name_and_description(
+    make_run: Callable[..., Path], arguments: dict[str, Any]
+) -> None:
+    recording = record_run(str(make_run(**arguments)), "one_waypoint", "discrete", 3)
+    assert recording.name.endswith("/untrained/a2c-seed0")
+    assert recording.description.startswith("a2c, seed 0, ")
+    assert len(recording.sequences) == 4
+    assert all(1 <= len(sequence) <= 600 and sequence.max() < 22 for sequence in recording.sequences)
+
+
+def test_every_policy_of_a_front_acts_greedily_once_and_then_sampled(make_run: Callable[..., Path]) -> None:
+    path = make_run("mo-deepdrive-static-obstacle-v0", algorithm="pcn", fixed_destination=True)
+    agent = build(load_experiment(path / "config.yaml"), num_envs=1)
+    agent.load(path / "checkpoint.safetensors", policy_only=True)
+    policies = len(agent.commands()[1])
+    greedy = record_run(str(path), "static_obstacle", "discrete", 0).sequences
+    sampled = record_run(str(path), "static_obstacle", "discrete", 3).sequences
+    assert len(greedy) == policies
+    assert len(sampled) == 4 * policies
+    for first, again in zip(greedy, sampled, strict=False):
+        np.testing.assert_array_equal(first, again)
+
+
+def test_a_run_of_another_scenario_or_action_set_is_refused(make_run: Callable[..., Path]) -> None:
+    path = str(make_run())
+    with pytest.raises(ValueError, match="has scenario = 'one_waypoint'; the front needs 'static_obstacle'"):
+        record_run(path, "static_obstacle", "discrete", 0)
+    with pytest.raises(ValueError, match="has action_type = 'discrete'; the front needs 'continuous'"):
+        record_run(path, "one_waypoint", "continuous", 0)
+    with pytest.raises(ValueError, match="no/such/run"):
+        record_run("no/such/run", "one_waypoint", "discrete", 0)
