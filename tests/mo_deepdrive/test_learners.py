@@ -74,7 +74,7 @@ def test_without_the_package_or_under_another_one_the_error_is_a_line(
 ) -> None:
     from mo_deepdrive.support import importing
 
-    monkeypatch.setattr(importing, "__file__", str(tmp_path / "mo_deepdrive" / "importing.py"))
+    monkeypatch.setattr(importing, "__file__", str(tmp_path / "mo_deepdrive" / "support" / "importing.py"))
     with pytest.raises(ImportError, match="has no package algorithms: reinstall mo-deepdrive"):
         importing.own_algorithms()
     (tmp_path / "algorithms").mkdir()
