@@ -10,15 +10,17 @@ import contextlib
 import os
 import signal
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.runs.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from types import FrameType
 
 
-def run(name: str | None, arguments: list[str], program: str) -> int:
+def run(name: str | None, arguments: list[str]) -> int:
     """Run a command in a process in which nothing but an error of the program ends with a traceback.
 
     A closed terminal does not end it, and output that cannot be written is dropped; that is an error of those commands
@@ -27,7 +29,6 @@ def run(name: str | None, arguments: list[str], program: str) -> int:
     Args:
         name: of the command; None if ``arguments`` begin with it.
         arguments: the command line.
-        program: how commands are called; see :data:`algorithms.runs.cli.INSTALLED`.
 
     Returns:
         The exit code.
@@ -42,7 +43,7 @@ def run(name: str | None, arguments: list[str], program: str) -> int:
 
         make_standard_streams_lenient()
         try:
-            code = _run_command(name, arguments, program)
+            code = _run_command(name, arguments)
         except SystemExit as end:
             if isinstance(end.code, str):
                 raise
@@ -78,27 +79,41 @@ def _interrupt(_number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _run_command(name: str | None, arguments: list[str], program: str) -> int:
+def _run_command(name: str | None, arguments: list[str]) -> int:
     """Import and run a command; a package that is not installed is an error of the user's input."""
     import importlib
 
-    from algorithms.runs.cli import INVALID_INPUT, PROCESS_DEFAULTS, prepare_process, warn
+    from algorithms.runs.cli import INVALID_INPUT, PROCESS_DEFAULTS, warn
     from mo_deepdrive.support.extras import MissingExtraError, needed_for
 
     if name is None:
-        name, arguments = _command(arguments, program), arguments[1:]
+        name, arguments = _command(arguments), arguments[1:]
     try:
-        with needed_for(program.format(name)):
+        with needed_for(f"mo-deepdrive {name}"):
             module = importlib.import_module(f"algorithms.commands.{name}")
-            prepare_process(os.environ, sys.path, getattr(module, "ENVIRONMENT", PROCESS_DEFAULTS))
-            code: int = module.main(arguments, program)
+            prepare_process(getattr(module, "ENVIRONMENT", PROCESS_DEFAULTS))
+            code: int = module.main(arguments)
     except MissingExtraError as error:
         warn(f"error: {error}")
         return INVALID_INPUT
     return code
 
 
-def _command(arguments: list[str], program: str) -> str:
+def prepare_process(defaults: Mapping[str, str]) -> None:
+    """Set the environment of a command's process, and where a user's own modules are imported from.
+
+    Args:
+        defaults: variables that are set unless the user has set them.
+    """
+    for name, value in defaults.items():
+        os.environ.setdefault(name, value)
+    # Not the user's choice: figures are drawn into files, and the backend of a notebook, whose cell calls the command,
+    # may not be there.
+    os.environ["MPLBACKEND"] = "agg"
+    sys.path.append(str(Path.cwd()))  # at its end, so that no folder in it hides an installed package
+
+
+def _command(arguments: list[str]) -> str:
     """The name of the command with which a command line begins."""
     import argparse
 
@@ -107,7 +122,7 @@ def _command(arguments: list[str], program: str) -> str:
     from algorithms.runs.cli import Parser
 
     parser = Parser(
-        prog=program.format("").strip(),
+        prog="mo-deepdrive",
         usage="%(prog)s COMMAND ...",
         description="Multi-objective driving environments, and trainers for them.",
         epilog="\n".join(

@@ -39,16 +39,11 @@ def call(function: Callable[[], None]) -> None:
     function()
 
 
-def run(name: str | None, program: str) -> int:
-    """Run the command line of this process, called as ``program``; returns the exit code.
-
-    Args:
-        name: of the command; None if the command line begins with it.
-        program: as of :data:`algorithms.runs.cli.INSTALLED`.
-    """
-    code: int = importlib.import_module("algorithms.command_line").run(name, sys.argv[1:], program)
+def run(name: str | None = None) -> int:
+    """Run a command with the command line of this process, which begins with its name if that is None."""
+    code: int = importlib.import_module("algorithms.command_line").run(name, sys.argv[1:])
     return code
 
 
 if __name__ == "__main__":
-    sys.exit(run(None, "python -m mo_deepdrive {}"))
+    sys.exit(run())

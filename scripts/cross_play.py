@@ -31,7 +31,7 @@ from algorithms import ConditionedMOPPO
 from algorithms.reporting.cross_play_report import matrix_rows, plot_encounters, summary_rows, write_encounters
 from algorithms.reporting.wide_tables import print_rows
 from algorithms.runs.build import load_policy, open_driver
-from algorithms.runs.cli import add_trust_argument, check_directory, make_parser, named_numbers
+from algorithms.runs.cli import TRUST, check_directory, make_parser, named_numbers
 from algorithms.runs.config import find_environment, is_ours
 from algorithms.runs.console import make_console
 from algorithms.runs.run_directory import Run
@@ -73,7 +73,7 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
         "--show", nargs="+", default=[], metavar="SCORE", help="print the matrix of a column of the CSV"
     )
     parser.add_argument("--greedy", action="store_true", help="the most likely actions instead of sampled ones")
-    add_trust_argument(parser)
+    TRUST.add_to(parser)
     return parser.parse_args(arguments)
 
 

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from algorithms.runs.cli import add_trust_argument, make_parser
+from algorithms.runs.cli import TRUST, make_parser
 from mo_deepdrive.world.config import ActionType
 from mo_deepdrive.world.scenarios import SCENARIOS
 from scripts.bounds.front_improvement import FrontSearchSettings, improve_front, shipped_front_file
@@ -43,7 +43,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     add("--from", dest="runs", nargs="+", default=[], metavar="RUN", help="also start from the policies of these runs")
     add("--episodes", type=int, default=8, metavar="N", help="sampled, of each policy of a run (default: %(default)s)")
     add("--output", type=Path, metavar="FILE", help="write to FILE instead of replacing the shipped front")
-    add_trust_argument(parser)
+    TRUST.add_to(parser)
     options = parser.parse_args(arguments)
     check_least(parser, options, 0, "decisions", "seed", "episodes")
     check_folder(parser, options.output)

@@ -24,7 +24,7 @@ from algorithms.driving.named_rules import is_rule, scripted_policy
 from algorithms.reporting.animated_gif import write_gif
 from algorithms.reporting.videos import Frame, episode_frames, make_render_env
 from algorithms.runs.build import load_policy
-from algorithms.runs.cli import add_trust_argument, check_file, make_parser
+from algorithms.runs.cli import TRUST, check_file, make_parser
 from algorithms.runs.config import find_environment
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -60,7 +60,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--fps", type=int, default=10, metavar="N", help="frames per second (default: %(default)s)")
     parser.add_argument("--frames", type=int, default=220, metavar="N", help="at most (default: %(default)s)")
     parser.add_argument("--side", type=int, default=280, metavar="PIXELS", help="of each clip (default: %(default)s)")
-    add_trust_argument(parser)
+    TRUST.add_to(parser)
     return parser.parse_args(arguments)
 
 

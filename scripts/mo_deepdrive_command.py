@@ -9,22 +9,13 @@ import os
 import signal
 
 
-def main() -> int:
-    """``mo-deepdrive``; returns the exit code."""
-    return _run(None, "mo-deepdrive {}")
-
-
-def run_script(name: str) -> int:
-    """``python scripts/NAME.py``; returns the exit code."""
-    return _run(name, "python scripts/{}.py")
-
-
-def _run(name: str | None, program: str) -> int:
+def main(name: str | None = None) -> int:
+    """Run a command with the command line of this process, which begins with its name if that is None."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else a shell has set it, of a background job
         signal.signal(signal.SIGINT, _end)
     from mo_deepdrive.__main__ import run
 
-    return run(name, program)
+    return run(name)
 
 
 def _end(*_: object) -> None:

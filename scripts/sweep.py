@@ -2,7 +2,7 @@
 
 import sys
 
-from mo_deepdrive_command import run_script
+from mo_deepdrive_command import main
 
 if __name__ == "__main__":
-    sys.exit(run_script("sweep"))
+    sys.exit(main("sweep"))

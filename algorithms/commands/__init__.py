@@ -1,9 +1,9 @@
-"""The commands: ``mo-deepdrive NAME``, ``python -m mo_deepdrive NAME``, and ``scripts/NAME.py`` in a checkout.
+"""The commands: ``mo-deepdrive NAME`` or ``python -m mo_deepdrive NAME``.
 
-Each module has ``main(arguments, program) -> int``, which runs a command line and returns the exit code. A module is
-imported when its command is called. At its top it imports what parses the command line, and nothing of an extra; what
-takes long to import, such as torch, is imported by the functions that need it. So every ``--help`` is printed at once,
-and by the core install, too.
+Each module has ``main(arguments) -> int``, mostly a :class:`~algorithms.runs.cli.Command`, which runs a command line
+and returns the exit code. A module is imported when its command is called. At its top it imports what parses the
+command line, and nothing of an extra; what takes long to import, such as torch, is imported by the functions that need
+it. So every ``--help`` is printed at once, and by the core install, too.
 """
 
 COMMANDS = {

@@ -21,14 +21,18 @@ import numpy as np
 from algorithms.runs.cli import (
     CHOICE_EPISODES,
     CHOICE_SPLIT,
-    INSTALLED,
-    add_evaluation_arguments,
-    add_trust_argument,
+    FAILED,
+    TRUST,
+    Command,
+    OneOf,
+    check_front,
     evaluation_arguments,
-    exit_on_error,
-    make_parser,
+    evaluation_options,
+    many,
     named_numbers,
-    warn_of_changes,
+    option,
+    policy_index,
+    video_option,
 )
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.choice import (
@@ -52,30 +56,6 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.front import Front
 
 RUNNERS_UP = 4
-
-
-def parse_arguments(arguments: list[str], program: str) -> Namespace:
-    """The options."""
-    parser = make_parser(__doc__, program, "choose")
-    parser.add_argument("run", metavar="RUN", help="directory of a finished run, or a name in the zoo")
-    preference = parser.add_mutually_exclusive_group(required=True)
-    preference.add_argument(
-        "--weights", nargs="+", action="extend", metavar="OBJECTIVE=W", help="the weight of each undiscounted return"
-    )
-    preference.add_argument("--utility", metavar="NAME", help="a utility by name, or package.module:function")
-    target = "undiscounted returns to be reached"
-    preference.add_argument("--target", nargs="+", action="extend", metavar="OBJECTIVE=R", help=target)
-    parser.add_argument(
-        "--arguments", default="{}", metavar="YAML", help="arguments of the utility, such as '{weights: [1, 2]}'"
-    )
-    parser.add_argument(
-        "--policy", type=int, metavar="K", help="score this policy of front.csv instead of choosing one"
-    )
-    add_evaluation_arguments(
-        parser, default_episodes=CHOICE_EPISODES, default_split=CHOICE_SPLIT, video="also film the chosen policy"
-    )
-    add_trust_argument(parser)
-    return parser.parse_args(arguments)
 
 
 def parse_criterion(options: Namespace, objectives: tuple[str, ...], scales: NDArray[Any]) -> ChoiceCriterion:
@@ -160,10 +140,8 @@ def choice_table(
     return table
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
-    """Run the command line ``arguments``; returns the exit code."""
-    options = parse_arguments(arguments, program)
-
+def choose(options: Namespace) -> int:
+    """Evaluate the policies of a front, choose one, show it and film it if asked to."""
     from algorithms.runs.agent_report import film_policies_of_front
     from algorithms.runs.build import load_policy
     from algorithms.runs.console import make_console
@@ -171,32 +149,45 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     from mo_deepdrive.evaluation.front import Front
 
     console = make_console()
-    with exit_on_error(ValueError, OSError, program=program):
-        run = Run.open(options.run, trust=options.trust)
-        experiment = run.experiment
-        if experiment.known_utility:
-            raise ValueError(f"{options.run!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
-        episodes, seed = evaluation_arguments(options, experiment)
-        warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors", "front.csv", "evaluation.json"))
-        front = every = Front.read(run.path)
-        numbers = list(range(len(every)))
-        if options.policy is not None:
-            if options.policy not in numbers:
-                raise ValueError(f"--policy {options.policy} must be from 0 to {numbers[-1]}, a policy of front.csv")
-            numbers = [options.policy]
-            front = front.take(numbers)
-        agent = load_policy(run)
-        criterion = parse_criterion(options, front.objectives, agent.front_scales)
-        evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
-        returns = np.stack([each.joint_returns for each in evaluations])
-        with np.errstate(all="ignore"):  # what is not finite is refused below
-            values = criterion.values(returns)
-        order = rank_policies(values, returns.mean(axis=1), agent.front_scales).tolist()
-        console.print(
-            choice_table(front, evaluations, criterion, values, order, numbers, was_chosen=options.policy is None)
-        )
-        console.print(f"policy {numbers[order[0]]} of {run.path / 'front.csv'}")
-        filmed = not options.video or film_policies_of_front(
-            agent, every, experiment, options.video, console, seed=seed, policies=[numbers[order[0]]]
-        )
-    return 0 if filmed else 1
+    run = Run.open(options.run, trust=options.trust)
+    experiment = run.experiment
+    check_front(run)
+    episodes, seed = evaluation_arguments(options, experiment)
+    front = every = Front.read(run.path)
+    numbers = list(range(len(every)))
+    if options.policy is not None:
+        numbers = [policy_index(options.policy, len(every))]
+        front = front.take(numbers)
+    agent = load_policy(run)
+    criterion = parse_criterion(options, front.objectives, agent.front_scales)
+    evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
+    returns = np.stack([each.joint_returns for each in evaluations])
+    with np.errstate(all="ignore"):  # what is not finite is refused below
+        values = criterion.values(returns)
+    order = rank_policies(values, returns.mean(axis=1), agent.front_scales).tolist()
+    was_chosen, best = options.policy is None, numbers[order[0]]
+    console.print(choice_table(front, evaluations, criterion, values, order, numbers, was_chosen=was_chosen))
+    console.print(f"policy {best} of {run.path / 'front.csv'}")
+    filmed = not options.video or film_policies_of_front(
+        agent, every, experiment, options.video, console, seed=seed, policies=[best]
+    )
+    return 0 if filmed else FAILED
+
+
+OPTIONS = (
+    option("run", "RUN", "directory of a finished run, or a name in the zoo"),
+    OneOf(
+        (
+            many("--weights", "OBJECTIVE=W", "the weight of each undiscounted return"),
+            option("--utility", "NAME", "a utility by name, or package.module:function"),
+            many("--target", "OBJECTIVE=R", "undiscounted returns to be reached"),
+        ),
+        required=True,
+    ),
+    option("--arguments", "YAML", "arguments of the utility, such as '{weights: [1, 2]}'", default="{}"),
+    option("--policy", "K", "score this policy of front.csv instead of choosing one", type=int),
+    *evaluation_options(CHOICE_EPISODES, CHOICE_SPLIT),
+    video_option("also film the chosen policy"),
+    TRUST,
+)
+main = Command("choose", __doc__, OPTIONS, choose)

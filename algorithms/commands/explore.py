@@ -11,22 +11,20 @@ cannot be read is left out with a line on standard error.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.runs.cli import (
     CHOICE_EPISODES,
     CHOICE_SPLIT,
-    INSTALLED,
-    add_evaluation_arguments,
-    add_trust_argument,
-    as_called,
+    TRUST,
+    Command,
     check_file,
+    check_front,
     evaluation_arguments,
-    exit_on_error,
-    make_parser,
-    warn_of_changes,
+    evaluation_options,
+    option,
+    warn,
 )
 from algorithms.runs.run_directory import Run
 
@@ -38,28 +36,14 @@ if TYPE_CHECKING:
 UNSET = (CHOICE_EPISODES, CHOICE_SPLIT, None, False)  # episodes, split, seed and trust without options
 
 
-def parse_arguments(arguments: list[str], program: str) -> Namespace:
-    """The options."""
-    parser = make_parser(__doc__, program, "explore")
-    parser.add_argument(
-        "runs", nargs="+", metavar="RUN", help="directory of a finished run, a name in the zoo, or a best-known front"
-    )
-    parser.add_argument("--output", required=True, metavar="FILE", help="the HTML file")
-    add_evaluation_arguments(parser, default_episodes=CHOICE_EPISODES, default_split=CHOICE_SPLIT)
-    add_trust_argument(parser)
-    return parser.parse_args(arguments)
-
-
-def main(arguments: list[str], program: str = INSTALLED) -> int:
-    """Run the command line ``arguments``; returns the exit code."""
-    options = parse_arguments(arguments, program)
-
+def explore(options: Namespace) -> int:
+    """Write the page."""
     from algorithms.reporting.explorer.page import write_page
     from algorithms.reporting.run_records import LEFT_OUT
     from algorithms.runs.accessories import sole_purpose
     from algorithms.runs.front_explorer import BEST_KNOWN, explorable_best_known
 
-    with exit_on_error(ValueError, program=program), sole_purpose("the page could not be written"):
+    with sole_purpose("the page could not be written"):
         check_file("--output", options.output, ".html")
         of_runs = options.episodes, options.split, options.seed, options.trust
         if all(name.startswith(BEST_KNOWN) for name in options.runs) and of_runs != UNSET:
@@ -70,12 +54,12 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
                 fronts[name] = (
                     explorable_best_known(name.removeprefix(BEST_KNOWN))
                     if name.startswith(BEST_KNOWN)
-                    else _explorable_run(name, options, program)
+                    else _explorable_run(name, options)
                 )
             except ValueError as error:
                 if len(options.runs) == 1 or not Path(name).is_dir():
                     raise
-                print(as_called(f"{LEFT_OUT}{error}", program), file=sys.stderr)
+                warn(f"{LEFT_OUT}{error}")
         if not fronts:
             raise ValueError("none of the runs has a front that can be read")
         write_page([*fronts.values()], options.output, f"Explorer of fronts: {', '.join(fronts)}")
@@ -83,7 +67,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     return 0
 
 
-def _explorable_run(name: str, options: Namespace, program: str) -> ExplorableFront:
+def _explorable_run(name: str, options: Namespace) -> ExplorableFront:
     """The front of a run, with new episodes.
 
     Raises:
@@ -94,20 +78,24 @@ def _explorable_run(name: str, options: Namespace, program: str) -> ExplorableFr
     from mo_deepdrive.evaluation.front import Front
 
     run = Run.open(name, trust=options.trust)
-    if run.experiment.known_utility:
-        raise ValueError(f"{name!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
+    check_front(run)
     episodes, seed = evaluation_arguments(options, run.experiment)
-    warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors", "front.csv", "evaluation.json"))
-    front = Front.read(run.path)
-    command = choose_command(
-        run, name, episodes=options.episodes, split=options.split or CHOICE_SPLIT, seed=options.seed
-    )
+    split = options.split or CHOICE_SPLIT
     return explorable(
         load_policy(run),
-        front,
+        Front.read(run.path),
         run.experiment,
         episodes=episodes,
         seed=seed,
         title=name,
-        command=as_called(command, program),
+        command=choose_command(run, name, episodes=options.episodes, split=split, seed=options.seed),
     )
+
+
+OPTIONS = (
+    option("runs", "RUN", "directory of a finished run, a name in the zoo, or a best-known front", nargs="+"),
+    option("--output", "FILE", "the HTML file", required=True),
+    *evaluation_options(CHOICE_EPISODES, CHOICE_SPLIT),
+    TRUST,
+)
+main = Command("explore", __doc__, OPTIONS, explore, errors_of_input=(ValueError,))

@@ -14,53 +14,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import (
-    INSTALLED,
-    add_trust_argument,
-    check_file,
-    exit_on_error,
-    make_parser,
-    warn_of_changes,
-)
+from algorithms.runs.cli import TRUST, Command, check_file, check_front, option, policy_index
 from algorithms.runs.run_directory import Run
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
 
-def parse_arguments(arguments: list[str], program: str) -> Namespace:
-    """The options."""
-    parser = make_parser(__doc__, program, "export")
-    parser.add_argument("run", metavar="RUN", help="directory of a run, or a name in the zoo")
-    parser.add_argument("--output", required=True, type=Path, metavar="FILE", help="the file, which ends in .onnx")
-    parser.add_argument("--policy", type=int, metavar="K", help="of a front: export this policy of front.csv")
-    add_trust_argument(parser)
-    return parser.parse_args(arguments)
-
-
-def main(arguments: list[str], program: str = INSTALLED) -> int:
-    """Run the command line ``arguments``; returns the exit code."""
-    options = parse_arguments(arguments, program)
-
+def export(options: Namespace) -> int:
+    """Write the file, and check it."""
     from algorithms.runs.build import load_policy
     from algorithms.runs.onnx_export import CHECKED_STATES, export_onnx
     from mo_deepdrive.evaluation.front import Front
 
-    with exit_on_error(ValueError, OSError, program=program):
-        check_file("--output", options.output, ".onnx")
-        run = Run.open(options.run, trust=options.trust)
-        condition = None
-        if options.policy is not None:
-            if run.experiment.known_utility:
-                raise ValueError(f"--policy {options.policy}: {options.run!r} learnt one policy, not a front")
-            conditions = Front.read(run.path).conditions
-            if not 0 <= options.policy < len(conditions):
-                raise ValueError(
-                    f"--policy {options.policy} must be from 0 to {len(conditions) - 1}, a policy of front.csv"
-                )
-            condition = conditions[options.policy]
-        warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors"))
-        exported = export_onnx(load_policy(run, partners=False), run.experiment, options.output, condition)
+    check_file("--output", options.output, ".onnx")
+    run, condition = Run.open(options.run, trust=options.trust), None
+    if options.policy is not None:
+        check_front(run)
+        conditions = Front.read(run.path).conditions
+        condition = conditions[policy_index(options.policy, len(conditions))]
+    exported = export_onnx(load_policy(run, partners=False), run.experiment, options.output, condition)
     print(f"inputs: {', '.join(exported.inputs)}\noutputs: {', '.join(exported.outputs)}")
     if exported.difference is None:
         print("not checked: onnxruntime is not installed")
@@ -68,3 +41,12 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         print(f"checked in {CHECKED_STATES:,} states: differs by at most {exported.difference:.1e}")
     print(f"written: {options.output}")
     return 0
+
+
+OPTIONS = (
+    option("run", "RUN", "directory of a run, or a name in the zoo"),
+    option("--output", "FILE", "the file, which ends in .onnx", required=True, type=Path),
+    option("--policy", "K", "of a front: export this policy of front.csv", type=int),
+    TRUST,
+)
+main = Command("export", __doc__, OPTIONS, export)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from algorithms.runs.cli import INSTALLED, exit_on_error, make_parser
+from algorithms.runs.cli import CONFIG, Command, OneOf, option
 from algorithms.runs.config import load_experiment
 from algorithms.runs.key_listing import Key, differing_values, experiment_keys, model_keys
 from algorithms.runs.registry import agent_class, algorithm_names, find_algorithm
@@ -21,17 +21,6 @@ from algorithms.studies.sweep_settings import SweepSettings
 
 if TYPE_CHECKING:
     from argparse import Namespace
-
-
-def parse_arguments(arguments: list[str], program: str) -> Namespace:
-    """The options."""
-    parser = make_parser(__doc__, program, "keys")
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument("--config", metavar="FILE", help="YAML file of an experiment, or the name of a shipped one")
-    source.add_argument(
-        "--algorithm", metavar="NAME", help="an algorithm, another library's, or your own: package.module:Class"
-    )
-    return parser.parse_args(arguments)
 
 
 def key_sections(algorithm: str | None = None, env_id: str | None = None) -> dict[str, list[Key]]:
@@ -50,44 +39,38 @@ def key_sections(algorithm: str | None = None, env_id: str | None = None) -> dic
     for name, found in keys.items():
         equations = "" if find_algorithm(name).is_peer else f"; equations: help({agent_class(name).__module__!r})"
         sections[f"hyperparameters of {name}{equations}"] = [key for key in found if _is_hyperparameter(key)]
-    if algorithm:
-        return sections
-    return {
-        **sections,
-        "sweep": model_keys(SweepSettings),
-        "study": model_keys(Study),
-        "task of a study": model_keys(StudyTask),
-        "learner of a study": model_keys(Learner),
-    }
+    others = {"sweep": SweepSettings, "study": Study, "task of a study": StudyTask, "learner of a study": Learner}
+    return sections if algorithm else {**sections, **{title: model_keys(model) for title, model in others.items()}}
 
 
 def _is_hyperparameter(key: Key) -> bool:
     return key.name.startswith("algorithm.") and key.name != "algorithm.name"
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
-    """Run the command line ``arguments``; returns the exit code."""
-    options = parse_arguments(arguments, program)
-
+def list_keys(options: Namespace) -> int:
+    """Print the keys of one algorithm, of an experiment's, or of all."""
     from algorithms.runs.console import make_console, print_line
 
     console = make_console()
-    with exit_on_error(ValueError, program=program):
-        values: dict[str, Any] = {}
-        name, env_id = options.algorithm, None
-        if options.config is not None:
-            experiment = load_experiment(options.config)
-            values, name, env_id = experiment.to_dict(), experiment.algorithm.name, experiment.environment.id
-        elif name is not None:
-            find_algorithm(name, "--algorithm")
-        for title, keys in key_sections(name, env_id).items():
-            console.print(f"{title}\n", style="bold", markup=False, highlight=False)
-            set_here = differing_values(values, keys)
-            for key in keys:
-                line, *description = key.text().splitlines()
-                here = f"; here {set_here[key.name]}" if key.name in set_here else ""
-                for each in (line + here, *description):
-                    text = textwrap.fill(each, console.width, subsequent_indent="    ", break_on_hyphens=False)
-                    print_line(console, text)
-            console.print()
+    values: dict[str, Any] = {}
+    name, env_id = options.algorithm, None
+    if options.config is not None:
+        experiment = load_experiment(options.config)
+        values, name, env_id = experiment.to_dict(), experiment.algorithm.name, experiment.environment.id
+    elif name is not None:
+        find_algorithm(name, "--algorithm")
+    for title, keys in key_sections(name, env_id).items():
+        console.print(f"{title}\n", style="bold", markup=False, highlight=False)
+        set_here = differing_values(values, keys)
+        for key in keys:
+            line, *description = key.text().splitlines()
+            here = f"; here {set_here[key.name]}" if key.name in set_here else ""
+            for each in (line + here, *description):
+                text = textwrap.fill(each, console.width, subsequent_indent="    ", break_on_hyphens=False)
+                print_line(console, text)
+        console.print()
     return 0
+
+
+ALGORITHM = option("--algorithm", "NAME", "an algorithm, another library's, or your own: package.module:Class")
+main = Command("keys", __doc__, (OneOf((CONFIG, ALGORITHM)),), list_keys)

@@ -12,15 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import (
-    INSTALLED,
-    add_training_arguments,
-    exit_on_error,
-    make_parser,
-    new_runs,
-    parse_training_arguments,
-    refuse_beside,
-)
+from algorithms.runs.cli import CONFIG, RUN_OUTPUT, Command, OneOf, exit_on_error, flag, new_runs
 from algorithms.runs.config import check_effects, check_loggers, load_experiment
 from mo_deepdrive.support.names import nearest
 
@@ -35,21 +27,6 @@ UNUSED = (
     *("training.seeds", "training.compiled", "training.share_policy", "evaluation.interval", "evaluation.episodes"),
     *("logging.interval", "logging.checkpoint_interval"),
 )
-
-
-def parse_arguments(arguments: list[str], program: str) -> tuple[Namespace, list[str]]:
-    """The options, and the overrides of the experiment."""
-    parser = make_parser(__doc__, program, "peers")
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--config", metavar="FILE", help="YAML file of the experiment, or the name of a shipped one")
-    source.add_argument("--list", action="store_true", help="list the peers, their requirements and whether they run")
-    add_training_arguments(parser)
-    options, overrides = parse_training_arguments(parser, arguments)
-    if options.list:
-        refuse_beside(parser, options, "--list", "output")
-        if overrides:
-            parser.error(f"{overrides[0]} has no effect beside --list")
-    return options, overrides
 
 
 def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
@@ -72,20 +49,21 @@ def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
     return experiment
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
-    """Run the command line ``arguments``; returns the exit code."""
-    options, overrides = parse_arguments(arguments, program)
-
+def train_peer(options: Namespace) -> int:
+    """Train and evaluate a peer, or list those that there are."""
     from algorithms.peers.listing import peers_table
     from algorithms.peers.running import run_peer
     from algorithms.runs.console import make_console
 
     console = make_console()
-    if options.list:
-        console.print(peers_table())
-        return 0
-    with exit_on_error(ValueError, program=program):
-        experiment = load_peer_experiment(options.config, overrides)
+    with exit_on_error(ValueError):
+        if options.list:
+            given = [*(["--output"] if options.output else []), *options.overrides]
+            if given:
+                raise ValueError(f"{given[0]} has no effect beside --list")
+            console.print(peers_table())
+            return 0
+        experiment = load_peer_experiment(options.config, options.overrides)
         check_loggers(experiment)
         (run,) = new_runs(options, [experiment])
     print(f"run {run.path}", flush=True)
@@ -98,3 +76,14 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             raise
     print(f"finished: {run.path}")
     return 0
+
+
+LIST = flag("--list", "list the peers, their requirements and whether they run")
+main = Command(
+    "peers",
+    __doc__,
+    (OneOf((CONFIG, LIST), required=True), RUN_OUTPUT),
+    train_peer,
+    takes_keys=True,
+    errors_of_input=(),  # in training they are errors of the program
+)

@@ -20,21 +20,14 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.runs.cli import (
-    INSTALLED,
-    add_trust_argument,
-    check_file,
-    exit_on_error,
-    make_parser,
-    warn_of_changes,
-)
+from algorithms.runs.cli import TRUST, Command, check_file, flag, option
 from algorithms.runs.config import find_environment, is_ours
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
-    import argparse
+    from argparse import Namespace
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
@@ -48,32 +41,20 @@ MAX_FPS = 1000
 MAX_SEED = 2**31 - 1
 
 
-def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
-    """Parse the command line.
+def check_options(options: Namespace) -> None:
+    """Refuse a value out of range, and a video that cannot be written.
 
     Raises:
-        ValueError: for a value out of range, or a video that cannot be written.
+        ValueError: naming the option.
     """
-    parser = make_parser(__doc__, program, "play")
-    parser.add_argument("--env", required=True, metavar="ID", help="one of this package's environments")
-    parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: random)")
-    parser.add_argument("--fps", type=int, metavar="N", help="decisions per second (default: real time)")
-    parser.add_argument("--against", metavar="RUN", help="what drives the other vehicles")
-    help_text = "the vehicle you drive against RUN (default: 0, or one that RUN did not learn to drive)"
-    parser.add_argument("--vehicle", type=int, metavar="V", help=help_text)
-    parser.add_argument("--stochastic", action="store_true", help="sample RUN's actions instead of the greedy ones")
-    parser.add_argument("--record", metavar="FILE", help="write an MP4 of the session")
-    add_trust_argument(parser)
-    options = parser.parse_args(arguments)
-    if options.seed is not None and not 0 <= options.seed <= MAX_SEED:
-        raise ValueError(f"--seed {options.seed} must be between 0 and {MAX_SEED}")
-    if options.fps is not None and not 1 <= options.fps <= MAX_FPS:
-        raise ValueError(f"--fps {options.fps} must be between 1 and {MAX_FPS}")
+    for name, low, high in (("seed", 0, MAX_SEED), ("fps", 1, MAX_FPS)):
+        value = getattr(options, name)
+        if value is not None and not low <= value <= high:
+            raise ValueError(f"--{name} {value} must be between {low} and {high}")
     check_file("--record", options.record, ".mp4")
-    return options
 
 
-def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
+def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
     """The environment that the options ask for, what drives the other vehicles, if any, and the user's vehicles.
 
     Raises:
@@ -111,7 +92,7 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Pol
     return make_play_env(spec.id, **arguments), policy, [seat]
 
 
-def open_rule(options: argparse.Namespace, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
+def open_rule(options: Namespace, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
     """A scripted driver of all vehicles, the arguments of its environment, and nobody that drives beside it."""
     from algorithms.runs.build import open_driver
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -121,7 +102,7 @@ def open_rule(options: argparse.Namespace, env_id: str) -> tuple[Policy, dict[st
     return open_driver(options.against, min(seat, env.vehicles - 1), env, "discrete"), {}, {}
 
 
-def open_run(options: argparse.Namespace, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
+def open_run(options: Namespace, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
     """The agent of a run, the arguments of its environment, and the partners that it learnt with.
 
     Raises:
@@ -133,7 +114,6 @@ def open_run(options: argparse.Namespace, env_id: str) -> tuple[Policy, dict[str
     theirs = run.experiment.environment
     if find_environment(theirs.id).id != env_id:
         raise ValueError(f"--against {options.against}: the run drives in {theirs.id}, not in {env_id}")
-    warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors"))
     return load_policy(run), theirs.arguments, run.experiment.training.partners
 
 
@@ -151,40 +131,31 @@ def print_outcome(objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
         print("  ".join((name.ljust(widths[0]), end.ljust(widths[1]), *cells)).rstrip())
 
 
-def make_driver(policy: Policy, options: argparse.Namespace) -> PolicyDriver:
-    """The policy as a driver."""
-    import torch
-
-    from mo_deepdrive.evaluation.policy_driver import PolicyDriver
-
-    generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
-    return PolicyDriver(policy, generator)
-
-
-def recorder(options: argparse.Namespace, rate: int) -> AbstractContextManager[Callable[[Any], None] | None]:
-    """What writes the frames of the session to ``--record``, if it is given."""
-    if not options.record:
-        return nullcontext()
-    with needed_for("--record"):
-        from algorithms.reporting.videos import video_writer
-    return video_writer(options.record, rate)
-
-
-def main(arguments: list[str], program: str = INSTALLED) -> int:
-    """Run the command line ``arguments``; the exit code."""
-    with exit_on_error(ValueError, program=program):
-        options = parse_arguments(arguments, program)
-
+def play(options: Namespace) -> int:
+    """Open the window, and drive until it is closed."""
     from mo_deepdrive.drawing.quiet_pygame import pygame
     from mo_deepdrive.play import HumanPlayEnv, describe_controls, open_display, play_in_window
 
-    with exit_on_error(ValueError, OSError, pygame.error, program=program):
+    check_options(options)
+    driver: PolicyDriver | None = None
+    recorder: AbstractContextManager[Callable[[Any], None] | None] = nullcontext()
+    try:
         env, policy, seats = open_environment(options)
         # Only a user who sets SDL_VIDEODRIVER can want a window without a display.
         open_display(allow_invisible=bool(os.environ.get("SDL_VIDEODRIVER")))
         rate = env.config.decision_frequency
-        driver = None if policy is None else make_driver(policy, options)
-        with recorder(options, rate) as on_frame:
+        if policy is not None:
+            import torch
+
+            from mo_deepdrive.evaluation.policy_driver import PolicyDriver
+
+            generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
+            driver = PolicyDriver(policy, generator)
+        if options.record:
+            with needed_for("--record"):
+                from algorithms.reporting.videos import video_seconds, video_writer
+            recorder = video_writer(options.record, rate)
+        with recorder as on_frame:
             human_env = HumanPlayEnv(env, seats, driver=driver, on_frame=on_frame)
             human_env.reset(seed=options.seed)
             print(describe_controls(seats))
@@ -192,8 +163,21 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
                 play_in_window(human_env, options.fps or rate, lambda outcome: print_outcome(env.objectives, outcome))
             finally:
                 human_env.close()
-        if options.record and Path(options.record).is_file():
-            from algorithms.reporting.videos import video_seconds
-
-            print(f"video: {options.record}: {video_seconds(options.record):.1f} s")
+    except pygame.error as error:
+        raise OSError(str(error)) from None
+    if options.record and Path(options.record).is_file():
+        print(f"video: {options.record}: {video_seconds(options.record):.1f} s")
     return 0
+
+
+OPTIONS = (
+    option("--env", "ID", "one of this package's environments", required=True),
+    option("--seed", "S", "seed of the first episode (default: random)", type=int),
+    option("--fps", "N", "decisions per second (default: real time)", type=int),
+    option("--against", "RUN", "what drives the other vehicles"),
+    option("--vehicle", "V", "the vehicle you drive against RUN (default: 0, or one that RUN did not learn)", type=int),
+    flag("--stochastic", "sample RUN's actions instead of the greedy ones"),
+    option("--record", "FILE", "write an MP4 of the session"),
+    TRUST,
+)
+main = Command("play", __doc__, OPTIONS, play)

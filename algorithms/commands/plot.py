@@ -18,16 +18,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import INSTALLED, check_file, exit_on_error, make_parser, warn, warn_of_changes
+from algorithms.runs.cli import check_file, exit_on_error, make_parser, warn
 from algorithms.studies.sweep_manifest import is_sweep
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
 
-def parse_arguments(arguments: list[str], program: str) -> Namespace:
+def parse_arguments(arguments: list[str]) -> Namespace:
     """The options."""
-    parser = make_parser(__doc__, program, "plot")
+    parser = make_parser(__doc__, "plot")
     parser.add_argument(
         "runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep"
     )
@@ -37,31 +37,28 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     return parser.parse_args(arguments)
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
+def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; the exit code."""
-    options = parse_arguments(arguments, program)
-    tell = partial(warn, program=program)
+    options = parse_arguments(arguments)
 
     from algorithms.runs.accessories import sole_purpose
     from algorithms.runs.console import make_console, print_line
 
     say = partial(print_line, make_console())
-    with exit_on_error(ValueError, program=program), sole_purpose("the curves could not be drawn"):
+    with exit_on_error(ValueError), sole_purpose("the curves could not be drawn"):
         from algorithms.reporting.learning_curves import FORMATS, describe, load_groups, plot
         from algorithms.reporting.seed_tables import find_runs
         from algorithms.studies.sweep_plots import plot_sweep
 
         check_file("--output", options.output, *FORMATS)
         if not any(is_sweep(run) for run in options.runs):
-            runs = find_runs(options.runs, tell)
-            groups = load_groups(runs, tell)
-            for run in runs:
-                warn_of_changes(run, ("config.yaml", "metrics.csv"))
+            runs = find_runs(options.runs, warn)
+            groups = load_groups(runs, warn)
             plot(groups, options.output)
             for line in (*describe(groups), str(options.output)):
                 say(line)
         elif len(options.runs) > 1:
             raise ValueError("a sweep has its own figures: give one sweep, or else runs")
         else:
-            plot_sweep(options.runs[0], options.output, say, tell)
+            plot_sweep(options.runs[0], options.output, say, warn)
     return 0

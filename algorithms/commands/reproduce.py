@@ -14,7 +14,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import INSTALLED, check_directory, make_parser, warn
+from algorithms.runs.cli import check_directory, make_parser, warn
 from algorithms.runs.interrupts import Stopped
 from algorithms.studies import CLAIM_NUMBERS, FIGURES
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from argparse import Namespace
 
 
-def parse_arguments(arguments: list[str], program: str) -> Namespace:
+def parse_arguments(arguments: list[str]) -> Namespace:
     """The options."""
-    parser = make_parser(__doc__, program, "reproduce")
+    parser = make_parser(__doc__, "reproduce")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--all", action="store_true", help="everything (the default)")
     what.add_argument("--figure", type=int, choices=FIGURES, metavar="N", help="a figure of the paper: 4 to 10")
@@ -66,9 +66,9 @@ def check_options(options: Namespace) -> None:
         raise ValueError("--redraw does not train; it cannot be combined with --quick, --seeds or --workers")
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
+def main(arguments: list[str]) -> int:
     """Run the command line ``arguments`` and return the exit code."""
-    given = parse_arguments(arguments, program)
+    given = parse_arguments(arguments)
 
     from algorithms.runs.console import make_console
     from algorithms.studies.paper_pipeline import ReproductionOptions, reproduce
@@ -89,8 +89,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         )
         return reproduce(load_plan(given.plan), options, make_console())
     except (ValueError, OSError) as error:
-        warn(f"error: {error}", program)
+        warn(f"error: {error}")
         return 2
     except Stopped as error:
-        warn(f"error: {error}", program)
+        warn(f"error: {error}")
         return 1

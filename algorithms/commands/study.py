@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import add_run_arguments, run_command
-from algorithms.runs.cli import INSTALLED, make_parser, refuse_beside
+from algorithms.runs.cli import make_parser, refuse_beside
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -36,9 +36,9 @@ def add_study_arguments(parser: ArgumentParser) -> None:
     instead.add_argument("--tables", action="store_true", help="write the tables of what has finished")
 
 
-def parse_arguments(arguments: list[str], program: str) -> Namespace:
+def parse_arguments(arguments: list[str]) -> Namespace:
     """The options."""
-    parser = make_parser(__doc__, program, "study")
+    parser = make_parser(__doc__, "study")
     parser.add_argument("--config", metavar="FILE", help="YAML file of the study, or the name of a shipped one")
     parser.add_argument(
         "--tasks", nargs="+", action="extend", metavar="TASK", help="train on some of its tasks (default: all)"
@@ -55,9 +55,9 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     return options
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
+def main(arguments: list[str]) -> int:
     """Run the command line ``arguments`` and return the exit code."""
-    options = parse_arguments(arguments, program)
+    options = parse_arguments(arguments)
 
     def make(directory: Path, backend: Backend, console: Console) -> Runner:
         from algorithms.studies.plan import StudyPlan
@@ -70,4 +70,4 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         return StudyRunner(plan, directory, backend, console, train=not options.tables)
 
     directory = options.output or Path("runs") / "studies" / Path(options.config).stem
-    return run_command(options, program, directory, make)
+    return run_command(options, directory, make)

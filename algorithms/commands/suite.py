@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from algorithms.commands.suite_results import PUBLISHED, add_suite_run, add_suite_table, suite_run, suite_table
 from algorithms.commands.suite_score import add_suite_score, add_suite_verify, suite_score, suite_verify
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
-from algorithms.runs.cli import INSTALLED, exit_on_error, make_parser
+from algorithms.runs.cli import exit_on_error, make_parser
 
 if TYPE_CHECKING:
     import argparse
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from mo_deepdrive.suite import Row, Suite
 
 
-def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
+def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     """The options."""
-    parser = make_parser(__doc__, program, "suite")
+    parser = make_parser(__doc__, "suite")
     actions = parser.add_subparsers(required=True, metavar="ACTION")
 
     def add(name: str, what: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
         action: argparse.ArgumentParser = actions.add_parser(name, help=what, description=what, allow_abbrev=False)
-        action.set_defaults(run=run, program=program)
+        action.set_defaults(run=run)
         return action
 
     add("list", "the tasks, with what each tests, its floor and its ceiling", _list)
@@ -93,9 +93,9 @@ def _list(_options: argparse.Namespace) -> int:
     return 0
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
+def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; returns the exit code."""
-    options = parse_arguments(arguments, program)
-    with exit_on_error(ValueError, OSError, program=program):
+    options = parse_arguments(arguments)
+    with exit_on_error(ValueError, OSError):
         code: int = options.run(options)
     return code

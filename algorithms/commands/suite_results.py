@@ -60,7 +60,7 @@ def suite_run(options: Namespace) -> int:
         return StudyRunner(plan, directory, backend, console, train=not options.tables)
 
     name = "-".join(["suite", *short_names(options.learner).values()]).replace("/", "-")
-    return run_command(options, options.program, options.output or Path("runs") / "studies" / name, make)
+    return run_command(options, options.output or Path("runs") / "studies" / name, make)
 
 
 def plan_of(learners: list[str], tasks: list[str], seeds: int, overrides: Mapping[str, Any] | None = None) -> StudyPlan:

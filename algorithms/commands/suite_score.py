@@ -6,7 +6,7 @@ import secrets
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from algorithms.runs.cli import add_trust_argument, check_file
+from algorithms.runs.cli import TRUST, check_file
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -35,7 +35,7 @@ def add_suite_score(parser: ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, metavar="N", help="instead of those of a task")
     parser.add_argument("--no-perturbations", action="store_true", help="leave out the columns of generalisation")
     parser.add_argument("--output", metavar="CSV", help="also write the rows, from which suite verify reads them")
-    add_trust_argument(parser)
+    TRUST.add_to(parser)
 
 
 def add_suite_verify(parser: ArgumentParser) -> None:
@@ -48,7 +48,7 @@ def add_suite_verify(parser: ArgumentParser) -> None:
         metavar="NUMBER",
         help="from which fresh scenarios follow (default: drawn)",
     )
-    add_trust_argument(parser)
+    TRUST.add_to(parser)
 
 
 def suite_score(options: Namespace) -> int:

@@ -20,7 +20,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import INSTALLED, PROCESS_DEFAULTS, check_directory, make_parser, warn
+from algorithms.runs.cli import PROCESS_DEFAULTS, check_directory, make_parser, warn
 from algorithms.runs.interrupts import Stopped, no_space
 from algorithms.studies import BACKENDS
 from algorithms.studies.sweep_settings import load_sweep
@@ -51,9 +51,9 @@ BACKENDS_OF_OPTIONS = {
 WHILE_TRAINING = {"on": "local", "workers": None, "address": None, "no_wait": False}  # options, with their defaults
 
 
-def parse_arguments(arguments: list[str], program: str) -> Namespace:
+def parse_arguments(arguments: list[str]) -> Namespace:
     """The options."""
-    parser = make_parser(__doc__, program, "sweep")
+    parser = make_parser(__doc__, "sweep")
     parser.add_argument("--config", metavar="FILE", help="YAML file of the sweep, or the name of a shipped one")
     add_run_arguments(parser, "sweep")
     options = parser.parse_args(arguments)
@@ -116,14 +116,11 @@ def check_options(options: Namespace) -> None:
         raise ValueError(f"--on {options.on} needs {module}: pip install 'mo-deepdrive[sweep]'")
 
 
-def run_command(
-    options: Namespace, program: str, directory: Path, make: Callable[[Path, Backend, Console], Runner]
-) -> int:
+def run_command(options: Namespace, directory: Path, make: Callable[[Path, Backend, Console], Runner]) -> int:
     """Do what the options of :func:`add_run_arguments` say; returns the exit code.
 
     Args:
         options: the options.
-        program: how commands are called.
         directory: of the runs.
         make: what makes the runner.
     """
@@ -145,16 +142,16 @@ def run_command(
             return runner.remake()
         return runner.print_batch_script() if options.dry_run else runner.run()
     except (ValueError, OSError) as error:
-        warn(f"error: {error}", program)
+        warn(f"error: {error}")
         return 1 if isinstance(error, OSError) and no_space(error) else 2
     except Stopped as error:
-        warn(f"error: {error}\nrun the same command again to resume", program)
+        warn(f"error: {error}\nrun the same command again to resume")
         return 1
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
+def main(arguments: list[str]) -> int:
     """Run the command line ``arguments`` and return the exit code."""
-    options = parse_arguments(arguments, program)
+    options = parse_arguments(arguments)
 
     def make(directory: Path, backend: Backend, console: Console) -> Runner:
         from algorithms.studies.sweep_runner import SweepRunner
@@ -162,4 +159,4 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         return SweepRunner(load_sweep(options.config), directory, backend, console)
 
     directory = options.output or Path("runs") / "sweeps" / Path(options.config).stem
-    return run_command(options, program, directory, make)
+    return run_command(options, directory, make)

@@ -25,11 +25,10 @@ shown, the exit code is 2.
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import INSTALLED, check_file, make_parser, warn
+from algorithms.runs.cli import check_file, make_parser, warn
 from algorithms.runs.run_files import changed_files, diverged
 from algorithms.studies.sweep_manifest import is_sweep
 
@@ -42,9 +41,9 @@ if TYPE_CHECKING:
 TOP = 20
 
 
-def parse_arguments(arguments: list[str], program: str) -> Namespace:
+def parse_arguments(arguments: list[str]) -> Namespace:
     """The options."""
-    parser = make_parser(__doc__, program, "table")
+    parser = make_parser(__doc__, "table")
     parser.add_argument(
         "runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep"
     )
@@ -112,19 +111,19 @@ def print_tables(options: Namespace, warn: Callable[[str], None]) -> tuple[Seque
     return print_sweep(options.runs[0], console, warn, metric=options.sort, top=top, columns=columns)
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
+def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; the exit code."""
-    options = parse_arguments(arguments, program)
+    options = parse_arguments(arguments)
 
     from algorithms.reporting.table_files import FORMATS, write_tables
 
     try:
         check_file("--output", options.output, *FORMATS)
-        scores, compared = print_tables(options, partial(warn, program=program))
+        scores, compared = print_tables(options, warn)
         if options.output is not None:
             written = write_tables(options.output, scores, compared, options.columns)
             print(f"written: {', '.join(map(str, written))}")
     except (ValueError, OSError) as error:
-        warn(f"error: {error}", program)
+        warn(f"error: {error}")
         return 2
     return 0

@@ -5,8 +5,9 @@
     mo-deepdrive train --resume runs/mo_a2c_linear/mo_a2c-seed3-20260101-120000
     mo-deepdrive train --resume RUN --training.total_timesteps=4e6
 
-Every key of the YAML file is an option, --section.key=value; mo-deepdrive keys lists them. The third line trains a run
-longer, which may be finished; it takes one whose learning rate and other settings do not move with the training.
+Every key of the YAML file is an option, --section.key=value; mo-deepdrive keys lists them. --seed and --device are
+short for --training.seed and --training.device. The fourth line trains a run longer, which may be finished; it takes
+one whose learning rate and other settings do not move with the training.
 """
 
 from __future__ import annotations
@@ -16,16 +17,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms.runs.cli import (
-    INSTALLED,
-    add_training_arguments,
-    add_trust_argument,
-    as_called,
+    CONFIG,
+    FAILED,
+    RUN_OUTPUT,
+    TRUST,
+    Command,
+    OneOf,
     exit_on_error,
-    make_parser,
+    many,
     new_runs,
-    parse_training_arguments,
     warn,
-    warn_of_changes,
 )
 from algorithms.runs.config import check_loggers, load_experiment, parse_overrides
 from algorithms.runs.run_directory import imported_paths, resume_options
@@ -36,22 +37,7 @@ if TYPE_CHECKING:
     from algorithms.runs.run_directory import Run
 
 
-FAILED = 1  # exit code if a run failed
-
-
-def parse_arguments(arguments: list[str], program: str) -> tuple[Namespace, list[str]]:
-    """The options, and the overrides of the experiment."""
-    parser = make_parser(__doc__, program, "train")
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--config", metavar="FILE", help="YAML file of the experiment, or the name of a shipped one")
-    resume = "directory of a run to resume; of several, to go on side by side"
-    source.add_argument("--resume", metavar="RUN", nargs="+", action="extend", help=resume)
-    add_training_arguments(parser)
-    add_trust_argument(parser)
-    return parse_training_arguments(parser, arguments)
-
-
-def open_runs(options: Namespace, overrides: list[str]) -> tuple[list[Run], Any]:
+def open_runs(options: Namespace) -> tuple[list[Run], Any]:
     """The new or resumed runs of the command line, and what trains them; several if the experiment has several seeds.
 
     Raises:
@@ -65,17 +51,16 @@ def open_runs(options: Namespace, overrides: list[str]) -> tuple[list[Run], Any]
     if options.resume is None:
         if options.trust:
             raise ValueError("--trust is for --resume; --config is a file of yours, which may name code to import")
-        experiment = load_experiment(options.config, overrides)
+        experiment = load_experiment(options.config, options.overrides)
         check_loggers(experiment)
         experiments = experiment.of_seeds()
         side_by_side = experiment.is_resident or len(experiments) == 1
         trainee = build_trainee(experiments if side_by_side else experiments[:1])  # before a directory is created
         return new_runs(options, experiments), trainee
-    longer = dict(parse_overrides(overrides))
+    longer = dict(parse_overrides(options.overrides))
     total_timesteps = longer.pop("training.total_timesteps", None)
     if longer or options.output:
-        given = [each for each in overrides if not each.startswith("--training.total_timesteps")]
-        given += ["--output"] if options.output else []
+        given = [*(f"--{key}" for key in longer), *(["--output"] if options.output else [])]
         raise ValueError(
             "--resume continues the run with its own settings, apart from --training.total_timesteps; "
             f"it cannot take {' '.join(given)}"
@@ -89,32 +74,28 @@ def open_runs(options: Namespace, overrides: list[str]) -> tuple[list[Run], Any]
     return reopen(*options.resume, trust=options.trust, total_timesteps=total_timesteps)
 
 
-def next_steps(run: Run, program: str) -> str:
+def next_steps(run: Run) -> str:
     """What to do with a finished run, in two lines."""
-    path = shlex.quote(str(run.path))
-    shown = "table" if run.experiment.known_utility else "explore"
-    trust = " --trust" if imported_paths(run.experiment.to_dict()) else ""
-    commands = (
-        f"mo-deepdrive evaluate {path} --video drive.mp4{trust}",
-        f"mo-deepdrive plot {path}",
-        f"mo-deepdrive {shown} {path}{trust if shown == 'explore' else ''}",
-    )
-    return as_called(f"next: {'; '.join(commands)}\n      tensorboard --logdir {path}", program)
+    path, trust = shlex.quote(str(run.path)), " --trust" if imported_paths(run.experiment.to_dict()) else ""
+    shown = f"table {path}" if run.experiment.known_utility else f"explore {path}{trust}"
+    commands = (f"evaluate {path} --video drive.mp4{trust}", f"plot {path}", shown)
+    line = "; ".join(f"mo-deepdrive {command}" for command in commands)
+    return f"next: {line}\n      tensorboard --logdir {path}"
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
-    """Run the command line ``arguments``; returns the exit code."""
-    options, overrides = parse_arguments(arguments, program)
-    with exit_on_error(ValueError, OSError, program=program):
-        runs, trainee = open_runs(options, overrides)
-        if all(run.status.get("state") == "finished" for run in runs):
-            print("\n".join(f"{run.path} is finished; there is nothing to resume" for run in runs))
-            return max(int(warn_of_changes(run.path)) for run in runs)
-    how = resume_options([run.path for run in runs], runs[0].experiment.to_dict())
-    resume_with = as_called(f"resume with: mo-deepdrive train {how}", program)
+def train(options: Namespace) -> int:
+    """Train, and evaluate what was trained."""
+    with exit_on_error(ValueError, OSError):
+        runs, trainee = open_runs(options)
+    if all(run.status.get("state") == "finished" for run in runs):
+        print("\n".join(f"{run.path} is finished; there is nothing to resume" for run in runs))
+        return 0
+
     from algorithms.runs.console import make_console
     from algorithms.runs.training import train_and_finish
 
+    how = resume_options([run.path for run in runs], runs[0].experiment.to_dict())
+    resume_with = f"resume with: mo-deepdrive train {how}"
     with exit_on_error(hint=resume_with):
         for change in runs[0].changed_versions():
             warn(f"warning: since the run was started, {change}")
@@ -134,7 +115,16 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     done = [run for seed, run in enumerate(runs) if seed not in trainee.failed]
     for run in done:
         print(f"finished: {run.path}")
-    print(next_steps(done[0], program))
-    for run in done:
-        warn_of_changes(run.path)
+    print(next_steps(done[0]))
     return 0 if len(done) == len(runs) else FAILED
+
+
+RESUME = many("--resume", "RUN", "directory of a run to resume; of several, to go on side by side")
+main = Command(
+    "train",
+    __doc__,
+    (OneOf((CONFIG, RESUME), required=True), RUN_OUTPUT, TRUST),
+    train,
+    takes_keys=True,
+    errors_of_input=(),  # in training they are errors of the program
+)

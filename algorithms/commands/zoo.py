@@ -8,17 +8,21 @@ Their names can be given instead of a run: to evaluate, choose (fronts) and play
 
 from __future__ import annotations
 
-from algorithms.runs.cli import INSTALLED, exit_on_error, make_parser
+from typing import TYPE_CHECKING
+
+from algorithms.runs.cli import Command
+
+if TYPE_CHECKING:
+    from argparse import Namespace
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
-    """Run the command line ``arguments``; returns the exit code."""
-    make_parser(__doc__, program, "zoo").parse_args(arguments)
-
+def list_zoo(_options: Namespace) -> int:
+    """Print the table of the policies."""
     from algorithms.runs.console import make_console
     from algorithms.zoo.listing import zoo_table
 
-    with exit_on_error(ValueError, OSError, program=program):
-        table = zoo_table()
-        make_console().print(table if table.row_count else "the zoo is empty")
+    make_console().print(zoo_table())
     return 0
+
+
+main = Command("zoo", __doc__, (), list_zoo)

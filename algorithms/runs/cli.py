@@ -1,4 +1,4 @@
-"""What the commands share: argument definitions, validation and exit handling.
+"""What the commands share: how they are declared and run, the options of several, checks of values, and exit codes.
 
 Nothing below ``algorithms/commands`` reads the command line or the environment: a command passes what it has read to
 these functions.
@@ -9,74 +9,147 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import re
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from algorithms.runs.interrupts import INTERRUPTED, Moved, Stopped
-from algorithms.runs.run_directory import METRICS_FILE, Run, default_directory, read_status
-from algorithms.runs.run_files import changed_files
+from algorithms.runs.interrupts import INTERRUPTED, Stopped
+from algorithms.runs.run_directory import Run, default_directory
 from mo_deepdrive.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from mo_deepdrive.support.atomic_io import expand_home, without_links
 from mo_deepdrive.support.faults import Fault
 from mo_deepdrive.support.names import nearest, printable, shortened
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from typing import NoReturn
 
     from algorithms.runs.config import Experiment
 
 # Exit codes: an error while running, and invalid input (as argparse).
 FAILED, INVALID_INPUT = 1, 2
+# Variables that are set for a command unless the user has set them: videos are drawn in memory, and an idle thread
+# sleeps after some 0.2 ms instead of spinning on a core that others need.
+PROCESS_DEFAULTS = {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "GOMP_SPINCOUNT": "6000"}
 SEEDS = range(EVALUATION_SEED_LIMIT)  # of evaluation episodes
 # The episodes by which policies of a front are chosen, unless the user asks for others.
 CHOICE_EPISODES = 20
 CHOICE_SPLIT: Split = "validation"
 
 
-# How a command is called: "mo-deepdrive {}", "python -m mo_deepdrive {}" or "python scripts/{}.py".
-INSTALLED = "mo-deepdrive {}"
-# Variables that are set for a command unless the user has set them: videos are drawn in memory, and an idle thread
-# sleeps after some 0.2 ms instead of spinning on a core that others need. Not the user's choice is the backend of
-# Matplotlib: figures are drawn into files, and that of a notebook, whose cell calls the command, may not be there.
-PROCESS_DEFAULTS = {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "GOMP_SPINCOUNT": "6000"}
+# ----------------------------------------------------------------------------------------------- commands and options
 
 
-def prepare_process(environment: MutableMapping[str, str], path: list[str], defaults: Mapping[str, str]) -> None:
-    """Set up the process of a command: its environment, and where a user's own modules are imported from.
+@dataclass(frozen=True)
+class Option:
+    """An option or argument of a command: its name, and the settings of argparse's ``add_argument``."""
+
+    name: str
+    settings: Mapping[str, Any]
+
+    def add_to(self, parser: argparse._ActionsContainer) -> None:
+        """Add it to a parser."""
+        parser.add_argument(self.name, **self.settings)
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Options of which at most one can be given, or exactly one if it is ``required``."""
+
+    options: tuple[Option, ...]
+    required: bool = False
+
+    def add_to(self, parser: argparse._ActionsContainer) -> None:
+        """Add them to a parser."""
+        group = parser.add_mutually_exclusive_group(required=self.required)
+        for option in self.options:
+            option.add_to(group)
+
+
+def option(name: str, metavar: str | None, text: str, **settings: Any) -> Option:
+    """An option with a value, or an argument if ``name`` has no dashes, with its help text."""
+    return Option(name, {"metavar": metavar, "help": text, **settings})
+
+
+def many(name: str, metavar: str, text: str, **settings: Any) -> Option:
+    """An option with one or more values, which may be given again for further ones."""
+    return option(name, metavar, text, nargs="+", action="extend", **settings)
+
+
+def flag(name: str, text: str) -> Option:
+    """An option without a value."""
+    return Option(name, {"action": "store_true", "help": text})
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, called with the words of its command line; returns the exit code.
+
+    Attributes:
+        name: after ``mo-deepdrive``.
+        description: the docstring of its module, which ``--help`` prints as it is.
+        options: in the order of the help.
+        run: what it does with the parsed options; returns the exit code.
+        takes_keys: whether every key of an experiment is an option, too; they are in the attribute ``overrides``.
+        errors_of_input: exceptions of ``run`` that the user's input causes, which end the command with a line; all
+            others are errors of the program.
+    """
+
+    name: str
+    description: str | None
+    options: tuple[Option | OneOf, ...]
+    run: Callable[[argparse.Namespace], int]
+    takes_keys: bool = False
+    errors_of_input: tuple[type[Exception], ...] = (ValueError, OSError)
+
+    def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
+        """The options in a command line."""
+        parser = make_parser(self.description, self.name)
+        for each in self.options:
+            each.add_to(parser)
+        options, rest = parser.parse_known_args(arguments)
+        if rest and not self.takes_keys:
+            parser.error(f"unrecognized arguments: {' '.join(rest)}")
+        options.overrides = rest
+        return options
+
+    def __call__(self, arguments: Sequence[str]) -> int:
+        """Run a command line."""
+        options = self.parse(arguments)
+        with exit_on_error(*self.errors_of_input):
+            return self.run(options)
+
+
+CONFIG = option("--config", "FILE", "YAML file of the experiment, or the name of a shipped one")
+RUN_OUTPUT = option("--output", "DIR", "directory of the run (default: runs/CONFIG/NAME)")
+TRUST = flag("--trust", "allow the run's config.yaml to import and run code that it names by module")
+
+
+def video_option(text: str) -> Option:
+    """--video, which :func:`evaluation_arguments` checks."""
+    return option("--video", "FILE", text)
+
+
+def evaluation_options(episodes: int | None = None, split: Split | None = None) -> tuple[Option | OneOf, ...]:
+    """--episodes, and --split or --seed, which :func:`evaluation_arguments` checks.
 
     Args:
-        environment: ``os.environ``.
-        path: ``sys.path``; the working directory, where a user's own utility may be, is added to its end, so that no
-            folder in it hides an installed package.
-        defaults: variables of the environment that are set unless the user has set them.
+        episodes: without the option; those of the config if None.
+        split: of scenario seeds without the options; that of the config if None.
     """
-    for name, value in defaults.items():
-        environment.setdefault(name, value)
-    environment["MPLBACKEND"] = "agg"
-    path.append(str(Path.cwd()))
-
-
-def as_called(text: str, program: str) -> str:
-    """``text`` with its commands, such as ``mo-deepdrive train``, as they are called in this process.
-
-    Args:
-        text: a message or a help text.
-        program: how commands are called here, with ``{}`` for the name: see :data:`INSTALLED`.
-    """
-    return re.sub(r"\bmo-deepdrive ([a-z]+)\b", lambda found: program.format(found[1]), text)
-
-
-def warn(message: str, program: str = INSTALLED) -> None:
-    """Print a message to standard error, without the control characters of names in it, and with very long ones cut.
-
-    Args:
-        message: one that names commands as :func:`as_called` takes them.
-        program: how commands are called.
-    """
-    print(printable(shortened(as_called(message, program))), file=sys.stderr)
+    defaults = ["as in the config" if value is None else value for value in (episodes, split)]
+    text = f"episodes per policy (default: {defaults[0]})"
+    splits = f"split of scenario seeds (default: {defaults[1]})"
+    return (
+        option("--episodes", "N", text, type=int, default=episodes),
+        OneOf(
+            (
+                option("--split", None, splits, choices=SPLITS, default=split),
+                option("--seed", "S", "seed of the first episode, instead of a split", type=int),
+            )
+        ),
+    )
 
 
 class Parser(argparse.ArgumentParser):
@@ -107,44 +180,14 @@ class Parser(argparse.ArgumentParser):
         super().error(printable(shortened(message)))
 
 
-def make_parser(description: str | None, program: str = "", command: str = "") -> argparse.ArgumentParser:
-    """A parser that prints ``description``, a docstring, as it is, and accepts no abbreviations.
-
-    Args:
-        description: the docstring of a command, whose examples are printed as :func:`as_called`; or of a script.
-        program: how the command is called; empty for a script.
-        command: its name.
-    """
+def make_parser(description: str | None, command: str = "") -> argparse.ArgumentParser:
+    """A parser of a command, or of a script, that prints a docstring as it is and accepts no abbreviations."""
     return Parser(
-        prog=program.format(command) or None,
-        description=as_called(description or "", program) if program else description,
+        prog=f"mo-deepdrive {command}" if command else None,
+        description=description or "",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-
-
-def add_training_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add --seed, --device and --output, which :func:`parse_training_arguments` and :func:`new_runs` understand."""
-    parser.add_argument("--seed", metavar="N", help="short for --training.seed")
-    parser.add_argument("--device", metavar="D", help="short for --training.device")
-    parser.add_argument("--output", metavar="DIR", help="directory of the run (default: runs/CONFIG/NAME)")
-
-
-def parse_training_arguments(
-    parser: argparse.ArgumentParser, arguments: Sequence[str]
-) -> tuple[argparse.Namespace, list[str]]:
-    """Parse a command line in which every key of the YAML file is an option.
-
-    Args:
-        parser: with the arguments of :func:`add_training_arguments`.
-        arguments: the command line without the name of the command.
-
-    Returns:
-        The parser's options, and the overrides for :func:`algorithms.runs.config.load_experiment`.
-    """
-    options, overrides = parser.parse_known_args(arguments)
-    overrides += [f"--{key}={value}" for key in ("seed", "device") if (value := getattr(options, key)) is not None]
-    return options, overrides
 
 
 def refuse_beside(
@@ -156,6 +199,9 @@ def refuse_beside(
             parser.error(f"--{name.replace('_', '-')} has no effect beside {option}")
 
 
+# -------------------------------------------------------------------------------------------------------------- values
+
+
 def new_runs(options: argparse.Namespace, experiments: Sequence[Experiment]) -> list[Run]:
     """Create the runs of ``--config`` in ``--output``, or in new directories under ``runs/``.
 
@@ -164,83 +210,27 @@ def new_runs(options: argparse.Namespace, experiments: Sequence[Experiment]) -> 
     Raises:
         ValueError: if a directory is not empty or cannot be written.
     """
-    found = []
+    runs = []
     for experiment in experiments:
         if options.output and len(experiments) > 1:
             path = Path(options.output) / f"seed-{experiment.training.seed}"
         else:
             path = options.output or default_directory("runs", options.config, experiment)
-        found.append(Run.create(experiment, path))
-    return found
-
-
-def add_evaluation_arguments(
-    parser: argparse.ArgumentParser,
-    *,
-    default_episodes: int | None = None,
-    default_split: Split | None = None,
-    video: str | None = None,
-) -> None:
-    """Add --episodes, --split, --seed and perhaps --video, which :func:`evaluation_arguments` checks.
-
-    Args:
-        parser: of the command.
-        default_episodes: episodes without the option; the config's if None.
-        default_split: split of scenario seeds without the option; the config's if None.
-        video: help text of --video; None for a command that films nothing.
-    """
-    episodes, split = ("as in the config" if each is None else each for each in (default_episodes, default_split))
-    help_text = f"episodes per policy (default: {episodes})"
-    parser.add_argument("--episodes", type=int, default=default_episodes, metavar="N", help=help_text)
-    scenarios = parser.add_mutually_exclusive_group()
-    help_text = f"split of scenario seeds (default: {split})"
-    scenarios.add_argument("--split", choices=SPLITS, default=default_split, help=help_text)
-    scenarios.add_argument("--seed", type=int, metavar="S", help="seed of the first episode, instead of a split")
-    if video is None:
-        parser.set_defaults(video=None)
-    else:
-        parser.add_argument("--video", metavar="FILE", help=video)
-
-
-def add_trust_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --trust, which is passed to :meth:`Run.open`."""
-    help_text = "allow the run's config.yaml to import and run code that it names by module"
-    parser.add_argument("--trust", action="store_true", help=help_text)
-
-
-def warn_of_changes(run: Path, names: Sequence[str] | None = None) -> bool:
-    """Print to standard error how the files of a finished run differ from what it wrote.
-
-    Args:
-        run: the run's directory; a run whose record is lost is not warned of.
-        names: check these files alone; None for all.
-
-    Returns:
-        Whether there is a difference.
-    """
-    found = changed_files(run, names)
-    gap = read_status(run).get("metrics_gap")
-    if gap is not None and (names is None or METRICS_FILE in names):
-        found.append(gap)
-    for line in found:
-        warn(f"warning: {run}: {line}")
-    return bool(found)
+        runs.append(Run.create(experiment, path))
+    return runs
 
 
 def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) -> tuple[int, int]:
-    """The number of episodes and the seed of an evaluation, from the command line or else the experiment.
+    """The number of episodes per policy and the seed of the first one, from the command line or else the experiment.
 
     Args:
-        options: with the arguments of :func:`add_evaluation_arguments`, whose --video is checked too.
+        options: those of :func:`evaluation_options`; perhaps --video, which is checked too.
         experiment: the experiment to evaluate.
 
-    Returns:
-        Number of episodes per policy, and seed of the first episode.
-
     Raises:
-        ValueError: if one is out of range, or the directory of --video does not exist.
+        ValueError: if one is out of range, or --video cannot be written.
     """
-    settings = experiment.evaluation
+    settings, video = experiment.evaluation, getattr(options, "video", None)
     episodes = settings.final_episodes if options.episodes is None else options.episodes
     if episodes < 1:
         raise ValueError(f"--episodes {episodes} must be at least 1")
@@ -251,27 +241,43 @@ def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) ->
         seed = SPLITS[split].start
     elif seed not in SEEDS:
         raise ValueError(f"--seed {seed} must be between {SEEDS.start} and {SEEDS.stop - 1}")
-    if options.video:
+    if video:
         from algorithms.reporting.videos import check_renderable  # with the packages that render
 
-        check_file("--video", options.video, ".mp4")
+        check_file("--video", video, ".mp4")
         try:
             check_renderable(experiment.environment.id, experiment.environment.arguments)
         except ValueError as error:
-            raise ValueError(f"--video {options.video!r}: {error}") from None
+            raise ValueError(f"--video {video!r}: {error}") from None
     return episodes, seed
 
 
-def check_file(option: str, path: str | Path | None, *endings: str) -> None:
-    """Check, before any work, that an option's file can be written.
-
-    Args:
-        option: its name, for the message.
-        path: its value; None if it was not given.
-        endings: of which its name must have one; none for any name.
+def check_front(run: Run) -> None:
+    """Refuse a run whose algorithm learns one policy.
 
     Raises:
-        ValueError: if its directory does not exist, it is a directory, or its name ends otherwise.
+        ValueError: with the command that shows it.
+    """
+    if run.experiment.known_utility:
+        raise ValueError(f"{str(run.path)!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
+
+
+def policy_index(option: int, count: int) -> int:
+    """The value of --policy, a row of the ``count`` ones in a front.csv.
+
+    Raises:
+        ValueError: if there is no such policy.
+    """
+    if not 0 <= option < count:
+        raise ValueError(f"--policy {option} must be from 0 to {count - 1}, a policy of front.csv")
+    return option
+
+
+def check_file(option: str, path: str | Path | None, *endings: str) -> None:
+    """Check, before any work, that the file of an option can be written; nothing if it was not given.
+
+    Raises:
+        ValueError: if its directory does not exist, it is a directory, or its name has none of the ``endings``.
     """
     if not path:
         return
@@ -284,11 +290,7 @@ def check_file(option: str, path: str | Path | None, *endings: str) -> None:
 
 
 def check_directory(option: str, path: str | Path | None) -> None:
-    """Check, before any work, that an option's directory exists or can be made with its parents.
-
-    Args:
-        option: its name, for the message.
-        path: its value; None if it was not given.
+    """Check, before any work, that the directory of an option exists or can be made; nothing if it was not given.
 
     Raises:
         ValueError: if it or one of its parents is a file.
@@ -302,15 +304,10 @@ def check_directory(option: str, path: str | Path | None) -> None:
 
 
 def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> dict[str, float]:
-    """Parse ``["distance=1", "jerk=0.1"]`` as a mapping.
-
-    Args:
-        option: the option of these values, for messages.
-        pairs: its values.
-        names: the known names.
+    """Parse ``["distance=1", "jerk=0.1"]``, values of an ``option``, as a mapping.
 
     Raises:
-        ValueError: for an unknown or repeated name, or a value that is not a finite number.
+        ValueError: for a name that is repeated or not among ``names``, or a value that is not a finite number.
     """
     numbers: dict[str, float] = {}
     for pair in pairs:
@@ -329,8 +326,16 @@ def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> di
     return numbers
 
 
+# ---------------------------------------------------------------------------------------------------------- exit codes
+
+
+def warn(message: str) -> None:
+    """Print to standard error, without the control characters of names in the message, and with very long ones cut."""
+    print(printable(shortened(message)), file=sys.stderr)
+
+
 @contextlib.contextmanager
-def exit_on_error(*invalid_input: type[Exception], hint: str = "", program: str = INSTALLED) -> Iterator[None]:
+def exit_on_error(*errors_of_input: type[Exception], hint: str = "") -> Iterator[None]:
     """End a command with a message on standard error and an exit code, instead of a traceback.
 
     The code is 2 for the given exceptions, 1 for :class:`~algorithms.runs.interrupts.Stopped` and
@@ -338,25 +343,22 @@ def exit_on_error(*invalid_input: type[Exception], hint: str = "", program: str 
     not caught.
 
     Args:
-        invalid_input: exceptions that the user's input causes in this context, such as ValueError.
+        errors_of_input: exceptions that the user's input causes in this context, such as ValueError.
         hint: a line to print after Ctrl-C and Stopped, such as how to resume.
-        program: how commands are called, for those that the message names.
 
     Raises:
         SystemExit: with the exit code.
     """
     try:
         yield
+        return
     except Fault as error:
-        warn(f"error: {error}", program)
-        raise SystemExit(FAILED) from None
-    except invalid_input as error:
-        warn(f"error: {error}", program)
-        raise SystemExit(INVALID_INPUT) from None
+        message, code = f"error: {error}", FAILED
+    except errors_of_input as error:
+        message, code = f"error: {error}", INVALID_INPUT
     except Stopped as error:
-        shown = [hint] if hint and not isinstance(error, Moved) else []
-        warn("\n".join([f"error: {error}", *shown]), program)
-        raise SystemExit(FAILED) from None
+        message, code = "\n".join([f"error: {error}", *([hint] if hint else [])]), FAILED
     except KeyboardInterrupt:
-        warn("interrupted" + (f"; {hint}" if hint else ""), program)
-        raise SystemExit(INTERRUPTED) from None
+        message, code = "interrupted" + (f"; {hint}" if hint else ""), INTERRUPTED
+    warn(message)
+    raise SystemExit(code)

@@ -1,4 +1,4 @@
-"""The command line: mo-deepdrive, python -m mo_deepdrive and the scripts run the same commands."""
+"""The command line: which commands there are, and whose packages they use."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from algorithms.commands import COMMANDS
-from algorithms.runs.cli import as_called
 from mo_deepdrive import __version__
 from mo_deepdrive.__main__ import run
 
@@ -27,7 +26,7 @@ def _process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def called(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     monkeypatch.setattr(sys, "argv", ["mo-deepdrive", *words])
     try:
-        return run(None, "mo-deepdrive {}")
+        return run()
     except SystemExit as end:
         return int(end.code or 0)
 
@@ -55,34 +54,12 @@ def test_an_unknown_command_is_refused_with_those_that_exist(
     assert called(monkeypatch) == 2
 
 
-def test_messages_name_commands_as_they_were_called() -> None:
-    text = "use mo-deepdrive train or mo-deepdrive sweep --verify; pip install 'mo-deepdrive[train]'"
-    assert as_called(text, "mo-deepdrive {}") == text
-    expected = "use python scripts/train.py or python scripts/sweep.py --verify; pip install 'mo-deepdrive[train]'"
-    assert as_called(text, "python scripts/{}.py") == expected
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("program", ["python -m mo_deepdrive {}", "python scripts/{}.py"])
-def test_help_and_errors_name_commands_as_they_were_called(program: str, repository: Path, tmp_path: Path) -> None:
-    def start(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-        _, *words = program.format(name).replace("scripts/", f"{repository}/scripts/").split()
-        return subprocess.run(
-            [sys.executable, *words, *arguments],
-            env={**os.environ, "PYTHONPATH": str(repository)},
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-
-    said = start("train", "--help").stdout
-    assert said.startswith(f"usage: {program.format('train')} ")
-    assert f"{program.format('train')} --resume runs/" in said
-    assert "mo-deepdrive train" not in said
-    refused = start("choose", "one_waypoint_linear-ppo", "--weights", "jerk=1")
-    assert refused.returncode == 2
-    assert f"{program.format('evaluate')} shows it" in refused.stderr
+@pytest.mark.parametrize("script", ["train", "sweep"])
+def test_the_scripts_for_users_are_the_commands(script: str, repository: Path, tmp_path: Path) -> None:
+    words = [sys.executable, repository / "scripts" / f"{script}.py", "--help"]
+    env = {**os.environ, "PYTHONPATH": str(repository)}
+    done = subprocess.run(words, env=env, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout.startswith(f"usage: mo-deepdrive {script} "), done.stderr
 
 
 def test_a_command_whose_package_is_not_installed_is_refused_in_one_line(

@@ -70,8 +70,8 @@ Call = Callable[..., Done]
 
 
 def command(script: str, *arguments: Any) -> list[str]:
-    """The command line of a script, to run it in a new process."""
-    return [sys.executable, str(REPOSITORY / "scripts" / f"{script}.py"), *map(str, arguments)]
+    """The command line of a command, to run it in a new process."""
+    return [sys.executable, "-m", "mo_deepdrive", script, *map(str, arguments)]
 
 
 def environment() -> dict[str, str]:

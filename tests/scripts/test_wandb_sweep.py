@@ -22,9 +22,8 @@ import numpy as np
 import pytest
 import yaml
 
-from algorithms.commands.train import parse_arguments
+from algorithms.commands import train
 from algorithms.reporting.training_log import read_metrics
-from algorithms.runs.cli import INSTALLED
 from algorithms.runs.config import load_experiment
 from mo_deepdrive.support.yaml import read_mapping
 from tests.helpers.paths import REPOSITORY
@@ -278,12 +277,12 @@ def test_the_command_is_the_installed_one_and_every_value_is_valid_for_the_exper
     definition = yaml.safe_load((REPOSITORY / DEFINITION).read_text())
     environment, program, command, *words, given = definition["command"]
     assert (environment, program, command, given) == ("${env}", "${program}", "train", "${args}")
-    options, fixed = parse_arguments(words, INSTALLED)
-    assert f"{definition['program']} {{}}" == INSTALLED
+    options = train.main.parse(words)
+    assert definition["program"] == "mo-deepdrive"
     monkeypatch.chdir(tmp_path)  # an installed package has no checkout
     for key, parameter in definition["parameters"].items():
         for value in parameter.get("values") or [parameter["min"], parameter["max"]]:
-            experiment = load_experiment(options.config, [*fixed, f"--{key}={value}"])
+            experiment = load_experiment(options.config, [*options.overrides, f"--{key}={value}"])
             assert value_at(experiment.to_dict(), key) == value
     assert experiment.logging.wandb is not None
     assert experiment.logging.wandb.project == definition["project"]

@@ -111,10 +111,8 @@ def test_a_peer_learns_the_utility_of_its_vehicle_and_refuses_guides_and_partner
 
 @pytest.mark.slow
 def test_the_command_line_lists_peers_and_refuses_our_own_algorithms(repository: Path) -> None:
-    script = repository / "scripts" / "peers.py"
-
     def call(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, str(script), *arguments]
+        command = [sys.executable, "-m", "mo_deepdrive", "peers", *arguments]
         return subprocess.run(command, capture_output=True, text=True, check=False, cwd=repository)
 
     listed = call("--list")

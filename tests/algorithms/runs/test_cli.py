@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from argparse import Namespace
 from importlib import import_module
 from pathlib import Path
@@ -9,19 +11,19 @@ from typing import Any
 
 import pytest
 
+from algorithms.command_line import prepare_process
 from algorithms.runs.cli import (
     PROCESS_DEFAULTS,
-    add_evaluation_arguments,
-    add_training_arguments,
+    RUN_OUTPUT,
+    Command,
     check_directory,
     check_file,
     evaluation_arguments,
+    evaluation_options,
     exit_on_error,
-    make_parser,
     named_numbers,
     new_runs,
-    parse_training_arguments,
-    prepare_process,
+    video_option,
 )
 from algorithms.runs.config import Experiment, make_experiment
 from algorithms.runs.interrupts import DiskFull, Stopped
@@ -39,9 +41,10 @@ def test_a_process_draws_without_a_display_unless_the_user_chose_one_for_renderi
 ) -> None:
     monkeypatch.chdir(tmp_path)
     environment, path = {"SDL_VIDEODRIVER": "x11", "MPLBACKEND": "module://matplotlib_inline.backend_inline"}, ["first"]
-    prepare_process(environment, path, PROCESS_DEFAULTS)
+    monkeypatch.setattr(os, "environ", environment)
+    monkeypatch.setattr(sys, "path", path)
+    prepare_process(PROCESS_DEFAULTS)
     assert environment == PROCESS_DEFAULTS | {"SDL_VIDEODRIVER": "x11", "MPLBACKEND": "agg"}
-    assert environment["SDL_AUDIODRIVER"] == "dummy"
     assert path == ["first", str(tmp_path)]
 
 
@@ -49,8 +52,7 @@ def test_a_process_draws_without_a_display_unless_the_user_chose_one_for_renderi
     ("command", "arguments", "message"),
     [
         ("peers", ["--list", "--output", "x"], "--output has no effect beside --list"),
-        ("peers", ["--list", "--seed", "3"], "--seed=3 has no effect beside --list"),
-        ("evaluate", ["--zoo", "--episodes", "3"], "--episodes has no effect beside --zoo"),
+        ("peers", ["--list", "--seed", "3"], "--seed has no effect beside --list"),
         ("evaluate", ["one_waypoint_nonlinear-mo_ppo", "--stochastic"], "--stochastic has no effect beside no --video"),
         ("sweep", ["--output", "x", "--status", "--workers", "2"], "--workers has no effect beside --status"),
         ("study", ["--config", "studies/suite", "--tables", "--on", "ray"], "--on has no effect beside --tables"),
@@ -72,17 +74,21 @@ def test_an_option_without_effect_beside_another_one_is_refused(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_short_forms_become_overrides_and_come_last() -> None:
-    parser = make_parser("Text\n  as it is.")
-    parser.add_argument("--config")
-    add_training_arguments(parser)
-    arguments = ["--config=a.yaml", "--training.seed=1", "--seed", "3", "--output", "run", "--device=cpu"]
-    options, overrides = parse_training_arguments(parser, arguments)
-    assert (options.config, options.output) == ("a.yaml", "run")
-    assert overrides == ["--training.seed=1", "--seed=3", "--device=cpu"]
-    assert "Text\n  as it is." in parser.format_help()
-    with pytest.raises(SystemExit):
-        make_parser(None).parse_args(["--surplus"])
+def parsed(*arguments: str, options: Any = (), takes_keys: bool = False) -> Namespace:
+    """What a command gets from a command line."""
+    return Command("name", "Text\n  as it is.", options, lambda _: 0, takes_keys=takes_keys).parse(arguments)
+
+
+def test_a_command_has_its_options_and_perhaps_the_keys_of_an_experiment(capsys: pytest.CaptureFixture[str]) -> None:
+    options = parsed("--training.seed=1", "--seed", "3", "--output", "run", options=(RUN_OUTPUT,), takes_keys=True)
+    assert (options.output, options.overrides) == ("run", ["--training.seed=1", "--seed", "3"])
+    for arguments in (["--surplus"], ["--out", "run"], ["--help"]):
+        with pytest.raises(SystemExit):
+            parsed(*arguments, options=(RUN_OUTPUT,))
+    said = capsys.readouterr()
+    assert "unrecognized arguments: --surplus" in said.err
+    assert said.out.startswith("usage: mo-deepdrive name ")
+    assert "Text\n  as it is." in said.out
 
 
 def test_a_new_run_is_in_its_output_or_a_directory_named_after_its_config(
@@ -97,23 +103,20 @@ def test_a_new_run_is_in_its_output_or_a_directory_named_after_its_config(
     assert default.path.parent == Path("runs/fast")
 
 
-def evaluation_options(
-    *arguments: str, default_episodes: int | None = None, default_split: Split | None = None
-) -> Namespace:
-    parser = make_parser(None)
-    add_evaluation_arguments(parser, default_episodes=default_episodes, default_split=default_split, video="film it")
-    return parser.parse_args(list(arguments))
+def choices(*arguments: str, episodes: int | None = None, split: Split | None = None) -> Namespace:
+    """What a command that evaluates gets from a command line."""
+    return parsed(*arguments, options=(*evaluation_options(episodes, split), video_option("film it")))
 
 
 def test_episodes_and_seed_are_those_of_the_command_line_or_the_experiment(experiment: Experiment) -> None:
     settings = experiment.evaluation
-    assert evaluation_arguments(evaluation_options(), experiment) == (settings.final_episodes, 3_000_000)
-    assert evaluation_arguments(evaluation_options(default_episodes=20), experiment) == (20, 3_000_000)
-    given = evaluation_options("--episodes=7", "--seed=0", default_episodes=20, default_split="validation")
+    assert evaluation_arguments(choices(), experiment) == (settings.final_episodes, 3_000_000)
+    assert evaluation_arguments(choices(episodes=20), experiment) == (20, 3_000_000)
+    given = choices("--episodes=7", "--seed=0", episodes=20, split="validation")
     assert evaluation_arguments(given, experiment) == (7, 0)
-    given = evaluation_options("--split=validation")
+    given = choices("--split=validation")
     assert evaluation_arguments(given, experiment) == (settings.final_episodes, 2_000_000)
-    given = evaluation_options("--split=test", default_split="validation")
+    given = choices("--split=test", split="validation")
     assert evaluation_arguments(given, experiment) == (settings.final_episodes, 3_000_000)
 
 
@@ -130,7 +133,7 @@ def test_episodes_and_seed_are_those_of_the_command_line_or_the_experiment(exper
 )
 def test_arguments_of_an_evaluation_are_checked(experiment: Experiment, arguments: list[str], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        evaluation_arguments(evaluation_options(*arguments), experiment)
+        evaluation_arguments(choices(*arguments), experiment)
 
 
 def test_a_video_of_an_environment_without_frames_is_refused_before_the_evaluation(examples: None) -> None:
@@ -142,7 +145,7 @@ def test_a_video_of_an_environment_without_frames_is_refused_before_the_evaluati
         }
     )
     with pytest.raises(ValueError, match=r"--video 'a\.mp4': environment 'commute:commute-v0' cannot be rendered"):
-        evaluation_arguments(evaluation_options("--video=a.mp4"), experiment)
+        evaluation_arguments(choices("--video=a.mp4"), experiment)
 
 
 def test_a_file_is_refused_where_it_cannot_be_written(tmp_path: Path) -> None:
@@ -181,10 +184,8 @@ def test_a_tilde_in_an_option_is_the_home_directory_and_alone_in_a_key_null(
     monkeypatch: pytest.MonkeyPatch, arguments: list[str], output: str | None, rest: list[str]
 ) -> None:
     monkeypatch.setenv("HOME", "HOME")
-    parser = make_parser("")
-    add_training_arguments(parser)
-    options, overrides = parse_training_arguments(parser, arguments)
-    assert (options.output, overrides) == (output, rest)
+    options = parsed(*arguments, options=(RUN_OUTPUT,), takes_keys=True)
+    assert (options.output, options.overrides) == (output, rest)
 
 
 def test_named_numbers_are_read() -> None:

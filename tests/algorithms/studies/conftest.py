@@ -29,13 +29,13 @@ def grid(base: dict[str, Any]) -> list[ManifestRow]:
 
 @pytest.fixture
 def table(load_script: Callable[[str], ModuleType]) -> Script:
-    """Call scripts/table.py."""
+    """Call mo-deepdrive table."""
     return lambda *arguments: load_script("table").main([str(argument) for argument in arguments])
 
 
 @pytest.fixture
 def plot(load_script: Callable[[str], ModuleType]) -> Script:
-    """Call scripts/plot.py."""
+    """Call mo-deepdrive plot."""
 
     def call(*arguments: Any) -> int:
         try:

@@ -1,4 +1,4 @@
-"""The reproduction from start to finish, with scripts/reproduce.py."""
+"""The reproduction from start to finish, with mo-deepdrive reproduce."""
 
 from __future__ import annotations
 

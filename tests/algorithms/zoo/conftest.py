@@ -47,7 +47,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(scope="session")
 def scripts(load_script: Callable[[str], ModuleType]) -> dict[str, ModuleType]:
     """The scripts as modules."""
-    return {name: load_script(name) for name in ("train", "evaluate", "choose", "play")}
+    return {name: load_script(name) for name in ("train", "evaluate", "choose", "play", "zoo")}
 
 
 @pytest.fixture

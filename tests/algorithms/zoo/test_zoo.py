@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from algorithms import zoo
-from algorithms.runs.cli import INSTALLED
 from algorithms.runs.run_directory import Run
 from algorithms.zoo.exporting import export
 from mo_deepdrive.support.atomic_io import write_json
@@ -127,9 +126,7 @@ def test_a_human_can_play_against_a_policy_by_name(
     export(run, "intersection-mo_ppo")
     before = contents(home)
     play = scripts["play"]
-    options = play.parse_arguments(
-        ["--env", INTERSECTION, "--against", "intersection-mo_ppo", "--vehicle", "1"], INSTALLED
-    )
+    options = play.main.parse(["--env", INTERSECTION, "--against", "intersection-mo_ppo", "--vehicle", "1"])
     env, agent, seats = play.open_environment(options)
     assert seats == [1]
     assert env.config.time_limit == 3
@@ -147,7 +144,6 @@ def test_training_cannot_be_resumed_from_the_zoo(trained: Trained, home: Path, c
 
 
 def test_the_zoo_is_listed(trained: Trained, home: Path, call: Call) -> None:
-    assert call("evaluate", "--zoo") == (0, "the zoo is empty\n", "")
     kinds = {"first": "mo_ppo, two vehicles", "second": "pcn", "third": "mo_a2c, another environment"}
     both = {"success": 0.25, "vehicle_0/utility_esr": 1.0, "total_utility_esr": 33.44}
     scores = {
@@ -157,7 +153,7 @@ def test_the_zoo_is_listed(trained: Trained, home: Path, call: Call) -> None:
     }
     for name, kind in kinds.items():
         export(trained(kind), name, about={"scores": scores[name]})
-    code, out, error = call("evaluate", "--zoo")
+    code, out, error = call("zoo")
     assert (code, error) == (0, "")
     rows = [line.split(maxsplit=1) for line in out.splitlines() if line.strip().startswith(tuple(kinds))]
     assert [(name, " ".join(rest.split())) for name, rest in rows] == [
@@ -168,16 +164,14 @@ def test_the_zoo_is_listed(trained: Trained, home: Path, call: Call) -> None:
     assert "Names end" not in out
     for name in ("third-printed", "third-together"):
         export(trained(kinds["third"]), name, about={"scores": {}})
-    out = " ".join(call("evaluate", "--zoo")[1].split())
+    out = " ".join(call("zoo")[1].split())
     assert "Names end in -printed for the paper's hyperparameters, in -together where the first vehicle to end " in out
     assert "-solved" not in out
     assert "docs/" not in out, "which an installed package does not have"
     (home / "second" / "about.json").write_text("[]")
-    refused(call("evaluate", "--zoo"), str(home / "second" / "about.json"))
+    refused(call("zoo"), str(home / "second" / "about.json"))
     (home / "first" / "config.yaml").write_text("algorithm: 3\n")
-    refused(call("evaluate", "--zoo"), str(home / "first" / "config.yaml"))
-    for arguments in ([], ["first", "--zoo"]):
-        assert call("evaluate", *arguments)[0] == 2
+    refused(call("zoo"), str(home / "first" / "config.yaml"))
 
 
 def test_a_listing_names_the_utility_of_every_vehicle(trained: Trained, home: Path, call: Call) -> None:
@@ -185,4 +179,4 @@ def test_a_listing_names_the_utility_of_every_vehicle(trained: Trained, home: Pa
     values = trained("a2c, two vehicles").experiment.to_dict()
     values["utility"]["vehicles"] = {"vehicle_1": {"name": "intersection_nonlinear"}}
     write_json(path / "config.yaml", values)  # JSON is YAML
-    assert "intersection_linear, intersection_nonlinear" in call("evaluate", "--zoo")[1]
+    assert "intersection_linear, intersection_nonlinear" in call("zoo")[1]

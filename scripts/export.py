@@ -1,8 +1,0 @@
-"""``mo-deepdrive export`` from a checkout; the code is in algorithms/commands/export.py."""
-
-import sys
-
-from mo_deepdrive_command import run_script
-
-if __name__ == "__main__":
-    sys.exit(run_script("export"))
