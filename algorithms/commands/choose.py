@@ -18,22 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.runs.cli import (
-    CHOICE_EPISODES,
-    CHOICE_SPLIT,
-    FAILED,
-    TRUST,
-    Command,
-    OneOf,
-    check_front,
-    evaluation_arguments,
-    evaluation_options,
-    many,
-    named_numbers,
-    option,
-    policy_index,
-    video_option,
-)
+from algorithms.runs import cli
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.choice import (
     ChoiceCriterion,
@@ -75,8 +60,8 @@ def parse_criterion(options: Namespace, objectives: tuple[str, ...], scales: NDA
         check_utility(utility, np.zeros)
         return expected_utility(utility)
     if options.weights is not None:
-        return weighted_sum(named_numbers("--weights", options.weights, objectives), objectives)
-    return distance_to_target(named_numbers("--target", options.target, objectives), objectives, scales)
+        return weighted_sum(cli.named_numbers("--weights", options.weights, objectives), objectives)
+    return distance_to_target(cli.named_numbers("--target", options.target, objectives), objectives, scales)
 
 
 def choice_table(
@@ -84,10 +69,7 @@ def choice_table(
     evaluations: list[Evaluation],
     criterion: ChoiceCriterion,
     values: NDArray[Any],
-    order: list[int],
-    numbers: list[int],
-    *,
-    was_chosen: bool,
+    names: dict[int, str],
 ) -> Table:
     """The best policy with intervals, and the next best policies next to it.
 
@@ -95,39 +77,29 @@ def choice_table(
         front: K policies.
         evaluations: of each of them.
         criterion: by which they were ordered.
-        values: (K,) what each is worth.
-        order: their positions, the best one first.
-        numbers: of the K policies in front.csv.
-        was_chosen: whether the best one was chosen by these episodes; if not, its value has an interval.
+        values: (K,) what each is worth by it.
+        names: of the columns, by the positions of policies, the best one first.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean, of_three, rate
 
-    chosen, *others = order[: RUNNERS_UP + 1]
     episodes = len(evaluations[0].returns)
     intervals = episodes >= MIN_SAMPLES
-    how = f"{episodes} episode{'' if episodes == 1 else 's'} each" + (
-        f", 95% intervals{of_three([episodes], 'episodes')}" if intervals else ""
-    )
-    table = Table(
-        title=f"{len(front)} polic{'y' if len(front) == 1 else 'ies'} by {criterion.name}; {how}",
-        title_justify="left",
-        title_style="bold",
-        box=SIMPLE_HEAD,
-    )
+    how = f"{episodes} episode{'' if episodes == 1 else 's'} each"
+    if intervals:
+        how += f", 95% intervals{of_three([episodes], 'episodes')}"
+    title = f"{len(front)} polic{'y' if len(front) == 1 else 'ies'} by {criterion.name}; {how}"
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     table.add_column("", overflow="fold")
-    table.add_column(f"policy {numbers[chosen]}{': chosen' if was_chosen else ''}", justify="right", no_wrap=True)
-    for k in others:
-        table.add_column(f"policy {numbers[k]}", justify="right", no_wrap=True)
-    shown = [evaluations[k] for k in (chosen, *others)]
-    # The value by which a policy was chosen is too high, whatever its interval.
-    worth = (
-        [Estimate(float(values[k])) for k in (chosen, *others)]
-        if was_chosen
-        else [criterion.estimate(shown[0].joint_returns)]
-    )
+    for name in names.values():
+        table.add_column(name, justify="right", no_wrap=True)
+    shown = [evaluations[k] for k in names]
+    if len(front) == 1:
+        worth = [criterion.estimate(shown[0].joint_returns)]
+    else:  # the value by which a policy was chosen is too high, whatever its interval
+        worth = [Estimate(float(values[k])) for k in names]
     rows = [(criterion.name, worth)]
     for i, objective in enumerate(front.objectives):
         rows.append((objective, [mean(each.joint_returns[:, i]) for each in shown]))
@@ -151,12 +123,12 @@ def choose(options: Namespace) -> int:
     console = make_console()
     run = Run.open(options.run, trust=options.trust)
     experiment = run.experiment
-    check_front(run)
-    episodes, seed = evaluation_arguments(options, experiment)
+    cli.check_front(run)
+    episodes, seed = cli.evaluation_arguments(options, experiment)
     front = every = Front.read(run.path)
     numbers = list(range(len(every)))
     if options.policy is not None:
-        numbers = [policy_index(options.policy, len(every))]
+        numbers = [cli.policy_index(options.policy, len(every))]
         front = front.take(numbers)
     agent = load_policy(run)
     criterion = parse_criterion(options, front.objectives, agent.front_scales)
@@ -165,29 +137,31 @@ def choose(options: Namespace) -> int:
     with np.errstate(all="ignore"):  # what is not finite is refused below
         values = criterion.values(returns)
     order = rank_policies(values, returns.mean(axis=1), agent.front_scales).tolist()
-    was_chosen, best = options.policy is None, numbers[order[0]]
-    console.print(choice_table(front, evaluations, criterion, values, order, numbers, was_chosen=was_chosen))
+    best = numbers[order[0]]
+    names = {k: f"policy {numbers[k]}" for k in order[: RUNNERS_UP + 1]}
+    names[order[0]] += ": chosen" if options.policy is None else ""
+    console.print(choice_table(front, evaluations, criterion, values, names))
     console.print(f"policy {best} of {run.path / 'front.csv'}")
     filmed = not options.video or film_policies_of_front(
         agent, every, experiment, options.video, console, seed=seed, policies=[best]
     )
-    return 0 if filmed else FAILED
+    return 0 if filmed else cli.FAILED
 
 
 OPTIONS = (
-    option("run", "RUN", "directory of a finished run, or a name in the zoo"),
-    OneOf(
+    cli.RUN,
+    cli.OneOf(
         (
-            many("--weights", "OBJECTIVE=W", "the weight of each undiscounted return"),
-            option("--utility", "NAME", "a utility by name, or package.module:function"),
-            many("--target", "OBJECTIVE=R", "undiscounted returns to be reached"),
+            cli.many("--weights", "OBJECTIVE=W", "the weight of each undiscounted return"),
+            cli.option("--utility", "NAME", "a utility by name, or package.module:function"),
+            cli.many("--target", "OBJECTIVE=R", "undiscounted returns to be reached"),
         ),
         required=True,
     ),
-    option("--arguments", "YAML", "arguments of the utility, such as '{weights: [1, 2]}'", default="{}"),
-    option("--policy", "K", "score this policy of front.csv instead of choosing one", type=int),
-    *evaluation_options(CHOICE_EPISODES, CHOICE_SPLIT),
-    video_option("also film the chosen policy"),
-    TRUST,
+    cli.option("--arguments", "YAML", "arguments of the utility, such as '{weights: [1, 2]}'", default="{}"),
+    cli.option("--policy", "K", "score this policy of front.csv instead of choosing one", type=int),
+    *cli.evaluation_options(cli.CHOICE_EPISODES, cli.CHOICE_SPLIT),
+    cli.video_option("also film the chosen policy"),
+    cli.TRUST,
 )
-main = Command("choose", __doc__, OPTIONS, choose)
+main = cli.Command("choose", __doc__, OPTIONS, choose)

@@ -10,17 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import (
-    FAILED,
-    TRUST,
-    Command,
-    check_directory,
-    evaluation_arguments,
-    evaluation_options,
-    flag,
-    option,
-    video_option,
-)
+from algorithms.runs import cli
 from algorithms.runs.run_directory import Run
 
 if TYPE_CHECKING:
@@ -34,8 +24,8 @@ def evaluate(options: Namespace) -> int:
     from algorithms.runs.console import make_console
 
     run = Run.open(options.run, trust=options.trust)
-    episodes, seed = evaluation_arguments(options, run.experiment)
-    check_directory("--output", options.output)
+    episodes, seed = cli.evaluation_arguments(options, run.experiment)
+    cli.check_directory("--output", options.output)
     if options.stochastic and options.video is None:
         raise ValueError("--stochastic has no effect beside no --video")
     if options.stochastic and not run.experiment.known_utility:
@@ -63,15 +53,15 @@ def evaluate(options: Namespace) -> int:
         print(f"written: {options.output}")
     if replaces:
         run.record_results()
-    return 0 if filmed else FAILED
+    return 0 if filmed else cli.FAILED
 
 
 OPTIONS = (
-    option("run", "RUN", "directory of a run, or a name in the zoo"),
-    *evaluation_options(),
-    video_option("also write an MP4 of the first episodes (of a front, four policies)"),
-    flag("--stochastic", "film the stochastic policy, not the greedy one"),
-    option("--output", "DIR", "also write the files that a training run ends with"),
-    TRUST,
+    cli.RUN,
+    *cli.evaluation_options(),
+    cli.video_option("also write an MP4 of the first episodes (of a front, four policies)"),
+    cli.flag("--stochastic", "film the stochastic policy, not the greedy one"),
+    cli.option("--output", "DIR", "also write the files that a training run ends with"),
+    cli.TRUST,
 )
-main = Command("evaluate", __doc__, OPTIONS, evaluate)
+main = cli.Command("evaluate", __doc__, OPTIONS, evaluate)

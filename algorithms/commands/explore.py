@@ -14,18 +14,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import (
-    CHOICE_EPISODES,
-    CHOICE_SPLIT,
-    TRUST,
-    Command,
-    check_file,
-    check_front,
-    evaluation_arguments,
-    evaluation_options,
-    option,
-    warn,
-)
+from algorithms.runs import cli
 from algorithms.runs.run_directory import Run
 
 if TYPE_CHECKING:
@@ -33,7 +22,7 @@ if TYPE_CHECKING:
 
     from algorithms.reporting.explorer.explorable_front import ExplorableFront
 
-UNSET = (CHOICE_EPISODES, CHOICE_SPLIT, None, False)  # episodes, split, seed and trust without options
+UNSET = (cli.CHOICE_EPISODES, cli.CHOICE_SPLIT, None, False)  # episodes, split, seed and trust without options
 
 
 def explore(options: Namespace) -> int:
@@ -44,7 +33,7 @@ def explore(options: Namespace) -> int:
     from algorithms.runs.front_explorer import BEST_KNOWN, explorable_best_known
 
     with sole_purpose("the page could not be written"):
-        check_file("--output", options.output, ".html")
+        cli.check_file("--output", options.output, ".html")
         of_runs = options.episodes, options.split, options.seed, options.trust
         if all(name.startswith(BEST_KNOWN) for name in options.runs) and of_runs != UNSET:
             raise ValueError("--episodes, --split, --seed and --trust have no effect on best-known fronts")
@@ -59,7 +48,7 @@ def explore(options: Namespace) -> int:
             except ValueError as error:
                 if len(options.runs) == 1 or not Path(name).is_dir():
                     raise
-                warn(f"{LEFT_OUT}{error}")
+                cli.warn(f"{LEFT_OUT}{error}")
         if not fronts:
             raise ValueError("none of the runs has a front that can be read")
         write_page([*fronts.values()], options.output, f"Explorer of fronts: {', '.join(fronts)}")
@@ -78,9 +67,9 @@ def _explorable_run(name: str, options: Namespace) -> ExplorableFront:
     from mo_deepdrive.evaluation.front import Front
 
     run = Run.open(name, trust=options.trust)
-    check_front(run)
-    episodes, seed = evaluation_arguments(options, run.experiment)
-    split = options.split or CHOICE_SPLIT
+    cli.check_front(run)
+    episodes, seed = cli.evaluation_arguments(options, run.experiment)
+    split = options.split or cli.CHOICE_SPLIT
     return explorable(
         load_policy(run),
         Front.read(run.path),
@@ -93,9 +82,9 @@ def _explorable_run(name: str, options: Namespace) -> ExplorableFront:
 
 
 OPTIONS = (
-    option("runs", "RUN", "directory of a finished run, a name in the zoo, or a best-known front", nargs="+"),
-    option("--output", "FILE", "the HTML file", required=True),
-    *evaluation_options(CHOICE_EPISODES, CHOICE_SPLIT),
-    TRUST,
+    cli.option("runs", "RUN", "directory of a finished run, a name in the zoo, or a best-known front", nargs="+"),
+    cli.option("--output", "FILE", "the HTML file", required=True),
+    *cli.evaluation_options(cli.CHOICE_EPISODES, cli.CHOICE_SPLIT),
+    cli.TRUST,
 )
-main = Command("explore", __doc__, OPTIONS, explore, errors_of_input=(ValueError,))
+main = cli.Command("explore", __doc__, OPTIONS, explore, errors_of_input=(ValueError,))

@@ -14,7 +14,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import TRUST, Command, check_file, check_front, option, policy_index
+from algorithms.runs import cli
 from algorithms.runs.run_directory import Run
 
 if TYPE_CHECKING:
@@ -27,12 +27,12 @@ def export(options: Namespace) -> int:
     from algorithms.runs.onnx_export import CHECKED_STATES, export_onnx
     from mo_deepdrive.evaluation.front import Front
 
-    check_file("--output", options.output, ".onnx")
+    cli.check_file("--output", options.output, ".onnx")
     run, condition = Run.open(options.run, trust=options.trust), None
     if options.policy is not None:
-        check_front(run)
+        cli.check_front(run)
         conditions = Front.read(run.path).conditions
-        condition = conditions[policy_index(options.policy, len(conditions))]
+        condition = conditions[cli.policy_index(options.policy, len(conditions))]
     exported = export_onnx(load_policy(run, partners=False), run.experiment, options.output, condition)
     print(f"inputs: {', '.join(exported.inputs)}\noutputs: {', '.join(exported.outputs)}")
     if exported.difference is None:
@@ -44,9 +44,9 @@ def export(options: Namespace) -> int:
 
 
 OPTIONS = (
-    option("run", "RUN", "directory of a run, or a name in the zoo"),
-    option("--output", "FILE", "the file, which ends in .onnx", required=True, type=Path),
-    option("--policy", "K", "of a front: export this policy of front.csv", type=int),
-    TRUST,
+    cli.RUN,
+    cli.option("--output", "FILE", "the file, which ends in .onnx", required=True, type=Path),
+    cli.option("--policy", "K", "of a front: export this policy of front.csv", type=int),
+    cli.TRUST,
 )
-main = Command("export", __doc__, OPTIONS, export)
+main = cli.Command("export", __doc__, OPTIONS, export)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from algorithms.runs.cli import CONFIG, Command, OneOf, option
+from algorithms.runs import cli
 from algorithms.runs.config import load_experiment
 from algorithms.runs.key_listing import Key, differing_values, experiment_keys, model_keys
 from algorithms.runs.registry import agent_class, algorithm_names, find_algorithm
@@ -72,5 +72,5 @@ def list_keys(options: Namespace) -> int:
     return 0
 
 
-ALGORITHM = option("--algorithm", "NAME", "an algorithm, another library's, or your own: package.module:Class")
-main = Command("keys", __doc__, (OneOf((CONFIG, ALGORITHM)),), list_keys)
+ALGORITHM = cli.option("--algorithm", "NAME", "an algorithm, another library's, or your own: package.module:Class")
+main = cli.Command("keys", __doc__, (cli.OneOf((cli.CONFIG, ALGORITHM)),), list_keys)

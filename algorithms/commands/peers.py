@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import CONFIG, RUN_OUTPUT, Command, OneOf, exit_on_error, flag, new_runs
+from algorithms.runs import cli
 from algorithms.runs.config import check_effects, check_loggers, load_experiment
 from mo_deepdrive.support.names import nearest
 
@@ -56,7 +56,7 @@ def train_peer(options: Namespace) -> int:
     from algorithms.runs.console import make_console
 
     console = make_console()
-    with exit_on_error(ValueError):
+    with cli.exit_on_error(ValueError, OSError):
         if options.list:
             given = [*(["--output"] if options.output else []), *options.overrides]
             if given:
@@ -65,9 +65,9 @@ def train_peer(options: Namespace) -> int:
             return 0
         experiment = load_peer_experiment(options.config, options.overrides)
         check_loggers(experiment)
-        (run,) = new_runs(options, [experiment])
+        (run,) = cli.new_runs(options, [experiment])
     print(f"run {run.path}", flush=True)
-    with exit_on_error(hint="runs of other libraries' algorithms cannot be resumed"):
+    with cli.exit_on_error(hint="runs of other libraries' algorithms cannot be resumed"):
         try:
             run_peer(run, console)
         except BaseException as error:
@@ -78,11 +78,11 @@ def train_peer(options: Namespace) -> int:
     return 0
 
 
-LIST = flag("--list", "list the peers, their requirements and whether they run")
-main = Command(
+LIST = cli.flag("--list", "list the peers, their requirements and whether they run")
+main = cli.Command(
     "peers",
     __doc__,
-    (OneOf((CONFIG, LIST), required=True), RUN_OUTPUT),
+    (cli.OneOf((cli.CONFIG, LIST), required=True), cli.RUN_OUTPUT),
     train_peer,
     takes_keys=True,
     errors_of_input=(),  # in training they are errors of the program

@@ -20,7 +20,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.runs.cli import TRUST, Command, check_file, flag, option
+from algorithms.runs import cli
 from algorithms.runs.config import find_environment, is_ours
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.support.extras import needed_for
@@ -51,7 +51,7 @@ def check_options(options: Namespace) -> None:
         value = getattr(options, name)
         if value is not None and not low <= value <= high:
             raise ValueError(f"--{name} {value} must be between {low} and {high}")
-    check_file("--record", options.record, ".mp4")
+    cli.check_file("--record", options.record, ".mp4")
 
 
 def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
@@ -171,13 +171,15 @@ def play(options: Namespace) -> int:
 
 
 OPTIONS = (
-    option("--env", "ID", "one of this package's environments", required=True),
-    option("--seed", "S", "seed of the first episode (default: random)", type=int),
-    option("--fps", "N", "decisions per second (default: real time)", type=int),
-    option("--against", "RUN", "what drives the other vehicles"),
-    option("--vehicle", "V", "the vehicle you drive against RUN (default: 0, or one that RUN did not learn)", type=int),
-    flag("--stochastic", "sample RUN's actions instead of the greedy ones"),
-    option("--record", "FILE", "write an MP4 of the session"),
-    TRUST,
+    cli.option("--env", "ID", "one of this package's environments", required=True),
+    cli.option("--seed", "S", "seed of the first episode (default: random)", type=int),
+    cli.option("--fps", "N", "decisions per second (default: real time)", type=int),
+    cli.option("--against", "RUN", "what drives the other vehicles"),
+    cli.option(
+        "--vehicle", "V", "the vehicle you drive against RUN (default: one it did not learn, or 0)", type=int
+    ),
+    cli.flag("--stochastic", "sample RUN's actions instead of the greedy ones"),
+    cli.option("--record", "FILE", "write an MP4 of the session"),
+    cli.TRUST,
 )
-main = Command("play", __doc__, OPTIONS, play)
+main = cli.Command("play", __doc__, OPTIONS, play)

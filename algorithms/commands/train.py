@@ -16,18 +16,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.runs.cli import (
-    CONFIG,
-    FAILED,
-    RUN_OUTPUT,
-    TRUST,
-    Command,
-    OneOf,
-    exit_on_error,
-    many,
-    new_runs,
-    warn,
-)
+from algorithms.runs import cli
 from algorithms.runs.config import check_loggers, load_experiment, parse_overrides
 from algorithms.runs.run_directory import imported_paths, resume_options
 
@@ -56,7 +45,7 @@ def open_runs(options: Namespace) -> tuple[list[Run], Any]:
         experiments = experiment.of_seeds()
         side_by_side = experiment.is_resident or len(experiments) == 1
         trainee = build_trainee(experiments if side_by_side else experiments[:1])  # before a directory is created
-        return new_runs(options, experiments), trainee
+        return cli.new_runs(options, experiments), trainee
     longer = dict(parse_overrides(options.overrides))
     total_timesteps = longer.pop("training.total_timesteps", None)
     if longer or options.output:
@@ -85,7 +74,7 @@ def next_steps(run: Run) -> str:
 
 def train(options: Namespace) -> int:
     """Train, and evaluate what was trained."""
-    with exit_on_error(ValueError, OSError):
+    with cli.exit_on_error(ValueError, OSError):
         runs, trainee = open_runs(options)
     if all(run.status.get("state") == "finished" for run in runs):
         print("\n".join(f"{run.path} is finished; there is nothing to resume" for run in runs))
@@ -96,17 +85,17 @@ def train(options: Namespace) -> int:
 
     how = resume_options([run.path for run in runs], runs[0].experiment.to_dict())
     resume_with = f"resume with: mo-deepdrive train {how}"
-    with exit_on_error(hint=resume_with):
+    with cli.exit_on_error(hint=resume_with):
         for change in runs[0].changed_versions():
-            warn(f"warning: since the run was started, {change}")
+            cli.warn(f"warning: since the run was started, {change}")
         for run in runs:
             print(f"run {run.path}", flush=True)
         if len(runs) > 1 and not runs[0].experiment.is_resident:
             from algorithms.runs.seed_processes import train_apart
 
             received = train_apart(runs, make_console())
-            if received == FAILED:
-                return FAILED
+            if received == cli.FAILED:
+                return cli.FAILED
         else:
             received = train_and_finish(runs, trainee, make_console(), resumed=options.resume is not None)
         if received is not None:
@@ -116,14 +105,14 @@ def train(options: Namespace) -> int:
     for run in done:
         print(f"finished: {run.path}")
     print(next_steps(done[0]))
-    return 0 if len(done) == len(runs) else FAILED
+    return 0 if len(done) == len(runs) else cli.FAILED
 
 
-RESUME = many("--resume", "RUN", "directory of a run to resume; of several, to go on side by side")
-main = Command(
+RESUME = cli.many("--resume", "RUN", "directory of a run to resume; of several, to go on side by side")
+main = cli.Command(
     "train",
     __doc__,
-    (OneOf((CONFIG, RESUME), required=True), RUN_OUTPUT, TRUST),
+    (cli.OneOf((cli.CONFIG, RESUME), required=True), cli.RUN_OUTPUT, cli.TRUST),
     train,
     takes_keys=True,
     errors_of_input=(),  # in training they are errors of the program

@@ -8,21 +8,98 @@ Their names can be given instead of a run: to evaluate, choose (fronts) and play
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import json
+from typing import TYPE_CHECKING, Any
 
-from algorithms.runs.cli import Command
+from algorithms.reporting.run_records import ExperimentRecord
+from algorithms.runs import cli
+from algorithms.runs.config import find_environment
+from algorithms.zoo import ABOUT, CONFIG, find, names
+from mo_deepdrive.evaluation.metrics import (
+    CARDINALITY,
+    FRONT,
+    GREEDY,
+    STOCHASTIC,
+    SUCCESS,
+    TOTAL_UTILITY_ESR,
+    UTILITY_ESR,
+)
+from mo_deepdrive.support.yaml import read_mapping
+from mo_deepdrive.world.config import parse
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from pathlib import Path
+
+    from rich.table import Table
+
+CAPTION = (
+    "Arrivals (both vehicles, where there are two) and utility (their sum): greedy / stochastic policy, test split."
+)
+ENDINGS = {
+    "-printed": "for the paper's hyperparameters",
+    "-together": "where the first vehicle to end ends the episode for both",
+    "-solved": "where the median run fails and another one is added",
+}
+
+
+def zoo_table() -> Table:
+    """One row per policy: its name, which has the algorithm, the task of its training, and its scores.
+
+    Raises:
+        ValueError: if a file of a policy is not valid.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(
+        title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
+    endings = [f"in {ending} {what}" for ending, what in ENDINGS.items() if any(n.endswith(ending) for n in names())]
+    table.caption = CAPTION + (f" Names end {', '.join(endings)}." if endings else "")
+    table.caption_justify = "left"
+    table.add_column("name", no_wrap=True)
+    for column in ("task", "arrivals (%)", "utility (ESR)"):
+        table.add_column(column, overflow="fold")
+    for name in names():
+        config = find(name) / CONFIG
+        experiment = parse(ExperimentRecord, read_mapping(config), f"experiment {str(config)!r}")
+        table.add_row(name, _task(experiment), *_score_columns(find(name) / ABOUT))
+    return table
+
+
+def _task(experiment: ExperimentRecord) -> str:
+    """The utilities of an experiment, and its scenario unless their names begin with it."""
+    scenario: str = find_environment(experiment.environment.id).kwargs.get("scenario", experiment.environment.id)
+    settings = experiment.utility
+    if settings is None:
+        return f"{scenario}, a front"
+    utilities = dict.fromkeys([settings.name, *(each.name for each in settings.vehicles.values())])
+    return ", ".join([*([] if settings.name.startswith(scenario) else [scenario]), *utilities])
+
+
+def _score_columns(path: Path) -> list[str]:
+    """Arrivals and utility of both policies, or the number of policies of a front; empty where they are not known."""
+    try:
+        scores: dict[str, dict[str, Any]] = json.loads(path.read_bytes()).get("scores", {})
+        if FRONT in scores:
+            return ["", f"{scores[FRONT][CARDINALITY]:.0f} policies"]
+        columns = [
+            [100.0 * scores[policy][SUCCESS], scores[policy].get(TOTAL_UTILITY_ESR, scores[policy].get(UTILITY_ESR))]
+            for policy in (GREEDY, STOCHASTIC)
+            if policy in scores
+        ]
+        return [" / ".join(f"{value:.3g}" for value in values) for values in zip(*columns, strict=True)] or ["", ""]
+    except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{str(path)!r} is not valid: {type(error).__name__}: {error}") from None
 
 
 def list_zoo(_options: Namespace) -> int:
     """Print the table of the policies."""
     from algorithms.runs.console import make_console
-    from algorithms.zoo.listing import zoo_table
 
     make_console().print(zoo_table())
     return 0
 
 
-main = Command("zoo", __doc__, (), list_zoo)
+main = cli.Command("zoo", __doc__, (), list_zoo)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from algorithms.reporting.training_log import RowTally, append, csv_line, find_gap, format_number, rows_until, sync
+from algorithms.reporting.training_log import append, csv_line, format_number, rows_until, sync
 from mo_deepdrive.evaluation.metrics import STEP, discounted_return_of
 from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from mo_deepdrive.evaluation.front import Front
@@ -21,26 +20,18 @@ class FrontsFile:
     Args:
         path: the file.
         after: as for :class:`algorithms.reporting.training_log.MetricsFile`.
-        noted: as for that class.
-
-    Attributes:
-        gap: as of that class.
 
     Raises:
         ValueError: if there is a file to continue that is not one of fronts.
         OSError: if it cannot be written.
     """
 
-    def __init__(self, path: Path, after: int | None = None, noted: Mapping[str, Any] | None = None):
+    def __init__(self, path: Path, after: int | None = None):
         self.path = path
-        self.gap: str | None = None
         header, rows = rows_until(path, after) if after is not None else ([STEP], [])
-        self._tally = RowTally(rows)
         self._has_header = len(header) > 1
-        if after is not None:
-            self.gap = find_gap(path.name, rows, after, noted)
-            if self._has_header:
-                atomic_write(path, "".join(map(csv_line, [header, *rows])).encode())
+        if after is not None and self._has_header:
+            atomic_write(path, "".join(map(csv_line, [header, *rows])).encode())
 
     def write(self, step: int, front: Front) -> None:
         """Append a front.
@@ -51,7 +42,6 @@ class FrontsFile:
         rows = [
             [str(step), str(policy), *map(format_number, returns)] for policy, returns in enumerate(front.discounted)
         ]
-        self._tally.add(rows)
         if self._has_header:
             append(self.path, "".join(map(csv_line, rows)))
         else:
@@ -59,7 +49,7 @@ class FrontsFile:
             atomic_write(self.path, "".join(map(csv_line, [header, *rows])).encode())
             self._has_header = True
 
-    def sync(self) -> dict[str, Any]:
+    def sync(self) -> None:
         """As of :class:`algorithms.reporting.training_log.MetricsFile`.
 
         Raises:
@@ -67,4 +57,3 @@ class FrontsFile:
         """
         if self._has_header:
             sync(self.path)
-        return self._tally.note()

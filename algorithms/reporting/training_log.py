@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 import os
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from mo_deepdrive.evaluation.metrics import STEP
 from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, flush_to_disk, is_number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
 DIGITS = 16  # of a step: a run has at most 10**15
 SHOWN = 40  # characters of a cell in a message
@@ -45,25 +44,18 @@ class MetricsFile:
         path: the file.
         after: keep the rows up to this step and drop later ones, which a resumed run writes again; None starts a new
             file.
-        noted: what :meth:`sync` returned when the checkpoint of step ``after`` was written; None if it is not known.
-
-    Attributes:
-        gap: how the rows up to ``after`` differ from those that were noted; None if they do not.
 
     Raises:
         ValueError: if there is a file to continue that is not a metrics file.
         OSError: if it cannot be written.
     """
 
-    def __init__(self, path: Path, after: int | None = None, noted: Mapping[str, Any] | None = None):
+    def __init__(self, path: Path, after: int | None = None):
         self.path = path
-        self.gap: str | None = None
         self._columns: list[str] = [STEP]
         self._rows: list[list[str]] = []
         if after is not None:
             self._columns, self._rows = rows_until(path, after)
-            self.gap = find_gap(path.name, self._rows, after, noted)
-        self._tally = RowTally(self._rows)
         self._rewrite()
 
     def _rewrite(self) -> None:
@@ -82,62 +74,18 @@ class MetricsFile:
         cells = {STEP: str(step), **{name: format_number(value) for name, value in metrics.items()}}
         row = [cells.get(name, "") for name in self._columns]
         self._rows.append(row)
-        self._tally.add([row])
         if new:
             self._rewrite()
         else:
             append(self.path, csv_line(row))
 
-    def sync(self) -> dict[str, Any]:
-        """Make every row reach the disk; returns the number and the hash of the rows, for ``noted``.
+    def sync(self) -> None:
+        """Make every row reach the disk.
 
         Raises:
             OSError: if it cannot be written.
         """
         sync(self.path)
-        return self._tally.note()
-
-
-class RowTally:
-    """The number and the hash of the rows of a CSV file; a column that is added later does not change them."""
-
-    def __init__(self, rows: Iterable[Sequence[str]] = ()):
-        self._count, self._hash = 0, hashlib.sha256()
-        self.add(rows)
-
-    def add(self, rows: Iterable[Sequence[str]]) -> None:
-        """Count further rows."""
-        for row in rows:
-            self._count += 1
-            self._hash.update(csv_line(row).rstrip(",\n").encode() + b"\n")
-
-    def note(self) -> dict[str, Any]:
-        """The number and the hash, as plain values."""
-        return {"rows": self._count, "sha256": self._hash.hexdigest()}
-
-
-def find_gap(name: str, rows: Sequence[Sequence[str]], after: int, noted: Mapping[str, Any] | None) -> str | None:
-    """How the rows up to a checkpoint differ from those that were noted when it was written.
-
-    Args:
-        name: of the file.
-        rows: those up to the checkpoint, which begin with their step.
-        after: step of the checkpoint.
-        noted: from :meth:`RowTally.note`; None if it is not known.
-
-    Returns:
-        A line that names the file and what is missing; None if nothing is. Where nothing was noted, a checkpoint beyond
-        step 0 without a row is missing all of them.
-    """
-    if noted is None:  # status.json was lost, too
-        return None if rows or after <= 0 else f"{name} has no rows up to step {after:,}"
-    if RowTally(rows).note() == noted:
-        return None
-    expected = noted.get("rows")
-    if not isinstance(expected, int) or len(rows) >= expected:
-        return f"{name}: the rows up to step {after:,} are not those that were written"
-    there = f"it has rows of steps {int(rows[0][0]):,} to {int(rows[-1][0]):,}" if rows else "it has none"
-    return f"{name} lacks {expected - len(rows):,} of {expected:,} rows up to step {after:,} ({there})"
 
 
 def append(path: Path, text: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,11 +28,10 @@ from mo_deepdrive.support.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
 
     from gymnasium.vector import VectorEnv
 
-    from algorithms.agent import Agent
     from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.world.config import EnvironmentSettings
 
@@ -81,24 +81,27 @@ def build(
         )
     else:
         options["utility"] = _make_utilities(experiment.utility, adapter)
-    if experiment.training.partners:
-        options["partners"] = _make_partners(experiment, algorithm, adapter, idle_only=not partners)
-        most, given = max(len(each.members) for each in options["partners"].values()), experiment.training.num_envs
-        if most > given:
-            raise ValueError(f"training.num_envs = {given} is less than the {most} drivers in training.partners")
-    if experiment.training.guides and guides:
-        options["guides"] = _make_guides(experiment, algorithm, adapter)
-    if experiment.training.share_policy:
-        if not algorithm.shares_policies:
-            raise ValueError(f"training.share_policy: algorithm {experiment.algorithm.name!r} cannot share a policy")
+    training = experiment.training
+    for key, able, what in (
+        ("partners", algorithm.trains_with_partners, "train with partners"),
+        ("guides", algorithm.trains_with_guides or not guides, "train with guides"),
+        ("share_policy", algorithm.shares_policies, "share a policy"),
+    ):
+        if getattr(training, key) and not able:
+            raise ValueError(f"training.{key}: algorithm {experiment.algorithm.name!r} cannot {what}")
+    if training.partners:
+        options["partners"] = _make_partners(experiment, adapter, idle_only=not partners)
+    if training.guides and guides:
+        options["guides"] = _make_guides(experiment, adapter)
+    if training.share_policy:
         options["share_policy"] = True
-    set_threads(experiment.training.threads)  # after the drivers', which are built like this
+    set_threads(training.threads)  # after the drivers', which are built like this
     return algorithm(
         env,
         **options,
-        seed=seeds or experiment.training.seed,
+        seed=seeds or training.seed,
         device=device,
-        compiled=experiment.training.compiled,
+        compiled=training.compiled,
         config=experiment.algorithm.config,
     )
 
@@ -179,20 +182,12 @@ def open_driver(
     return agent  # type: ignore[no-any-return]  # an algorithm of any class
 
 
-def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, experiment: Experiment) -> Population:
-    """Drivers that take turns in driving a vehicle of an experiment, which may import what its config names.
-
-    The other arguments and errors are those of :func:`open_driver`.
-    """
+def _population(names: Sequence[str], vehicle: int, env: EnvAdapter, experiment: Experiment) -> Population:
+    """Drivers that take turns in driving a vehicle of an experiment, which may import what its config names."""
     action_type = str(experiment.environment.arguments.get("action_type", "discrete"))
     imports = imported_paths(experiment.to_dict()).values()
     members = [open_driver(name, vehicle, env, action_type, imports=imports) for name in names]
     return Population(members, vehicle, [_digest(name) for name in names])
-
-
-def idle(vehicle: int, env: EnvAdapter) -> Population:
-    """In place of drivers that are not needed: a vehicle that does nothing."""
-    return Population([ScriptedPolicy(env)], vehicle, [""])
 
 
 def _digest(name: str) -> str:
@@ -226,41 +221,45 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
         ) from error
 
 
-def _make_partners(
-    experiment: Experiment, algorithm: type[Agent], adapter: EnvAdapter, *, idle_only: bool
-) -> dict[int, Population]:
-    """What drives the vehicles that do not learn, by their indices."""
-    settings = experiment.training.partners
-    if not algorithm.trains_with_partners:
-        raise ValueError(f"training.partners: algorithm {experiment.algorithm.name!r} cannot train with partners")
-    indices = _vehicles_named(settings, "training.partners", adapter)
-    if len(settings) == adapter.vehicles:
-        raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(settings)}: none is left to learn")
-    found = {}
-    for (name, drivers), v in zip(settings.items(), indices, strict=True):
+def _make_partners(experiment: Experiment, adapter: EnvAdapter, *, idle_only: bool) -> dict[int, Population]:
+    """What drives the vehicles that do not learn, by their indices; where it is not needed they do nothing."""
+    partners, num_envs = experiment.training.partners, experiment.training.num_envs
+    indices = _vehicles_named(partners, "training.partners", adapter)
+    if len(partners) == adapter.vehicles:
+        raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(partners)}: none is left to learn")
+    populations = {}
+    for (name, drivers), v in zip(partners.items(), indices, strict=True):
         if not drivers:
             raise ValueError(f"training.partners.{name} = [] must name at least one driver")
-        try:
-            found[v] = idle(v, adapter) if idle_only else open_population(drivers, v, adapter, experiment)
-        except ValueError as error:
-            raise ValueError(f"training.partners.{name}: {error}") from None
-    return found
+        if len(drivers) > num_envs:
+            raise ValueError(
+                f"training.num_envs = {num_envs} is less than the {len(drivers)} drivers in training.partners"
+            )
+        with _naming(f"training.partners.{name}"):
+            populations[v] = (
+                Population([ScriptedPolicy(adapter)], v, [""])
+                if idle_only
+                else _population(drivers, v, adapter, experiment)
+            )
+    return populations
 
 
-def _make_guides(experiment: Experiment, algorithm: type[Agent], adapter: EnvAdapter) -> list[Guide]:
+def _make_guides(experiment: Experiment, adapter: EnvAdapter) -> list[Guide]:
     """What begins episodes of vehicles that learn."""
-    settings = experiment.training.guides
-    if not algorithm.trains_with_guides:
-        raise ValueError(f"training.guides: algorithm {experiment.algorithm.name!r} cannot train with guides")
-    indices = _vehicles_named(settings, "training.guides", adapter)
-    found = []
-    for (name, each), v in zip(settings.items(), indices, strict=True):
-        try:
-            driver = open_population([each.driver], v, adapter, experiment)
-        except ValueError as error:
-            raise ValueError(f"training.guides.{name}: {error}") from None
-        found.append(Guide(driver, each, adapter.num_envs))
-    return found
+    settings, guides = experiment.training.guides, []
+    for (name, guide), v in zip(settings.items(), _vehicles_named(settings, "training.guides", adapter), strict=True):
+        with _naming(f"training.guides.{name}"):
+            guides.append(Guide(_population([guide.driver], v, adapter, experiment), guide, adapter.num_envs))
+    return guides
+
+
+@contextmanager
+def _naming(key: str) -> Iterator[None]:
+    """Put a key in front of an error about its value."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{key}: {error}") from None
 
 
 def _vehicles_named(names: Iterable[str], key: str, adapter: EnvAdapter) -> list[int]:

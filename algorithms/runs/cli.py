@@ -122,6 +122,7 @@ class Command:
 
 
 CONFIG = option("--config", "FILE", "YAML file of the experiment, or the name of a shipped one")
+RUN = option("run", "RUN", "directory of a run, or a name in the zoo")
 RUN_OUTPUT = option("--output", "DIR", "directory of the run (default: runs/CONFIG/NAME)")
 TRUST = flag("--trust", "allow the run's config.yaml to import and run code that it names by module")
 

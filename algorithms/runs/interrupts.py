@@ -19,10 +19,6 @@ class Stopped(Exception):
     """Training had to stop for an external reason, such as a full disk; the message says what to do."""
 
 
-class Moved(Stopped):
-    """The directory of the run is no longer at its path, so that it cannot be resumed there."""
-
-
 class DiskFull(Stopped):
     """There is no space left on the disk."""
 

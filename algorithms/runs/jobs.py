@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from algorithms.reporting.run_records import Recorded
 from algorithms.reporting.seed_groups import INCIDENTAL
 from algorithms.runs.config import Experiment, check_loggers, make_experiment
-from algorithms.runs.interrupts import Moved, describe, stopped_by
+from algorithms.runs.interrupts import describe, stopped_by
 from algorithms.runs.registry import find_algorithm, peer_running
 from algorithms.runs.run_directory import InUse, Run, imported_paths, read_status
 from mo_deepdrive.support.atomic_io import atomic_write
@@ -167,7 +167,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     except OSError as error:
         raise stopped_by(error, f"the run cannot be written: {error}") from error
     except Exception as error:
-        with contextlib.suppress(OSError, Moved):  # these may be the reason; the original error is raised in any case
+        with contextlib.suppress(OSError):  # it may be the reason; the original error is raised in any case
             run.set_status("failed", run.status.get("step", 0), describe(error))
         raise
     finally:
@@ -180,7 +180,7 @@ def _lock(job: Job) -> tuple[Run, bool]:
     config = job.path / "config.yaml"
     if not config.is_file():
         try:
-            return Run.make(job.experiment, job.path), False
+            return Run.create(job.experiment, job.path), False
         except InUse:
             raise
         except ValueError:

@@ -178,14 +178,10 @@ class Logger:
         directory: the run's directory.
         after: step of the checkpoint that a run resumes from: later rows are dropped, since they are written again.
             None for a new run.
-        noted: what :meth:`sync` returned when that checkpoint was written; None if it is not known.
         wandb: settings of Weights & Biases; None to leave it out.
         config: the configuration shown in W&B.
         name: the run's name in W&B.
         say: prints messages.
-
-    Attributes:
-        gap: what is missing in metrics.csv up to that checkpoint; None if nothing is.
 
     Raises:
         ValueError: if there is a metrics.csv to continue that is broken.
@@ -197,15 +193,13 @@ class Logger:
         directory: str | Path,
         *,
         after: int | None = None,
-        noted: Mapping[str, Any] | None = None,
         wandb: WandbSettings | None = None,
         config: dict[str, Any] | None = None,
         name: str = "run",
         say: Callable[[str], None] = print,
     ):
         directory = Path(directory)
-        self._file = MetricsFile(directory / "metrics.csv", after, noted)
-        self.gap = self._file.gap
+        self._file = MetricsFile(directory / "metrics.csv", after)
         self._tensorboard = Accessory("TensorBoard is disabled", say)
         with self._tensorboard:
             self._events = EventFile(directory)
@@ -226,13 +220,13 @@ class Logger:
         if self._wandb is not None:
             self._wandb.log(step, metrics)
 
-    def sync(self) -> dict[str, Any]:
-        """Make metrics.csv reach the disk, before a checkpoint; returns its number of rows and their hash.
+    def sync(self) -> None:
+        """Make metrics.csv reach the disk, before a checkpoint.
 
         Raises:
             OSError: if it cannot be written.
         """
-        return self._file.sync()
+        self._file.sync()
 
     def close(self, failed: bool = False) -> None:
         """Flush and close all outputs; ``failed`` marks the W&B run as failed."""

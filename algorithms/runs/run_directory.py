@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import shlex
 import subprocess
@@ -10,10 +9,9 @@ from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import IO, TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from algorithms.runs.config import Experiment, make_experiment
-from algorithms.runs.interrupts import Moved
 from algorithms.runs.registry import directory_name, find_trained_policy
 from algorithms.runs.run_files import RESULTS, STATUS_FILE, record_files
 from mo_deepdrive.support.atomic_io import (
@@ -30,6 +28,8 @@ from mo_deepdrive.support.yaml import dump, read_mapping
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
+
+    from filelock import BaseFileLock
 
 State = Literal["running", "interrupted", "failed", "trained", "pruned", "finished"]
 PACKAGES = (
@@ -48,21 +48,7 @@ PACKAGES = (
     "torch",
     "wandb",
 )
-# Entries of status.json: state, step and length of the training, seconds of work over all processes, their CPU seconds
-# until the training ended, time of the last change; why it failed, what is missing in metrics.csv, the rows at the last
-# checkpoints, the record of the files.
-STATUS: dict[str, tuple[type, ...]] = {
-    "state": (str,),
-    "step": (int,),
-    "total_timesteps": (int,),
-    "seconds": (int, float),
-    "cpu_seconds": (int, float),
-    "updated": (str,),
-    "reason": (str,),
-    "metrics_gap": (str,),
-    "logged": (list,),
-    "files": (dict,),
-}
+CONFIG_FILE, CHECKPOINT_FILE, VERSIONS_FILE = "config.yaml", "checkpoint.safetensors", "versions.json"
 METRICS_FILE, FRONTS_FILE, LOCK_FILE = "metrics.csv", "fronts.csv", ".lock"
 # Modules in front of the ids of their environments that are imported in any case.
 ALREADY_IMPORTED = ("gymnasium", "mo_deepdrive", "mo_gymnasium")
@@ -80,30 +66,18 @@ class Run:
     Attributes:
         path: the directory.
         experiment: the experiment of the run.
-        metrics_gap: what was missing in metrics.csv or fronts.csv when the run was resumed; None if nothing was.
-        locked: False while it is being trained on a file system without locks.
     """
 
     def __init__(self, path: Path, experiment: Experiment):
         self.path = path
         self.experiment = experiment
-        self.locked = True
-        self._lock: IO[bytes] | None = None
-        self._opened, self._cpu_opened = perf_counter(), process_time()
-        self._read_status()
-
-    def _read_status(self) -> None:
-        """Take over from status.json what later states keep."""
-        status = self.status
-        self._seconds_before: float = status.get("seconds", 0.0)
-        self._cpu_before: float = status.get("cpu_seconds", 0.0)
-        self._logged = [entry for entry in status.get("logged", []) if isinstance(entry, dict)]
-        self.metrics_gap: str | None = status.get("metrics_gap")
+        self._lock: BaseFileLock | None = None
+        self._clocks = perf_counter(), process_time()  # when status.json was last written
 
     @property
     def checkpoint(self) -> Path:
         """The file of the latest checkpoint."""
-        return self.path / "checkpoint.safetensors"
+        return self.path / CHECKPOINT_FILE
 
     @classmethod
     def create(cls, experiment: Experiment, path: str | Path) -> Run:
@@ -115,28 +89,21 @@ class Run:
 
         Raises:
             InUse: if another process is doing the same.
-            ValueError: if the directory is not empty or cannot be written.
+            ValueError: if the directory is not empty.
+            OSError: if it cannot be written.
         """
-        try:
-            return cls.make(experiment, expand_home(path))
-        except OSError as error:
-            raise ValueError(f"run directory {str(path)!r} cannot be written: {error}") from None
-
-    @classmethod
-    def make(cls, experiment: Experiment, path: Path) -> Run:
-        """As :meth:`create`, but raises OSError if the directory cannot be written."""
-        path.mkdir(parents=True, exist_ok=True)
-        if _contents(path):
-            raise _not_empty(path)
-        run = cls(path, experiment)
+        run = cls(expand_home(path), experiment)
+        run.path.mkdir(parents=True, exist_ok=True)
+        _refuse_contents(run.path)
         run.lock()
-        if _contents(path):  # another process created a run before this one had the lock
+        try:
+            _refuse_contents(run.path)  # another process may have created a run before this one had the lock
+        except ValueError:
             run.unlock()
-            raise _not_empty(path)
-        write_json(path / "versions.json", versions())
+            raise
+        write_json(run.path / VERSIONS_FILE, versions())
         run.set_status("running", 0)
-        # Written last: a directory with a config.yaml is complete.
-        atomic_write(path / "config.yaml", dump(experiment.to_dict()).encode())
+        run.write_config()  # last: a directory with a config.yaml is complete
         return run
 
     @classmethod
@@ -157,7 +124,7 @@ class Run:
                 path = find_trained_policy(str(path))
             except ValueError as error:
                 raise ValueError(f"{str(path)!r} is not a run directory, and {error}") from None
-        config = path / "config.yaml"
+        config = path / CONFIG_FILE
         if not config.is_file():
             raise ValueError(f"{str(path)!r} is not a run directory: it has no config.yaml")
         values = read_mapping(config)
@@ -171,6 +138,14 @@ class Run:
         # This machine may not have the device that it was trained on.
         return cls(path, make_experiment(values, f"experiment {str(config)!r}", here=False))
 
+    def write_config(self) -> None:
+        """Write config.yaml.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        atomic_write(self.path / CONFIG_FILE, dump(self.experiment.to_dict()).encode())
+
     def lock(self) -> None:
         """Lock the directory until this process ends, so that no two processes train in it.
 
@@ -183,95 +158,49 @@ class Run:
         """
         for entry in self.path.iterdir():
             own_path(self.path, entry.name)
-        self._lock = (self.path / LOCK_FILE).open("ab")
         try:
-            self.locked = lock(self._lock, wait=False)
+            self._lock = lock(self.path / LOCK_FILE, wait=False)
         except BlockingIOError:
-            self.unlock()
             raise InUse(f"run directory {str(self.path)!r} is in use by another process") from None
         for leftover in leftovers(self.path):
             leftover.unlink()
-        self._read_status()  # another process may have trained in it until now
 
     def unlock(self) -> None:
         """Let other processes train in the directory."""
         if self._lock is not None:
-            self._lock.close()
+            self._lock.release()
             self._lock = None
-
-    def check_place(self) -> None:
-        """Check, before something is written, that the path still leads to the directory that was locked.
-
-        Raises:
-            Moved: if the directory was renamed or deleted, and perhaps another run was started at its path.
-            OSError: if it cannot be looked up.
-        """
-        if self._lock is None:
-            return
-        try:
-            here = os.path.samestat(os.fstat(self._lock.fileno()), (self.path / LOCK_FILE).stat())
-        except (FileNotFoundError, NotADirectoryError):
-            here = False
-        if not here:
-            raise Moved(
-                f"run directory {str(self.path)!r} was renamed, deleted or replaced while the run was training; "
-                "nothing was written to what is there now"
-            )
 
     @property
     def status(self) -> dict[str, Any]:
-        """The contents of status.json; see :func:`read_status`."""
+        """The contents of status.json, as :meth:`set_status` writes them; empty if it is missing or broken."""
         return read_status(self.path)
 
-    def logged_rows(self, step: int, file: str) -> dict[str, Any] | None:
-        """What :meth:`note_rows` noted of a file for the checkpoint of a step; None if nothing is known."""
-        found = [entry.get(file) for entry in self._logged if entry.get("step") == step]
-        return found[-1] if found and isinstance(found[-1], dict) else None
-
-    def note_rows(self, step: int, files: Mapping[str, Mapping[str, Any]]) -> None:
-        """Note the rows of metrics.csv and fronts.csv for a checkpoint that is about to be written.
-
-        The next :meth:`set_status` writes the notes, with those of the checkpoint before: whichever of the two a crash
-        leaves, its notes are there.
-
-        Args:
-            step: of the checkpoint.
-            files: number and hash of the rows, by the name of the file.
-        """
-        self._logged = [*self._logged[-1:], {"step": step, **files}]
-
-    def add_metrics_gap(self, gap: str) -> None:
-        """Add to :attr:`metrics_gap`, which the next and all later :meth:`set_status` write."""
-        if self.metrics_gap is None:
-            self.metrics_gap = gap
-        elif gap not in self.metrics_gap:  # noticed before, by a process that wrote no checkpoint
-            self.metrics_gap += f"; {gap}"
-
     def set_status(self, state: State, step: int, reason: str | None = None) -> None:
-        """Write status.json with the state of the run, its step, and the reason if it failed.
+        """Write status.json: state, step and length of the training, seconds of work, and the reason if it failed.
 
-        A finished run also gets the record of its files (:mod:`algorithms.runs.run_files`).
+        The seconds are sums over all processes; those of CPUs end with the training. A finished run also gets the
+        record of its files (:mod:`algorithms.runs.run_files`).
 
         Raises:
-            Moved: as :meth:`check_place`.
             OSError: if it cannot be written, or a file cannot be recorded.
         """
-        self.check_place()
-        used = round(self._cpu_before + process_time() - self._cpu_opened, 1)
-        if state == "finished":  # what came after the training does not count
-            used = self.status.get("cpu_seconds", used)
+        before, clocks = self.status, (perf_counter(), process_time())
+        seconds, used = (
+            round(before.get(name, 0.0) + now - last, 3)
+            for name, now, last in zip(("seconds", "cpu_seconds"), clocks, self._clocks, strict=True)
+        )
+        self._clocks = clocks
         write_json(
             self.path / STATUS_FILE,
             {
                 "state": state,
                 "step": step,
                 "total_timesteps": self.experiment.training.total_timesteps,
-                "seconds": round(self._seconds_before + perf_counter() - self._opened, 1),
-                "cpu_seconds": used,
+                "seconds": seconds,
+                "cpu_seconds": before.get("cpu_seconds", used) if state == "finished" else used,
                 "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
                 **({} if reason is None else {"reason": reason}),
-                **({} if self.metrics_gap is None else {"metrics_gap": self.metrics_gap}),
-                **({"logged": self._logged} if self._logged else {}),
                 **({"files": record_files(self.path)} if state == "finished" else {}),
             },
         )
@@ -283,7 +212,7 @@ class Run:
             OSError: if a file cannot be read or written.
         """
         status = self.status
-        if status.get("state") == "finished" and "files" in status:
+        if "files" in status:
             found = record_files(self.path)
             status["files"] |= {name: found[name] for name in RESULTS if name in found}
             write_json(self.path / STATUS_FILE, status)
@@ -291,38 +220,26 @@ class Run:
     @property
     def versions(self) -> dict[str, Any]:
         """The versions that the run was started with; empty if they are not known."""
-        return read_json_object(self.path / "versions.json")
+        return read_json_object(self.path / VERSIONS_FILE)
 
     def changed_versions(self) -> list[str]:
         """The differences between the versions that the run was started with and the current ones, one line each."""
-        then, now = self.versions, versions()
-        packages = then.get("packages")
-        flat_then = {**then, **(packages if isinstance(packages, dict) else {})}
-        flat_now = {**now, **now["packages"]}
-        names = [name for name in flat_now if name not in ("packages", "dirty")]
+        then, now = ({**found, **found.get("packages", {})} for found in (self.versions, versions()))
         return [
-            f"{name}: {flat_then.get(name)} then, {flat_now[name]} now"
-            for name in names
-            if flat_then.get(name) != flat_now[name]
+            f"{name}: {then.get(name)} then, {version} now"
+            for name, version in now.items()
+            if name not in ("packages", "dirty") and then.get(name) != version
         ]
 
 
 def is_run(path: Path) -> bool:
     """Whether a directory is that of a run, or has a policy of the zoo."""
-    return (path / "config.yaml").is_file()
+    return (path / CONFIG_FILE).is_file()
 
 
 def read_status(path: Path) -> dict[str, Any]:
-    """The contents of a run's status.json; empty if it is missing or broken.
-
-    Its keys are those of :data:`STATUS`; an entry of another type is left out.
-    """
-    status = read_json_object(path / STATUS_FILE)
-    return {
-        key: value
-        for key, value in status.items()
-        if isinstance(value, STATUS.get(key, object)) and not isinstance(value, bool)
-    }
+    """The contents of a run's status.json, as :meth:`Run.set_status` writes them; empty if it is missing or broken."""
+    return read_json_object(path / STATUS_FILE)
 
 
 def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
@@ -350,6 +267,11 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
     return paths
 
 
+def _section(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    section = values.get(name)
+    return section if isinstance(section, dict) else {}
+
+
 def resume_options(paths: Sequence[Path], values: Mapping[str, Any]) -> str:
     """The options with which the command train resumes a run, or runs side by side.
 
@@ -360,27 +282,21 @@ def resume_options(paths: Sequence[Path], values: Mapping[str, Any]) -> str:
     return f"--resume {shlex.join(map(str, paths))}" + (" --trust" if imported_paths(values) else "")
 
 
-def _not_empty(path: Path) -> ValueError:
-    """The error for the directory of a new run that has something in it, perhaps another run."""
+def _refuse_contents(path: Path) -> None:
+    """Refuse the directory of a new run that has something in it; what a killed process left of a new run is nothing.
+
+    Raises:
+        ValueError: with the options that resume the run that is there.
+    """
+    names = {entry.name for entry in path.iterdir()}
+    started = {LOCK_FILE, VERSIONS_FILE, STATUS_FILE}
+    if CONFIG_FILE not in names and all(name in started or is_temporary(Path(name)) for name in names):
+        return
     try:
-        resume = f", or use {resume_options([path], read_mapping(path / 'config.yaml'))}"
+        resume = f", or use {resume_options([path], read_mapping(path / CONFIG_FILE))}"
     except ValueError:  # no run, or one that cannot be resumed
         resume = ""
-    return ValueError(f"run directory {str(path)!r} is not empty; choose another{resume}")
-
-
-def _section(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    section = values.get(name)
-    return section if isinstance(section, dict) else {}
-
-
-def _contents(path: Path) -> list[str]:
-    """The names in a run's directory, without those that a process leaves if it is killed while it creates a run."""
-    entries = list(path.iterdir())  # once: another process may be renaming its files
-    found = {entry.name for entry in entries}
-    if "config.yaml" not in found:
-        found -= {LOCK_FILE, "versions.json", STATUS_FILE, *(entry.name for entry in entries if is_temporary(entry))}
-    return sorted(found)
+    raise ValueError(f"run directory {str(path)!r} is not empty; choose another{resume}")
 
 
 def default_directory(root: str | Path, config: str | Path, experiment: Experiment) -> Path:
@@ -392,7 +308,7 @@ def default_directory(root: str | Path, config: str | Path, experiment: Experime
         experiment: its algorithm and seed are part of the name.
 
     Raises:
-        ValueError: if it cannot be made.
+        OSError: if it cannot be made.
     """
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     name = f"{directory_name(experiment.algorithm.name)}-seed{experiment.training.seed}-{stamp}"
@@ -405,8 +321,6 @@ def default_directory(root: str | Path, config: str | Path, experiment: Experime
         except FileExistsError:
             number += 1
             path = path.with_name(f"{name}-{number}")
-        except OSError as error:
-            raise ValueError(f"run directory {str(path)!r} cannot be made: {error}") from None
 
 
 def versions() -> dict[str, Any]:
@@ -432,10 +346,9 @@ def _git(*arguments: str) -> str | None:
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return None
+    command = ["git", "-C", str(root), *arguments]
     try:
-        done = subprocess.run(
-            ["git", "-C", str(root), *arguments], capture_output=True, text=True, timeout=10, check=False
-        )
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout.strip() if done.returncode == 0 else None

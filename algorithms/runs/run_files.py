@@ -19,12 +19,9 @@ STATUS_FILE = "status.json"
 
 
 def record_files(run: Path) -> dict[str, dict[str, Any]]:
-    """The size in bytes and the SHA-256 hash of each of :data:`RECORDED` that exists, by name.
+    """The size in bytes and the SHA-256 hash of each of :data:`RECORDED` that exists in a run's directory, by name.
 
     The record is kept under "files" in the status.json of a finished run.
-
-    Args:
-        run: the run's directory.
 
     Raises:
         OSError: if a file cannot be read.
@@ -45,16 +42,11 @@ def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
     status = read_json_object(run / STATUS_FILE)
     if not status and (run / STATUS_FILE).exists():
         return [f"{STATUS_FILE}: cannot be read"]
-    recorded = status.get("files")
-    if status.get("state") != "finished" or not isinstance(recorded, dict):
+    if status.get("state") != "finished":
         return []
-    found = []
-    for name, entry in recorded.items():
-        if name in RECORDED and (names is None or name in names):
-            problem = _difference(run / name, entry)
-            if problem is not None:
-                found.append(f"{name}: {problem}")
-    return found
+    recorded = status.get("files", {})
+    problems = {name: _difference(run / name, recorded[name]) for name in recorded if names is None or name in names}
+    return [f"{name}: {problem}" for name, problem in problems.items() if problem]
 
 
 def diverged(run: Path) -> list[str]:
@@ -79,16 +71,14 @@ def _record(path: Path) -> dict[str, Any]:
     return {"size": size, "sha256": digest.hexdigest()}
 
 
-def _difference(path: Path, entry: Any) -> str | None:
-    """How a file differs from its entry in the record; None if it does not."""
-    if not path.is_file():
-        return "missing"
+def _difference(path: Path, entry: dict[str, Any]) -> str:
+    """How a file differs from its entry in the record; empty if it does not."""
     try:
         found = _record(path)
-        if found == entry:
-            return None
-        recorded = entry.get("size") if isinstance(entry, dict) else None
-        same_size = found["size"] == recorded
-        return "changed since the run finished" if same_size else f"{found['size']} bytes, recorded {recorded}"
+    except FileNotFoundError:
+        return "missing"
     except OSError as error:
         return f"cannot be read: {error}"
+    if found["size"] != entry["size"]:
+        return f"{found['size']} bytes, recorded {entry['size']}"
+    return "" if found == entry else "changed since the run finished"

@@ -14,7 +14,7 @@ from algorithms.runs.accessories import Accessory
 from algorithms.runs.agent_report import VIDEO_FILE, report_agent, show_results
 from algorithms.runs.config import Experiment, check_loggers, find_environment, is_ours, make_experiment
 from algorithms.runs.console import print_line
-from algorithms.runs.interrupts import PATIENCE, Interrupts, Moved, stopped_by
+from algorithms.runs.interrupts import PATIENCE, Interrupts, stopped_by
 from algorithms.runs.loggers import Logger
 from algorithms.runs.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.runs.progress_bar import ProgressReporter, compilation_noted
@@ -22,9 +22,7 @@ from algorithms.runs.run_directory import FRONTS_FILE, METRICS_FILE, Run
 from algorithms.runs.side_by_side import build_trainee
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS
-from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.support.faults import Fault
-from mo_deepdrive.support.yaml import dump
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.agent import Log
-    from mo_deepdrive.evaluation.front import Front
 
 Watch = Callable[[int, Mapping[str, float]], None]
 
@@ -83,8 +80,6 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
         for name in (METRICS_FILE, FRONTS_FILE):
             rows_until(run.path / name, each.step)
     if total_timesteps is not None and trainee.schedules:
-        for run in runs:
-            run.unlock()
         raise ValueError(
             f"training.total_timesteps = {longer[0].training.total_timesteps}: the run cannot be trained longer, "
             f"since these settings depend on the length of the training: {', '.join(trainee.schedules)}"
@@ -94,7 +89,7 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
             run.experiment = experiment
             # In this order: a process that is killed in between leaves a run that can be resumed.
             run.set_status("running", trainee.step)
-            atomic_write(run.path / "config.yaml", dump(experiment.to_dict()).encode())
+            run.write_config()
     return runs, trainee
 
 
@@ -145,34 +140,48 @@ class _Record:
     Args:
         run: whose directory receives them.
         step: of the last checkpoint.
-        logger: of its metrics.
-        fronts: the file of its fronts; None where none is learnt.
     """
 
-    def __init__(self, run: Run, step: int, logger: Logger, fronts: FrontsFile | None):
-        self.run, self.saved, self.logger, self.fronts = run, step, logger, fronts
+    def __init__(self, run: Run, step: int):
+        self.run, self.saved = run, step
+        self.logger: Logger
+        self.fronts: FrontsFile | None = None
 
-    def log(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Write a row of metrics."""
-        self.run.check_place()
-        self.logger.log(step, metrics)
-
-    def log_front(self, step: int, front: Front) -> None:
-        """Write a front."""
-        self.run.check_place()
-        assert self.fronts is not None
-        self.fronts.write(step, front)
+    def open(self, resumed: bool, say: Callable[[str], None]) -> Logger:
+        """Open the files of rows, which are continued if the run was started before; the logger is to be closed."""
+        run, after = self.run, (self.saved if self.saved > 0 else -1) if resumed else None
+        self.logger = Logger(
+            run.path,
+            after=after,
+            wandb=run.experiment.logging.wandb,
+            config={**run.experiment.to_dict(), "versions": run.versions},
+            name=run.path.name,
+            say=say,
+        )
+        if not run.experiment.known_utility:
+            self.fronts = FrontsFile(run.path / FRONTS_FILE, after)
+        self.run.set_status("running", self.saved)
+        return self.logger
 
     def save(self, step: int, write: Callable[[Path], None], state: Any) -> None:
         """Have a checkpoint written, and note the state."""
-        self.run.check_place()
-        # In this order, so that a crash cannot leave a checkpoint without its rows or their note.
-        fronts = {} if self.fronts is None else {FRONTS_FILE: self.fronts.sync()}
-        self.run.note_rows(step, {METRICS_FILE: self.logger.sync(), **fronts})
-        self.run.set_status("running", self.saved)
+        self.logger.sync()  # before the checkpoint, so that a crash cannot leave one without its rows
+        if self.fronts is not None:
+            self.fronts.sync()
         write(self.run.checkpoint)
         self.saved = step
         self.run.set_status(state, step)
+
+    def end(self, state: Any, reason: str | None = None) -> None:
+        """Note the state of a run that ends early."""
+        with contextlib.suppress(OSError):  # it may be the reason; the original error is raised in any case
+            self.run.set_status(state, self.saved, reason)
+
+    @property
+    def rest(self) -> str:
+        """What is left of a run that failed."""
+        exists = self.run.checkpoint.exists()
+        return f"the checkpoint of step {self.saved:,} is intact" if exists else "there is no checkpoint yet"
 
 
 def train(
@@ -208,33 +217,25 @@ def train(
     experiment = runs[0].experiment
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
     checkpoint_interval = logging.checkpoint_interval or training.total_timesteps
-    begun = trainee.step
-    known_utility = experiment.known_utility
-    episodes = evaluation.episodes
+    begun, known_utility, episodes = trainee.step, experiment.known_utility, evaluation.episodes
     if not known_utility:
         episodes = distinct_episodes(experiment.environment, episodes)
     eval_env = evaluation_env(experiment, episodes if known_utility else FRONT_EPISODES)
     reference_front = None if known_utility else best_known_front(eval_env, evaluation.gamma)
     ours = is_ours(find_environment(experiment.environment.id))
     interrupts = Interrupts(PATIENCE)
-    records: list[_Record] = []
+    records = [_Record(run, begun) for run in runs]
     ended: set[int] = set()  # seeds that failed while others go on
+    progress = ProgressReporter(training.total_timesteps, begun, console, arrivals=ours, front=not known_utility)
     try:
-        with (
-            interrupts,
-            ProgressReporter(
-                training.total_timesteps, begun, console, arrivals=ours, front=not known_utility
-            ) as reporter,
-            compilation_noted(reporter.say),
-            contextlib.ExitStack() as loggers,
-        ):
-            for run in runs:
-                records.append(_open_record(run, begun, resumed, reporter.say, loggers))
+        with interrupts, progress, compilation_noted(progress.say), contextlib.ExitStack() as loggers:
+            for record in records:
+                loggers.enter_context(record.open(resumed, progress.say))
 
             def log_of(record: _Record) -> Log:
                 def log(step: int, metrics: Mapping[str, float]) -> None:
-                    record.log(step, metrics)
-                    reporter.note(metrics)
+                    record.logger.log(step, metrics)
+                    progress.note(metrics)
                     if watch is not None:
                         watch(step, metrics)
 
@@ -243,8 +244,8 @@ def train(
             def note_failures() -> None:
                 for seed in trainee.failed.keys() - ended:
                     ended.add(seed)
-                    _set_failed([runs[seed]], records, begun, trainee.failed[seed])
-                    reporter.say(f"{trainee.failed[seed]}; {_last_checkpoint(runs[seed], records[seed].saved)}")
+                    records[seed].end("failed", trainee.failed[seed])
+                    progress.say(f"{trainee.failed[seed]}; {records[seed].rest}")
 
             def save(state: Any) -> None:
                 for seed, record in enumerate(records):
@@ -256,7 +257,7 @@ def train(
                 note_failures()
 
             def after_update(_: Any) -> bool:
-                reporter.update(trainee.step)
+                progress.update(trainee.step)
                 note_failures()
                 last_saved = max(record.saved for record in records)
                 if trainee.step // checkpoint_interval > last_saved // checkpoint_interval:
@@ -266,10 +267,6 @@ def train(
                 interrupts.settle()
                 return interrupts.received is not None
 
-            for run in runs:
-                run.set_status("running", begun)
-            logs = [log_of(record) for record in records]
-            log_fronts = None if known_utility else [record.log_front for record in records]
             trainee.train(
                 training.total_timesteps,
                 eval_env,
@@ -279,85 +276,29 @@ def train(
                 eval_gamma=evaluation.gamma,
                 reference_point=evaluation.reference_point,
                 reference_front=reference_front,
-                log=logs,
-                log_front=log_fronts,
+                log=[log_of(record) for record in records],
+                log_front=None if known_utility else [record.fronts.write for record in records if record.fronts],
                 log_interval=logging.interval,
                 after_update=after_update,
             )
             save("trained" if interrupts.received is None else "interrupted")
-    except (OSError, Moved) as error:
-        saved = [record.saved for record in records] or [begun]
-        try:
-            for run in runs:
-                run.check_place()
-        except Moved as moved:
-            text = f"training stopped at step {trainee.step:,}: {moved}; resume it from where it is now"
-            raise Moved(text) from None
-        if isinstance(error, Moved):
-            raise
-        _set_failed(runs, records, begun, str(error))
-        rest = _last_checkpoint(runs[-1], min(saved))
-        raise stopped_by(error, f"training stopped at step {trainee.step:,}: {error}; {rest}") from error
-    except Fault as error:
-        _set_failed(runs, records, begun, str(error))
-        raise
-    except KeyboardInterrupt as error:
-        if not interrupts.received:
-            _set_failed(runs, records, begun, f"{type(error).__name__}: {error}")
-            raise
-        _set_state(runs, records, begun, "interrupted")
     except BaseException as error:
-        _set_failed(runs, records, begun, f"{type(error).__name__}: {error}")
-        raise
+        interrupted = isinstance(error, KeyboardInterrupt) and interrupts.received
+        for record in records:
+            record.end(*(("interrupted",) if interrupted else ("failed", _reason(error))))
+        if isinstance(error, OSError):
+            text = f"training stopped at step {trainee.step:,}: {error}; {records[-1].rest}"
+            raise stopped_by(error, text) from error
+        if not interrupted:
+            raise
     finally:
         eval_env.close()
     return interrupts.received
 
 
-def _open_record(
-    run: Run, step: int, resumed: bool, say: Callable[[str], None], loggers: contextlib.ExitStack
-) -> _Record:
-    """Open what is written of a run that begins, or is continued, at a step."""
-    experiment = run.experiment
-    after = (step if step > 0 else -1) if resumed else None
-    noted = {name: run.logged_rows(step, name) if step > 0 else None for name in (METRICS_FILE, FRONTS_FILE)}
-    logger = loggers.enter_context(
-        Logger(
-            run.path,
-            after=after,
-            noted=noted[METRICS_FILE],
-            wandb=experiment.logging.wandb,
-            config={**experiment.to_dict(), "versions": run.versions},
-            name=run.path.name,
-            say=say,
-        )
-    )
-    fronts = None if experiment.known_utility else FrontsFile(run.path / FRONTS_FILE, after, noted[FRONTS_FILE])
-    if not run.locked:
-        say("warning: the file system has no locks: start no other process on this run")
-    if step == 0:
-        run.metrics_gap = None  # everything is written again
-    for gap in [gap for gap in (logger.gap, fronts and fronts.gap) if gap]:
-        say(f"warning: {gap}; the run is continued")
-        run.add_metrics_gap(gap)
-    return _Record(run, step, logger, fronts)
-
-
-def _last_checkpoint(run: Run, step: int) -> str:
-    return f"the checkpoint of step {step:,} is intact" if run.checkpoint.exists() else "there is no checkpoint yet"
-
-
-def _set_failed(runs: Sequence[Run], records: Sequence[_Record], begun: int, reason: str) -> None:
-    _set_state(runs, records, begun, "failed", reason)
-
-
-def _set_state(
-    runs: Sequence[Run], records: Sequence[_Record], begun: int, state: Any, reason: str | None = None
-) -> None:
-    saved = {record.run.path: record.saved for record in records}
-    for run in runs:
-        with contextlib.suppress(OSError, Moved):  # these may be the reason; the original error is raised in any case
-            run.set_status(state, saved.get(run.path, begun), reason)
+def _reason(error: BaseException) -> str:
+    """An error as text, with its type where it is one of the program."""
+    return str(error) if isinstance(error, (OSError, Fault)) else f"{type(error).__name__}: {error}"
 
 
 def finish(run: Run, agent: Any, console: Console) -> None:
@@ -374,9 +315,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
         Fault: if something is not finite, or an episode does not end.
     """
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
-    video = run.path / VIDEO_FILE if figures else None
     try:
-        run.check_place()
         report_agent(
             agent,
             run.experiment,
@@ -384,7 +323,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             episodes=settings.final_episodes,
             seed=settings.final_seed,
             directory=run.path,
-            video=video,
+            video=run.path / VIDEO_FILE if figures else None,
         )
         if settings.task is not None:
             from algorithms.runs.suite_scores import scorable, score_run  # not earlier: it imports scipy.stats
@@ -401,8 +340,8 @@ def finish(run: Run, agent: Any, console: Console) -> None:
         raise stopped_by(error, f"the run is trained, but its results could not be written: {error}") from error
     except Fault as error:
         fault = type(error)(f"in the final evaluation: {error}")
-        _set_failed([run], [], agent.step, str(fault))
+        _Record(run, agent.step).end("failed", str(fault))
         raise fault from None
     except Exception as error:
-        _set_failed([run], [], agent.step, f"{type(error).__name__}: {error}")
+        _Record(run, agent.step).end("failed", _reason(error))
         raise

@@ -310,11 +310,13 @@ def _unreliable(changes: Sequence[str]) -> bool:
 def _locked(folder: Path) -> Iterator[None]:
     """Create the folders, and hold a lock so that processes that collect the same sweep wait for each other."""
     (folder / "metrics").mkdir(parents=True, exist_ok=True)
-    with own_path(folder, ".lock").open("ab") as file:
-        lock(file, wait=True)
+    held = lock(own_path(folder, ".lock"), wait=True)
+    try:
         for leftover in (*leftovers(folder), *leftovers(folder / "metrics")):
             leftover.unlink()
         yield
+    finally:
+        held.release()
 
 
 def _runs_frame(

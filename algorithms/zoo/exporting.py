@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms import zoo
-from algorithms.learning.checkpoints import read_checkpoint
-from algorithms.runs.build import build
+from algorithms.runs.build import load_policy
 from mo_deepdrive.evaluation.front import EVALUATION_FILE, FRONT_FILE, Front
 from mo_deepdrive.support.atomic_io import atomic_write, write_json
 from mo_deepdrive.support.yaml import dump
@@ -17,7 +16,6 @@ from mo_deepdrive.support.yaml import dump
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from algorithms.runs.config import Experiment
     from algorithms.runs.run_directory import Run
 
 FILES = {zoo.CONFIG, zoo.CHECKPOINT, zoo.ABOUT, FRONT_FILE, EVALUATION_FILE}
@@ -46,10 +44,10 @@ def export(run: Run, name: str, directory: str | Path | None = None, about: Mapp
     target = parent / name
     if target.exists() and not (target.is_dir() and {path.name for path in target.iterdir()} <= FILES):
         raise ValueError(f"{str(target)!r} is not a policy; choose another name")
-    experiment = _on_cpu(run.experiment)
-    agent = build(experiment, num_envs=1, guides=False)
-    agent.load(run.checkpoint, policy_only=True)
-    agent.step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
+    # On every machine there is a CPU.
+    training = run.experiment.training.model_copy(update={"device": "cpu"})
+    experiment = run.experiment.model_copy(update={"training": training})
+    agent = load_policy(run)
     if not experiment.known_utility:
         Front.read(run.path)
     versions = {name: run.versions.get(name) for name in ("commit", "python", "packages")}
@@ -68,12 +66,6 @@ def export(run: Run, name: str, directory: str | Path | None = None, about: Mapp
         shutil.rmtree(staged, ignore_errors=True)
         raise
     return target
-
-
-def _on_cpu(experiment: Experiment) -> Experiment:
-    """The experiment with the device "cpu", which exists on every machine."""
-    training = experiment.training.model_copy(update={"device": "cpu"})
-    return experiment.model_copy(update={"training": training})
 
 
 def _replace(target: Path, staged: Path) -> None:

@@ -19,8 +19,7 @@ from typing import IO, TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-if os.name == "posix":
-    import fcntl
+    from filelock import BaseFileLock
 
 TEMPORARY = ".*.tmp"
 # Errors by which a file system says that it lacks an operation, besides those of permission.
@@ -124,24 +123,28 @@ def leftovers(folder: Path) -> Iterator[Path]:
     return folder.glob(TEMPORARY)
 
 
-def lock(file: IO[Any], *, wait: bool) -> bool:
-    """Lock an open file until it is closed, if the file system has locks.
+def lock(path: Path, *, wait: bool) -> BaseFileLock:
+    """Lock a file until it is released or the process ends, if the file system has locks.
 
     Args:
-        file: what to lock.
+        path: what to lock; made if it does not exist.
         wait: until no other process holds it.
-
-    Returns:
-        Whether it is locked.
 
     Raises:
         BlockingIOError: if another process holds it, and ``wait`` is False.
+        OSError: if the file cannot be written.
     """
-    if os.name == "posix":
-        with optional():
-            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-    return False
+    from filelock import FileLock, Timeout  # of the training, which environments need not install
+
+    held = FileLock(path, thread_local=False)
+    try:
+        held.acquire(timeout=-1 if wait else 0)
+    except Timeout:
+        raise BlockingIOError(f"{str(path)!r} is locked by another process") from None
+    except OSError as error:
+        if error.errno not in UNSUPPORTED:
+            raise
+    return held
 
 
 def write_json(path: str | Path, value: Any) -> None:

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 
 _TRAIN = (
     "PIL",
+    "filelock",
     "imageio",
     "matplotlib",
     "polars",

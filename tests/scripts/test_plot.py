@@ -48,14 +48,3 @@ def test_plot_draws_runs_of_fronts(finished_front: Path, tmp_path: Path, call: C
     assert code == 0, out + error
     assert "pcn: 1 seed" in out
     assert (tmp_path / "curves.pdf").read_bytes().startswith(b"%PDF")
-
-
-def test_plot_and_table_warn_of_the_files_that_they_read(finished: Path, tmp_path: Path, call: Call) -> None:
-    run = tmp_path / "run"
-    shutil.copytree(finished, run)
-    for name in ("metrics.csv", "evaluation.json"):
-        (run / name).write_text((run / name).read_text().replace("1", "2"))
-    changed = f"{{}}: {run}: {{}}: changed since the run finished\n"
-    for script, prefix, name in (("plot", "warning", "metrics.csv"), ("table", "left out", "evaluation.json")):
-        _, out, error = call(script, run)
-        assert error.startswith(changed.format(prefix, name)), out

@@ -465,18 +465,18 @@ def test_a_run_that_another_process_starts_at_the_same_moment_is_not_a_failure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: str
 ) -> None:
     wanted = job(tmp_path)
-    make = Run.make
+    make = Run.create
     held: list[Run] = []
 
     def too_late(*arguments: Any) -> Run:
-        monkeypatch.setattr(Run, "make", make)
+        monkeypatch.setattr(Run, "create", make)
         if other == "trains":
-            held.append(Run.make(wanted.experiment, wanted.path))
+            held.append(Run.create(wanted.experiment, wanted.path))
         else:
             perform(wanted)
         return make(*arguments)
 
-    monkeypatch.setattr(Run, "make", too_late)
+    monkeypatch.setattr(Run, "create", too_late)
     if other == "trains":
         with pytest.raises(InUse):
             perform(wanted)

@@ -79,24 +79,3 @@ def test_a_run_without_checkpoint_starts_its_fronts_again(tmp_path: Path, after:
     FrontsFile(path).write(*FRONTS[0])
     FrontsFile(path, after=after).write(*FRONTS[3])
     assert rows_of(path) == expected_rows(FRONTS[3])
-
-
-def test_missing_rows_of_fronts_are_noticed(tmp_path: Path) -> None:
-    path = tmp_path / "fronts.csv"
-    file = FrontsFile(path)
-    nothing = file.sync()
-    assert FrontsFile(path, after=0, noted=nothing).gap is None
-    for step, front in FRONTS[:3]:
-        file.write(step, front)
-    noted = file.sync()
-    whole = path.read_text().splitlines(keepends=True)
-    file.write(*FRONTS[3])
-    assert FrontsFile(path, after=20, noted=noted).gap is None
-    path.write_text("".join(whole[:3]))
-    gap = "fronts.csv lacks 4 of 6 rows up to step 20 (it has rows of steps 0 to 10)"
-    assert FrontsFile(path, after=20, noted=noted).gap == gap
-    path.unlink()
-    again = FrontsFile(path, after=20, noted=noted)
-    assert again.gap == "fronts.csv lacks 6 of 6 rows up to step 20 (it has none)"
-    again.write(*FRONTS[3])
-    assert rows_of(path) == expected_rows(FRONTS[3])

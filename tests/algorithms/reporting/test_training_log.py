@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -71,56 +70,6 @@ def test_a_damaged_file_is_neither_read_nor_continued(tmp_path: Path, content: b
     assert path.read_bytes() == content
     with pytest.raises(ValueError, match="does not exist"):
         read_metrics(tmp_path / "nowhere.csv")
-
-
-def written(path: Path, steps: tuple[int, ...] = (0, 10, 10, 20)) -> dict[str, Any]:
-    """Write rows of these steps, the last one with a new column; returns what was noted of them."""
-    file = MetricsFile(path)
-    for step in steps:
-        file.write(step, {"a": step + 0.5})
-    file.write(30, {"b": 1})
-    return file.sync()
-
-
-def test_rows_that_were_noted_are_found_again_though_later_ones_follow(tmp_path: Path) -> None:
-    path = tmp_path / "metrics.csv"
-    noted = written(path)
-    file = MetricsFile(path, after=30, noted=noted)
-    assert file.gap is None
-    assert file.sync() == noted
-    file.write(40, {"a": 1, "c": 2})
-    with path.open("a") as torn:
-        torn.write("50,1.0,")
-    assert MetricsFile(path, after=30, noted=noted).gap is None
-    assert MetricsFile(path, after=30).gap is None  # nothing was noted
-
-
-DELETED = "metrics.csv lacks 5 of 5 rows up to step 30 (it has none)"
-
-
-@pytest.mark.parametrize(
-    ("keep", "gap"),
-    [
-        (None, DELETED),
-        ([], DELETED),
-        ([0], DELETED),
-        ([0, 1, 2], "metrics.csv lacks 3 of 5 rows up to step 30 (it has rows of steps 0 to 10)"),
-        ([0, 1, 4, 5], "metrics.csv lacks 2 of 5 rows up to step 30 (it has rows of steps 0 to 30)"),
-        ([0, 1, 2, 3, 3, 5], "metrics.csv: the rows up to step 30 are not those that were written"),
-        ([0, 1, 2, 2, 3, 4, 5], "metrics.csv: the rows up to step 30 are not those that were written"),
-    ],
-)
-def test_rows_that_are_missing_or_others_are_noticed(tmp_path: Path, keep: list[int] | None, gap: str) -> None:
-    path = tmp_path / "metrics.csv"
-    noted = written(path)
-    lines = path.read_text().splitlines(keepends=True)
-    path.unlink()
-    if keep is not None:
-        path.write_text("".join(lines[i] for i in keep))
-    file = MetricsFile(path, after=30, noted=noted)
-    assert file.gap == gap
-    file.write(40, {"a": 1})
-    assert read_metrics(path)["step"][-1] == 40
 
 
 def test_a_file_that_is_deleted_while_it_is_written_is_an_error(tmp_path: Path) -> None:

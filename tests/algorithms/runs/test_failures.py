@@ -33,7 +33,7 @@ def test_what_a_retry_may_mend_is_retried_as_often_as_allowed(error: Exception, 
 def test_a_death_is_written_to_the_status_of_the_run_which_could_not_do_so_itself(tmp_path: Path) -> None:
     job = Job("run", make_experiment(VALUES), tmp_path / "run")
     assert record(job, WorkerDied("killed")) == "killed"  # before the directory existed
-    Run.make(job.experiment, job.path).unlock()
+    Run.create(job.experiment, job.path).unlock()
     assert record(job, WorkerDied("killed")) == "killed"
     status = read_status(job.path)
     assert (status["state"], status["reason"]) == ("failed", "killed")

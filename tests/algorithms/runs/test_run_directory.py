@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +11,7 @@ import gymnasium
 import pytest
 
 from algorithms.runs.config import Experiment, make_experiment
-from algorithms.runs.interrupts import Moved
-from algorithms.runs.run_directory import Run, default_directory, imported_paths, read_status, versions
+from algorithms.runs.run_directory import Run, default_directory, imported_paths, versions
 from algorithms.runs.run_files import changed_files
 from algorithms.runs.training import resume
 from mo_deepdrive.support.atomic_io import write_json
@@ -51,6 +48,8 @@ def test_changed_versions_are_named(tmp_path: Path, experiment: Experiment) -> N
     write_json(run.path / "versions.json", then)
     (change,) = run.changed_versions()
     assert change.startswith("torch: 0.1 then")
+    (run.path / "versions.json").write_text("{")
+    assert any(change.startswith("torch: None then, ") for change in run.changed_versions())
 
 
 def test_a_directory_that_is_not_empty_is_refused(tmp_path: Path, experiment: Experiment) -> None:
@@ -80,35 +79,10 @@ def test_the_directory_of_a_run_is_refused_with_the_options_that_resume_it(
 
 def test_a_path_that_cannot_be_written_is_refused(tmp_path: Path, experiment: Experiment) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="cannot be written"):
+    with pytest.raises(OSError, match=r"Not a directory: '.*file/run'"):
         Run.create(experiment, tmp_path / "file" / "run")
-    with pytest.raises(ValueError, match="cannot be made"):
+    with pytest.raises(OSError, match=r"Not a directory: '.*file/config/"):
         default_directory(tmp_path / "file", "config.yaml", experiment)
-
-
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
-def test_a_read_only_directory_is_refused(tmp_path: Path, experiment: Experiment) -> None:
-    tmp_path.chmod(0o500)
-    with pytest.raises(ValueError, match="cannot be written"):
-        Run.create(experiment, tmp_path / "run")
-
-
-def test_a_file_that_another_process_renames_during_the_check_is_not_refused(
-    tmp_path: Path, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    temporary = tmp_path / ".versions.json.abc.tmp"
-    temporary.write_text("{}")
-    listed = Path.iterdir
-
-    def list_and_rename(folder: Path) -> Iterator[Path]:
-        entries = list(listed(folder))
-        if temporary.exists():
-            temporary.replace(folder / "versions.json")
-        return iter(entries)
-
-    monkeypatch.setattr(Path, "iterdir", list_and_rename)
-    Run.create(experiment, tmp_path).unlock()
-    assert not temporary.exists()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="runs are locked on POSIX systems")
@@ -120,15 +94,6 @@ def test_two_processes_do_not_train_in_one_directory(tmp_path: Path, experiment:
     first.unlock()
     second.lock()
     second.unlock()
-
-
-def test_the_default_directory_of_a_users_algorithm_is_named_after_its_class(
-    tmp_path: Path, experiment: Experiment
-) -> None:
-    own = experiment.model_copy(
-        update={"algorithm": experiment.algorithm.model_copy(update={"name": "package.module:Own"})}
-    )
-    assert default_directory(tmp_path, "fast.yaml", own).name.startswith("Own-seed3-")
 
 
 def test_default_directories_are_named_after_the_run_and_are_unique(tmp_path: Path, experiment: Experiment) -> None:
@@ -175,36 +140,6 @@ def test_a_run_with_a_link_is_not_locked_and_the_target_is_kept(
     (run.path / name).unlink()
     linked.lock()
     linked.unlock()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="needs POSIX locks")
-def test_a_file_system_without_locks_is_noted(
-    tmp_path: Path, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: Any) -> None:
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr("fcntl.flock", refuse)
-    run = Run.create(experiment, tmp_path / "run")
-    run.set_status("running", 1)
-    assert not run.locked
-    run.unlock()
-
-
-def test_a_run_whose_directory_was_replaced_writes_nothing_to_the_other_one(
-    tmp_path: Path, experiment: Experiment
-) -> None:
-    run = Run.create(experiment, tmp_path / "run")
-    run.path.rename(tmp_path / "renamed")
-    with pytest.raises(Moved, match="was renamed, deleted or replaced while the run was training"):
-        run.set_status("running", 1)
-    other = Run.create(experiment, tmp_path / "run")
-    before = {path: path.read_bytes() for path in other.path.iterdir()}
-    with pytest.raises(Moved):
-        run.set_status("running", 2)
-    assert {path: path.read_bytes() for path in other.path.iterdir()} == before
-    for each in (run, other):
-        each.unlock()
 
 
 OWN: dict[str, Any] = {"name": "own_code:utility"}
@@ -266,49 +201,6 @@ def test_what_an_experiment_would_import_is_found_whatever_its_form() -> None:
     assert imported_paths({"algorithm": {"name": 3, "network": ["a:b"]}}) == {}
     assert imported_paths({"algorithm": ["a:b"]}) == {}
     assert imported_paths({"environment": {"id": 3}, "utility": {"name": None, "vehicles": "a:b"}}) == {}
-
-
-@pytest.mark.parametrize(
-    "status",
-    [
-        [],
-        "text",
-        {"state": ["finished"], "step": "abc", "seconds": "long", "logged": 3, "metrics_gap": 1, "files": "x"},
-        {"state": True, "step": True, "seconds": None, "logged": [3, {"step": 0}]},
-    ],
-)
-def test_odd_contents_of_a_status_are_left_out(tmp_path: Path, experiment: Experiment, status: Any) -> None:
-    Run.create(experiment, tmp_path / "run").unlock()
-    write_json(tmp_path / "run" / "status.json", status)
-    assert not read_status(tmp_path / "run").keys() - {"logged"}
-    run = Run.open(tmp_path / "run")
-    assert run.logged_rows(0, "metrics.csv") is None
-    run.set_status("interrupted", 5)
-    assert run.status["state"] == "interrupted"
-
-
-@pytest.mark.parametrize("content", ["[]", "3", "{", '{"packages": []}', '{"packages": 3}'])
-def test_odd_versions_are_those_of_another_machine(tmp_path: Path, experiment: Experiment, content: str) -> None:
-    Run.create(experiment, tmp_path / "run").unlock()
-    (tmp_path / "run" / "versions.json").write_text(content)
-    changes = Run.open(tmp_path / "run").changed_versions()
-    assert any(change.startswith("torch: None then, ") for change in changes)
-
-
-def test_a_run_that_another_process_has_trained_since_is_known_when_it_is_locked(
-    tmp_path: Path, experiment: Experiment
-) -> None:
-    first = Run.create(experiment, tmp_path / "run")
-    second = Run.open(tmp_path / "run")
-    rows = {"rows": 3, "sha256": "0"}
-    first.note_rows(500, {"metrics.csv": rows})
-    first.add_metrics_gap("a gap")
-    first.set_status("interrupted", 500)
-    first.unlock()
-    second.lock()
-    assert (second.logged_rows(500, "metrics.csv"), second.metrics_gap) == (rows, "a gap")
-    assert second.logged_rows(400, "metrics.csv") is None
-    second.unlock()
 
 
 def test_a_final_evaluation_that_is_written_again_is_recorded_again(tmp_path: Path, experiment: Experiment) -> None:

@@ -13,7 +13,6 @@ from algorithms.runs.config import make_experiment
 from algorithms.runs.jobs import perform
 from algorithms.runs.run_directory import Run
 from algorithms.runs.run_files import RECORDED, changed_files, record_files
-from mo_deepdrive.support.atomic_io import write_json
 from tests.helpers.short_runs import VALUES, job
 
 
@@ -60,17 +59,6 @@ def test_a_run_that_is_not_finished_has_no_record(finished: Path) -> None:
     Run.open(finished).set_status("running", 0)
     (finished / "metrics.csv").unlink()
     assert changed_files(finished) == []
-
-
-@pytest.mark.parametrize(
-    ("record", "problems"),
-    [({}, []), ({"files": []}, []), ({"files": {"metrics.csv": 3}}, ["metrics.csv: 110 bytes, recorded None"])],
-)
-def test_a_record_that_is_missing_or_broken_is_no_error(
-    finished: Path, record: dict[str, object], problems: list[str]
-) -> None:
-    write_json(finished / "status.json", {"state": "finished", **record})
-    assert changed_files(finished) == problems
 
 
 def test_training_records_its_files_when_it_finishes(tmp_path: Path) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +12,12 @@ import pytest
 import algorithms.runs.config
 from algorithms import MOA2C
 from algorithms.runs.config import make_experiment
-from algorithms.runs.interrupts import Moved
 from algorithms.runs.jobs import Job, perform
-from algorithms.runs.run_directory import Run, read_status
+from algorithms.runs.run_directory import read_status
 from algorithms.runs.run_files import changed_files
 from algorithms.runs.training import reopen, train_and_finish
 from mo_deepdrive.support.yaml import dump
-from tests.helpers.short_runs import VALUES, assert_same_run, job, metrics, printed, quiet
+from tests.helpers.short_runs import VALUES, assert_same_run, job, quiet
 
 TOTAL = 960
 
@@ -33,53 +30,6 @@ def stopped_job(folder: Path, step: int = 320) -> Job:
         perform(wanted, watch=lambda at, _: seen.append(at), stop=lambda: bool(seen) and seen[-1] >= step) == "stopped"
     )
     return wanted
-
-
-def cut(run: Path, change: Callable[[list[str]], list[str] | None]) -> None:
-    """Replace the lines of metrics.csv; None deletes the file."""
-    path = run / "metrics.csv"
-    lines = change(path.read_text().splitlines(keepends=True))
-    path.unlink()
-    if lines is not None:
-        path.write_text("".join(lines))
-
-
-@pytest.mark.parametrize(
-    ("change", "gap"),
-    [
-        (lambda _: None, "metrics.csv lacks 4 of 4 rows up to step 320 (it has none)"),
-        (lambda _: [], "metrics.csv lacks 4 of 4 rows up to step 320 (it has none)"),
-        (lambda lines: lines[:-2], "metrics.csv lacks 2 of 4 rows up to step 320 (it has rows of steps 0 to 160)"),
-        (
-            lambda lines: [*lines[:2], *lines[3:]],
-            "metrics.csv lacks 1 of 4 rows up to step 320 (it has rows of steps 0 to 320)",
-        ),
-    ],
-    ids=["deleted", "emptied", "cut", "without a middle row"],
-)
-def test_missing_rows_are_noticed_when_a_run_is_resumed_and_kept_in_its_status(
-    tmp_path: Path, change: Callable[[list[str]], list[str] | None], gap: str
-) -> None:
-    wanted = stopped_job(tmp_path)
-    cut(wanted.path, change)
-    (run,), agent = reopen(str(wanted.path))
-    console = quiet()
-    assert train_and_finish(run, agent, console, resumed=True) is None
-    run.unlock()
-    assert f"warning: {gap}; the run is continued" in " ".join(printed(console).split())
-    status = read_status(wanted.path)
-    assert (status["state"], status["step"], status["metrics_gap"]) == ("finished", TOTAL, gap)
-    assert changed_files(wanted.path) == []
-
-
-def test_metrics_and_status_that_are_lost_together_are_noticed_by_the_checkpoint(tmp_path: Path) -> None:
-    wanted = stopped_job(tmp_path)
-    for name in ("metrics.csv", "status.json"):
-        (wanted.path / name).unlink()
-    assert perform(wanted) == "trained"
-    gap = "metrics.csv has no rows up to step 320"
-    assert read_status(wanted.path)["metrics_gap"] == gap
-    assert f"warning: {gap}; the run is continued" in " ".join((wanted.path / "train.log").read_text().split())
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
@@ -108,16 +58,6 @@ def test_a_run_that_is_interrupted_in_the_middle_resumes_to_the_same_run(
     assert_same_run(whole.path, wanted.path)
 
 
-def test_a_gap_is_kept_by_later_processes_and_noted_once(tmp_path: Path) -> None:
-    wanted = stopped_job(tmp_path)
-    cut(wanted.path, lambda lines: lines[:2])
-    for stop in (lambda: True, lambda: True, None):
-        perform(wanted, stop=stop)
-        assert read_status(wanted.path)["metrics_gap"].count("lacks") == 1
-    status = read_status(wanted.path)
-    assert (status["state"], status["metrics_gap"].startswith("metrics.csv lacks 3 of 4 rows")) == ("finished", True)
-
-
 def test_a_run_that_was_killed_after_its_checkpoint_is_resumed_silently(tmp_path: Path) -> None:
     wanted = stopped_job(tmp_path / "killed")
     with (wanted.path / "metrics.csv").open("a") as file:
@@ -126,50 +66,12 @@ def test_a_run_that_was_killed_after_its_checkpoint_is_resumed_silently(tmp_path
     whole = job(tmp_path / "whole")
     for each in (wanted, whole):
         assert perform(each) == "trained"
-    assert "metrics_gap" not in read_status(wanted.path)
     assert "warning" not in (wanted.path / "train.log").read_text()
     assert_same_run(wanted.path, whole.path)
 
 
-def test_a_crash_between_the_note_and_the_checkpoint_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The status is then newer than the checkpoint."""
-    wanted = job(tmp_path)
-    save, saves = MOA2C.save, []
-
-    def crash(agent: Any, path: Path, seed: int) -> None:
-        saves.append(agent.step)
-        if len(saves) == 3:
-            raise KeyboardInterrupt
-        save(agent, path, seed)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(MOA2C, "save", crash)
-        with pytest.raises(KeyboardInterrupt):
-            perform(wanted)
-    status = read_status(wanted.path)
-    assert [entry["step"] for entry in status["logged"]] == saves[1:]
-    assert status["step"] == saves[1]
-    assert perform(wanted) == "trained"
-    assert "metrics_gap" not in read_status(wanted.path)
-
-
-def test_a_run_whose_note_of_rows_is_lost_is_resumed_without_the_check(tmp_path: Path) -> None:
-    wanted = stopped_job(tmp_path)
-    status = json.loads((wanted.path / "status.json").read_text())
-    del status["logged"]
-    (wanted.path / "status.json").write_text(json.dumps(status))
-    cut(wanted.path, lambda lines: lines[:2])
-    assert perform(wanted) == "trained"
-    assert "metrics_gap" not in read_status(wanted.path)
-    assert metrics(wanted.path)[-1]["step"] == str(TOTAL)
-
-
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs the names of open files")
-def test_metrics_and_their_note_reach_the_disk_before_each_checkpoint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_metrics_reach_the_disk_before_each_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[str] = []
     fsync = os.fsync
 
@@ -184,7 +86,7 @@ def test_metrics_and_their_note_reach_the_disk_before_each_checkpoint(
     checkpoints = [i for i, name in enumerate(synced) if name == "checkpoint"]
     assert len(checkpoints) == 11
     for i in checkpoints:
-        assert synced[i - 2 : i] == ["metrics", "status"]
+        assert synced[i - 1] == "metrics"
 
 
 def test_a_run_with_broken_metrics_is_not_reopened(tmp_path: Path) -> None:
@@ -192,22 +94,6 @@ def test_a_run_with_broken_metrics_is_not_reopened(tmp_path: Path) -> None:
     (wanted.path / "metrics.csv").write_bytes(b"\xff\n")
     with pytest.raises(ValueError, match=r"metrics\.csv' is not a CSV file"):
         reopen(str(wanted.path))
-
-
-def test_a_gap_that_is_noticed_again_before_a_checkpoint_is_noted_once(tmp_path: Path) -> None:
-    wanted = stopped_job(tmp_path)
-    cut(wanted.path, lambda lines: lines[:2])
-    checkpoint, status = wanted.path / "checkpoint.safetensors", read_status(wanted.path)
-    before = checkpoint.read_bytes()
-    perform(wanted, stop=lambda: True)
-    gap = read_status(wanted.path)["metrics_gap"]
-    checkpoint.write_bytes(before)  # as if the process had been killed before it wrote one
-    (wanted.path / "status.json").write_text(json.dumps({**status, "metrics_gap": gap}))
-    perform(wanted, stop=lambda: True)
-    assert read_status(wanted.path)["metrics_gap"] == gap
-    checkpoint.unlink()
-    assert perform(wanted) == "trained"
-    assert "metrics_gap" not in read_status(wanted.path)  # it was trained from the beginning
 
 
 CONSTANT: dict[str, dict[str, Any]] = {
@@ -282,25 +168,3 @@ def test_a_run_is_not_trained_without_the_logger_that_it_asks_for(
     with pytest.raises(ValueError, match=r"logging\.wandb needs wandb: pip install 'mo-deepdrive\[wandb\]'"):
         perform(Job("", make_experiment(values), tmp_path / "run"))
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
-
-
-def files(path: Path) -> dict[str, bytes]:
-    """The contents of the files in a directory."""
-    return {each.name: each.read_bytes() for each in path.iterdir() if each.is_file()}
-
-
-def test_a_run_that_is_renamed_stops_and_leaves_another_one_at_its_path_alone(tmp_path: Path) -> None:
-    wanted, others = job(tmp_path), {}
-
-    def rename(step: int, _: object) -> None:
-        if step >= 320 and not others:
-            wanted.path.rename(tmp_path / "renamed")
-            other = Run.create(wanted.experiment, wanted.path)
-            (other.path / "metrics.csv").write_text("step\n")
-            others.update({"run": other, "files": files(other.path)})
-
-    with pytest.raises(Moved, match=r"^training stopped at step \d+: run directory '.*seed0' was renamed, .* is now$"):
-        perform(wanted, watch=rename)
-    others["run"].unlock()
-    assert files(wanted.path) == others["files"]
-    assert perform(Job("renamed", wanted.experiment, tmp_path / "renamed")) == "trained"

@@ -64,7 +64,7 @@ def test_runs_that_cannot_be_read_are_left_out(tmp_path: Path, monkeypatch: pyte
     monkeypatch.chdir(REPOSITORY)
     planned = planned_runs(load_plan(tmp_path / "plan.yaml").select(["one_waypoint_linear"]), tmp_path)
     for run in planned:
-        opened = Run.make(run.job.experiment, run.job.path)
+        opened = Run.create(run.job.experiment, run.job.path)
         scores = {"utility_esr": {"value": 1.0, "low": 0.5, "high": 2.0}}
         content = {"episodes": 4, "seed": 0, "policies": {"greedy": scores}}
         (run.job.path / "evaluation.json").write_text(json.dumps(content))
