@@ -22,6 +22,8 @@ from algorithms.studies.sweep_settings import SweepSettings
 if TYPE_CHECKING:
     from argparse import Namespace
 
+    from mo_deepdrive.world.config import Settings
+
 
 def key_sections(algorithm: str | None = None, env_id: str | None = None) -> dict[str, list[Key]]:
     """The keys to list, by title.
@@ -39,7 +41,12 @@ def key_sections(algorithm: str | None = None, env_id: str | None = None) -> dic
     for name, found in keys.items():
         equations = "" if find_algorithm(name).is_peer else f"; equations: help({agent_class(name).__module__!r})"
         sections[f"hyperparameters of {name}{equations}"] = [key for key in found if _is_hyperparameter(key)]
-    others = {"sweep": SweepSettings, "study": Study, "task of a study": StudyTask, "learner of a study": Learner}
+    others: dict[str, type[Settings]] = {
+        "sweep": SweepSettings,
+        "study": Study,
+        "task of a study": StudyTask,
+        "learner of a study": Learner,
+    }
     return sections if algorithm else {**sections, **{title: model_keys(model) for title, model in others.items()}}
 
 

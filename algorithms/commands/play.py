@@ -175,9 +175,7 @@ OPTIONS = (
     cli.option("--seed", "S", "seed of the first episode (default: random)", type=int),
     cli.option("--fps", "N", "decisions per second (default: real time)", type=int),
     cli.option("--against", "RUN", "what drives the other vehicles"),
-    cli.option(
-        "--vehicle", "V", "the vehicle you drive against RUN (default: one it did not learn, or 0)", type=int
-    ),
+    cli.option("--vehicle", "V", "the vehicle you drive against RUN (default: one it did not learn, or 0)", type=int),
     cli.flag("--stochastic", "sample RUN's actions instead of the greedy ones"),
     cli.option("--record", "FILE", "write an MP4 of the session"),
     cli.TRUST,

@@ -20,7 +20,6 @@ from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.tables import evaluation_table
 from algorithms.runs.agent_report import (
     VIDEO_FILE,
-    draw_figures_of_front,
     film,
     film_policies_of_front,
     report_front,
@@ -175,8 +174,7 @@ def _finish_front(
     FrontsFile(run.path / "fronts.csv").write(steps, front)
     settings = run.experiment.evaluation
     about = {"step": steps, **about, "evaluated_policies": len(policies)}
-    measured = report_front(front, run.experiment, console, run.path, about)
-    draw_figures_of_front(front, run.experiment, run.path, console)
+    measured, _ = report_front(front, run.experiment, console, run.path, about)
     if run.experiment.logging.save_figures:
         film_policies_of_front(
             policies, front, run.experiment, run.path / VIDEO_FILE, console, seed=settings.final_seed

@@ -77,8 +77,7 @@ def report_agent(
         front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
         if front.episodes < episodes:
             console.print(f"every episode is the same: {front.episodes} of {episodes:,} is driven", highlight=False)
-        report_front(front, experiment, console, directory, {"step": agent.step})
-        drawn = directory is None or draw_figures_of_front(front, experiment, directory, console)
+        _, drawn = report_front(front, experiment, console, directory, {"step": agent.step})
         filmed = video is None or film_policies_of_front(agent, front, experiment, video, console, seed=seed)
         return drawn and filmed
     evaluations = evaluate_policies(agent, experiment, episodes=episodes, seed=seed)
@@ -91,8 +90,8 @@ def report_agent(
 
 def report_front(
     front: Front, experiment: Experiment, console: Console, directory: Path | None, about: Mapping[str, Any]
-) -> dict[str, float]:
-    """Write front.csv and evaluation.json of a front, and print a table.
+) -> tuple[dict[str, float], bool]:
+    """Print a table of a front; write front.csv and evaluation.json, and draw it, if there is a directory.
 
     Args:
         front: evaluated policies; those that another one dominates are neither shown nor written.
@@ -102,7 +101,7 @@ def report_front(
         about: anything else for evaluation.json, such as the step.
 
     Returns:
-        The indicators by metric.
+        The indicators by metric, and whether the front could be drawn; if not, the reason is printed.
 
     Raises:
         OSError: if a file cannot be written; each file is complete or unchanged.
@@ -110,24 +109,26 @@ def report_front(
     front = front.non_dominated()
     reference_point = experiment.evaluation.reference_point
     with closing(make_environment(experiment.environment, 1)) as env:
-        reference_front, scales = best_known_front(env, front.gamma), EnvAdapter(env).joint_scales
-    measured = measure_front(front, reference_point=reference_point, reference_front=reference_front, scales=scales)
+        best_known, scales = best_known_front(env, front.gamma), EnvAdapter(env).joint_scales
+    measured = measure_front(front, reference_point=reference_point, reference_front=best_known, scales=scales)
+    title = f"{experiment.algorithm.name} on {experiment.environment.id}"
     whole = "--output DIR writes all" if directory is None else f"all are in {directory / FRONT_FILE}"
     if directory is not None:
         policies = {FRONT: {name: asdict(Estimate(value)) for name, value in measured.items()}}
         front.write(directory, {**about, "reference_point": reference_point, "policies": policies})
-    console.print(front_table(front, measured, _title(experiment), console.width, whole))
-    return measured
+    console.print(front_table(front, measured, title, console.width, whole))
+    with _beside(console, "the front could not be drawn") as drawing:
+        if directory is not None and len(front.objectives) > 1:  # there are no figures of a single objective
+            from algorithms.reporting.front_plots import draw_front
 
-
-def _title(experiment: Experiment) -> str:
-    return f"{experiment.algorithm.name} on {experiment.environment.id}"
+            draw_front(front, directory, reference_front=best_known, title=title)
+    return measured, drawing.works
 
 
 def film(
     policy: Policy, experiment: Experiment, path: str | Path, console: Console, *, seed: int, greedy: bool = True
 ) -> bool:
-    """Record a video of a policy and print what it shows, or why there is none.
+    """Record a video of a policy from the episode of ``seed`` on; print what it shows, or why there is none.
 
     Args:
         policy: an agent, or anything that acts like one.
@@ -209,26 +210,8 @@ def _beside(console: Console, failure: str) -> Accessory:
     return Accessory(failure, lambda text: print_line(console, text))
 
 
-def draw_figures_of_front(front: Front, experiment: Experiment, directory: Path, console: Console) -> bool:
-    """Draw the figures of a front into a directory; whether they could be drawn, otherwise the reason is printed."""
-    with _beside(console, "the front could not be drawn") as accessory:
-        if len(front.objectives) > 1:  # there are no figures of a single objective
-            from algorithms.reporting.front_plots import draw_front
-
-            with closing(make_environment(experiment.environment, 1)) as env:
-                best_known = best_known_front(env, front.gamma)
-            draw_front(front.non_dominated(), directory, reference_front=best_known, title=_title(experiment))
-    return accessory.works
-
-
 def show_results(run: Run, step: int, console: Console) -> None:
-    """Draw the learning curves of a trained run, and show its results in TensorBoard; print what fails.
-
-    Args:
-        run: with its final evaluation.
-        step: at which it ended.
-        console: where to print.
-    """
+    """Draw the learning curves of a run that ended at a step, and show its results in TensorBoard; print what fails."""
     with _beside(console, "the curves could not be drawn"):
         # No rows are left if metrics.csv was deleted.
         if run.experiment.logging.save_figures and rows_until(run.path / METRICS_FILE, step)[1]:

@@ -201,7 +201,7 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
     """Read an experiment from a YAML file.
 
     Args:
-        path: the file, or the name of a shipped one: :func:`algorithms.runs.shipped.find_config`.
+        path: the file, or the name of a shipped one: :func:`find_config`.
         overrides: as on a command line: ``--section.key=value`` or ``--section.key value``, values as in YAML;
             ``--seed`` and ``--device`` are short for those of the training section. A mapping is merged into the
             existing one. If a key is given more than once, the last value is used.
@@ -244,23 +244,23 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
         # If it is refused, the other sections are checked nevertheless.
         sections["algorithm"] = attempt(lambda: _algorithm(given)) or AlgorithmSettings(name="", config=Settings())
     experiment = parse(Experiment, sections, what)
-    algorithm = experiment.algorithm.name
-    arguments = attempt(lambda: _environment_arguments(experiment.environment))
-    attempt(lambda: check_device("training.device", experiment.training.device, here))
-    attempt(lambda: _check_seeds(experiment.training))
-    attempt(lambda: _check_episodes(experiment.evaluation))
-    if arguments is not None:
+    training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
+    worlds = attempt(lambda: _worlds(experiment.environment))
+    attempt(lambda: check_device("training.device", training.device, here))
+    attempt(lambda: _check_seeds(training))
+    attempt(lambda: check_episodes("evaluation.episodes", evaluation.episodes, "validation"))
+    attempt(lambda: check_episodes("evaluation.final_episodes", evaluation.final_episodes, evaluation.split))
+    arguments, config = worlds or ({}, None)
+    if worlds is not None and evaluation.task is not None:
         attempt(lambda: _check_task(experiment, arguments))
-    if algorithm:
-        attempt(lambda: _check_utility(experiment))
     front: dict[str, Any] = {}
-    if algorithm and arguments is not None and not experiment.known_utility:
-        front = attempt(lambda: _front_evaluation(experiment, arguments)) or {}
+    if experiment.algorithm.name:
+        attempt(lambda: _check_utility(experiment))
+        if config is not None and not experiment.known_utility:
+            front = attempt(lambda: _front_evaluation(evaluation, config)) or {}
     if problems:
         raise ValueError(f"invalid {what}: " + "; ".join(problems))
-    default = a_twentieth(experiment.training.total_timesteps)
-    evaluation, logging = experiment.evaluation, experiment.logging
-    training = experiment.training
+    default = a_twentieth(training.total_timesteps)
     if training.seeds is not None and training.seed not in training.seeds:
         training = training.model_copy(update={"seed": training.seeds[0]})
     return experiment.model_copy(
@@ -274,13 +274,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
 
 
 def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
-    """``["--a.b=1", "--seed", "3"]`` as ``[("a.b", 1), ("training.seed", 3)]``.
-
-    Args:
-        arguments: ``--key=value`` or ``--key value``, values as in YAML; see :data:`SHORT_FORMS`.
-
-    Returns:
-        Pairs of a dotted key and its value, in the given order.
+    """``["--a.b=1", "--seed", "3"]`` as ``[("a.b", 1), ("training.seed", 3)]``; see :data:`SHORT_FORMS`.
 
     Raises:
         ValueError: for an argument that has another form.
@@ -305,12 +299,7 @@ def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
 
 
 def override(values: dict[str, Any], key: str, value: Any) -> None:
-    """Set ``section.key`` in ``values``; a mapping is merged into the existing one, which an empty one clears.
-
-    Args:
-        values: nested sections, changed in place.
-        key: dotted path of the key.
-        value: its new value.
+    """Set ``section.key`` in nested ``values``; a mapping is merged into the existing one, which an empty one clears.
 
     Raises:
         ValueError: if a part of the path is not a section.
@@ -330,11 +319,7 @@ def override(values: dict[str, Any], key: str, value: Any) -> None:
 
 
 def find_environment(env_id: str, source: str = "environment.id") -> EnvSpec:
-    """The registered specification of ``env_id``, which may have the form "module:id".
-
-    Args:
-        env_id: of the environment.
-        source: key or option that errors name.
+    """The registered specification of ``env_id``, which may have the form "module:id"; ``source`` is its key.
 
     Raises:
         ValueError: if the module cannot be imported, or the id is not registered (with the nearest id).
@@ -361,15 +346,16 @@ def is_ours(spec: EnvSpec) -> bool:
     return str(spec.vector_entry_point).startswith("mo_deepdrive.")
 
 
-def _environment_arguments(settings: EnvironmentSettings) -> dict[str, Any]:
+def _worlds(settings: EnvironmentSettings) -> tuple[dict[str, Any], EnvConfig | None]:
+    """All arguments of an environment, and the configuration of one of this package's."""
     spec = find_environment(settings.id)
     if not is_ours(spec):
-        return dict(settings.arguments)
+        return dict(settings.arguments), None
     what = f"environment.arguments of {settings.id}"
     if "scenario" in settings.arguments:
         raise ValueError(f"invalid {what}: 'scenario' is set by the id; choose another id instead")
     config = parse(EnvConfig, {**spec.kwargs, **settings.arguments}, what)
-    return config.model_dump(mode="json", exclude={"scenario"})
+    return config.model_dump(mode="json", exclude={"scenario"}), config
 
 
 def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
@@ -382,44 +368,39 @@ def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
 
 
 def _check_utility(experiment: Experiment) -> None:
-    name = experiment.algorithm.name
-    if experiment.known_utility:
-        if experiment.utility is None:
-            raise ValueError(f"'utility' is missing: algorithm {name!r} learns for a known utility")
-        check_effects(experiment, ["evaluation.reference_point"], f"algorithm {name!r} learns one policy, not a front")
-    if not experiment.known_utility and experiment.utility is not None:
+    given, learns = experiment.utility, f"algorithm {experiment.algorithm.name!r} learns"
+    if not experiment.known_utility and given is not None:
         raise ValueError(
-            f"utility = {experiment.utility.name!r}: algorithm {name!r} learns a front for every utility; leave the "
-            "section out (mo-deepdrive choose applies a utility to the front)"
+            f"utility = {given.name!r}: {learns} a front for every utility; leave the section out (mo-deepdrive choose "
+            "applies a utility to the front)"
         )
+    if experiment.known_utility:
+        if given is None:
+            raise ValueError(f"'utility' is missing: {learns} for a known utility")
+        check_effects(experiment, ["evaluation.reference_point"], f"{learns} one policy, not a front")
 
 
-def _front_evaluation(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The discount and the reference point of a front: the given ones, or the defaults of this package's environments.
+def _front_evaluation(evaluation: EvaluationSettings, config: EnvConfig) -> dict[str, Any]:
+    """The discount and the reference point of a front of this package's environments, where none are given.
 
-    The front of two vehicles has none by default: the hypervolume of 64 of its policies would take hours.
+    The front of two vehicles has no point by default: the hypervolume of 64 of its policies would take hours.
     """
-    spec = find_environment(experiment.environment.id)
-    given = experiment.evaluation.reference_point
-    if not is_ours(spec):
-        return {"reference_point": given}
-    config = parse(EnvConfig, {**spec.kwargs, **arguments}, "environment arguments")
     if config.cost_sign != "maximise":
         raise ValueError(f"environment.arguments.cost_sign = {config.cost_sign!r}: a front needs 'maximise'")
-    gamma = experiment.evaluation.gamma
-    if "gamma" not in experiment.evaluation.model_fields_set:
+    gamma, point = evaluation.gamma, evaluation.reference_point
+    if "gamma" not in evaluation.model_fields_set:
         # As late as this, because they import the simulation.
         from mo_deepdrive.fronts.reference_points import default_discount
         from mo_deepdrive.world.params import chosen_objectives
 
         gamma = default_discount(chosen_objectives(config))
-    if given is not None or config.row.vehicles > 1:
-        return {"gamma": gamma, "reference_point": given}
-    try:
-        point = mo_deepdrive.reference_point(config.scenario, config.action_type, gamma, config.objectives)
-    except ValueError as error:
-        raise ValueError(f"evaluation.reference_point must be given: {error}") from None
-    return {"gamma": gamma, "reference_point": point.values.tolist()}
+    if point is None and config.row.vehicles == 1:
+        try:
+            default = mo_deepdrive.reference_point(config.scenario, config.action_type, gamma, config.objectives)
+        except ValueError as error:
+            raise ValueError(f"evaluation.reference_point must be given: {error}") from None
+        point = default.values.tolist()
+    return {"gamma": gamma, "reference_point": point}
 
 
 def _check_seeds(settings: TrainingSettings) -> None:
@@ -432,24 +413,17 @@ def _check_seeds(settings: TrainingSettings) -> None:
         raise ValueError(f"training.seed = {settings.seed} must be one of training.seeds = {seeds}")
 
 
-def _check_episodes(settings: EvaluationSettings) -> None:
-    check_episodes("evaluation.episodes", settings.episodes, "validation")
-    check_episodes("evaluation.final_episodes", settings.final_episodes, settings.split)
-
-
 def _check_task(experiment: Experiment, arguments: Mapping[str, Any]) -> None:
     """Refuse to score as a task of the suite what is trained in another environment, whose arguments are all given."""
-    name = experiment.evaluation.task
-    if name is None:
-        return
     from mo_deepdrive import suite  # as late as this, because it imports the simulation
 
+    name = str(experiment.evaluation.task)
     try:
         task = suite.load().task(name)
     except ValueError as error:
         raise ValueError(f"evaluation.task: {error}") from None
-    own = task.config().model_dump(mode="json", exclude={"scenario"})
-    needed = {"id": task.environment.id, **{f"arguments.{key}": value for key, value in own.items()}}
+    of_task = task.config().model_dump(mode="json", exclude={"scenario"})
+    needed = {"id": task.environment.id, **{f"arguments.{key}": value for key, value in of_task.items()}}
     given = {"id": experiment.environment.id, **{f"arguments.{key}": value for key, value in arguments.items()}}
     for key, value in needed.items():
         if given.get(key) != value:

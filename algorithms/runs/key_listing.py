@@ -22,19 +22,12 @@ _BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "m
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a YAML file.
+    """A key of a YAML file."""
 
-    Attributes:
-        name: dotted path; a part in capitals stands for any name.
-        type: as text, such as "float > 0"; "section" where the keys below it follow.
-        default: in JSON; "required" if there is none, and empty for a section whose keys have defaults.
-        description: a line; empty if the settings model has none.
-    """
-
-    name: str
-    type: str
-    default: str
-    description: str
+    name: str  # dotted path; a part in capitals stands for any name
+    type: str  # as text, such as "float > 0"; "section" where the keys below it follow
+    default: str  # in JSON; "required" if there is none, and empty for a section whose keys have defaults
+    description: str  # a line; empty if the settings model has none
 
     def text(self) -> str:
         """The key in a line and its description, if it has one, in another one."""
@@ -43,11 +36,7 @@ class Key:
 
 
 def experiment_keys(algorithm: str, env_id: str | None = None) -> list[Key]:
-    """The keys of an experiment.
-
-    Args:
-        algorithm: its name; its hyperparameters are among the keys.
-        env_id: of the environment; the arguments of this package's environments, which None stands for, are among them.
+    """The keys of an experiment with an algorithm, in an environment; None stands for this package's environments.
 
     Raises:
         ValueError: if there is no such algorithm or environment.
@@ -77,7 +66,8 @@ def model_keys(model: type[BaseModel], prefix: str = "") -> list[Key]:
     keys: list[Key] = []
     for name, field in model.model_fields.items():
         inner = _section(field.annotation)
-        default = "required" if field.is_required() else _as_text(field.get_default(call_default_factory=True))
+        value = field.get_default(call_default_factory=True)
+        default = "required" if field.is_required() else "" if isinstance(value, BaseModel) else json.dumps(value)
         kind = _type_text(schema["properties"][name]) if inner is None else "section"
         keys.append(Key(prefix + name, kind, default, _description(model, name)))
         if inner is not None:
@@ -105,11 +95,6 @@ def _section(annotation: Any) -> tuple[str, type[BaseModel]] | None:
     return None
 
 
-def _as_text(default: Any) -> str:
-    """A default value in JSON; empty for a section."""
-    return "" if isinstance(default, BaseModel) else json.dumps(default)
-
-
 def _type_text(schema: Mapping[str, Any]) -> str:
     """A type of a JSON schema in the words of Python's."""
     if "anyOf" in schema:
@@ -124,13 +109,7 @@ def _type_text(schema: Mapping[str, Any]) -> str:
 
 
 def differing_values(values: Mapping[str, Any], keys: Sequence[Key], prefix: str = "") -> dict[str, str]:
-    """The values that differ from the defaults, in JSON, by dotted name.
-
-    Args:
-        values: nested sections, such as those of a resolved experiment.
-        keys: of these sections.
-        prefix: of the names.
-    """
+    """The values in nested sections that differ from the defaults of their keys, in JSON, by dotted name."""
     defaults = {key.name: key.default for key in keys}
     found: dict[str, str] = {}
     for name, value in values.items():

@@ -41,10 +41,6 @@ def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
     They are the same if two seeds place the same world bit for bit, as with a fixed destination on OneWaypoint: this
     package's environments draw random numbers for nothing but the start of an episode. Of other environments this is
     not known, and all episodes are driven.
-
-    Args:
-        settings: the environment.
-        episodes: number of episodes of each policy.
     """
     if episodes == 1 or not is_ours(find_environment(settings.id)):
         return episodes
@@ -81,17 +77,7 @@ def final_metrics(experiment: Experiment) -> list[str]:
 
 
 def evaluate_policies(policy: Policy, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:
-    """Evaluate the greedy and the stochastic version of a policy.
-
-    Args:
-        policy: an agent, or anything that acts like one.
-        experiment: its environment and the discount of the evaluation.
-        episodes: number of episodes of each version.
-        seed: seed of the first episode.
-
-    Returns:
-        The evaluations by the names in :data:`POLICIES`.
-    """
+    """Evaluate the greedy and the stochastic version of a policy; the evaluations by the names in :data:`POLICIES`."""
     gamma = experiment.evaluation.gamma
     with closing(evaluation_env(experiment, episodes)) as env:
         return {
@@ -101,14 +87,7 @@ def evaluate_policies(policy: Policy, experiment: Experiment, *, episodes: int, 
 
 
 def evaluate_front(agent: FrontAgent, experiment: Experiment, *, episodes: int, seed: int) -> Front:
-    """The front of a trained agent, from new episodes.
-
-    Args:
-        agent: trained.
-        experiment: its environment and the discount of the evaluation.
-        episodes: number of episodes of each policy, of which :func:`distinct_episodes` are driven.
-        seed: seed of the first episode.
-    """
+    """The front of a trained agent, from new episodes, of which :func:`distinct_episodes` are driven."""
     episodes = distinct_episodes(experiment.environment, episodes)
     with closing(evaluation_env(experiment, FRONT_EPISODES)) as env:
         return agent.front(env, episodes=episodes, seed=seed, gamma=experiment.evaluation.gamma)
@@ -117,27 +96,20 @@ def evaluate_front(agent: FrontAgent, experiment: Experiment, *, episodes: int, 
 def evaluate_front_policies(
     agent: FrontAgent, front: Front, experiment: Experiment, *, episodes: int, seed: int
 ) -> list[Evaluation]:
-    """New episodes of every policy of a front.
-
-    Args:
-        agent: the agent that learnt the front.
-        front: K policies.
-        experiment: its environment and the discount of the evaluation.
-        episodes: number of episodes of each policy, of which :func:`distinct_episodes` are driven.
-        seed: seed of the first episode.
+    """New episodes of every policy of the front that an agent learnt, of which :func:`distinct_episodes` are driven.
 
     Returns:
-        K evaluations, in the order of the front.
+        An evaluation per policy, in the order of the front.
 
     Raises:
         ValueError: if the front is not one of this agent.
     """
-    for what, found, own in (
+    for kind, of_front, of_agent in (
         ("objectives", front.objectives, agent.front_objectives),
         ("conditions", front.condition_names, tuple(agent.condition_names)),
     ):
-        if found != own:
-            raise ValueError(f"the front has the {what} {found}; those of the agent are {own}")
+        if of_front != of_agent:
+            raise ValueError(f"the front has the {kind} {of_front}; those of the agent are {of_agent}")
     episodes = distinct_episodes(experiment.environment, episodes)
     with closing(evaluation_env(experiment, FRONT_EPISODES)) as env:
         gamma = experiment.evaluation.gamma

@@ -30,19 +30,12 @@ FIND_TRAINED_POLICY = "algorithms.zoo:find"
 
 @dataclass(frozen=True)
 class AlgorithmEntry:
-    """The properties of an algorithm that an experiment depends on.
+    """The properties of an algorithm that an experiment depends on."""
 
-    Attributes:
-        name: its name in YAML files.
-        known_utility: whether it learns for a utility that it is given, or a front for every utility.
-        config_class: the settings model of its hyperparameters.
-        is_peer: whether it is another library's, which the command peers trains.
-    """
-
-    name: str
-    known_utility: bool
-    config_class: type[Settings]
-    is_peer: bool
+    name: str  # in YAML files
+    known_utility: bool  # whether it learns for a utility that it is given, or a front for every utility
+    config_class: type[Settings]  # of its hyperparameters
+    is_peer: bool  # whether it is another library's, which the command peers trains
 
 
 def algorithm_names() -> list[str]:
@@ -51,11 +44,7 @@ def algorithm_names() -> list[str]:
 
 
 def find_algorithm(name: object, source: str = "algorithm.name") -> AlgorithmEntry:
-    """The entry of an algorithm: this project's, another library's, or a user's.
-
-    Args:
-        name: of the algorithm.
-        source: key or option that errors name where the name is unknown.
+    """The entry of an algorithm: this project's, another library's, or a user's; ``source`` is the key of its name.
 
     Raises:
         ValueError: if there is none of this name, with the nearest name; if what a path names is no complete algorithm.
@@ -87,17 +76,17 @@ def agent_class(name: str) -> type[Any]:
 def _users_class(path: str) -> type[Any]:
     from algorithms.agent import Agent, FrontAgent  # as late as this, because it imports torch
 
-    found = import_named("algorithm.name", path)
-    if not (isinstance(found, type) and issubclass(found, Agent)):
-        raise ValueError(f"algorithm.name = {path!r} must be a subclass of algorithms.Agent; it is {found!r}")
-    missing = {*found.__abstractmethods__, *({"Config"} if not hasattr(found, "Config") else ())}
+    algorithm, given = import_named("algorithm.name", path), f"algorithm.name = {path!r}"
+    if not (isinstance(algorithm, type) and issubclass(algorithm, Agent)):
+        raise ValueError(f"{given} must be a subclass of algorithms.Agent; it is {algorithm!r}")
+    missing = {*algorithm.__abstractmethods__, *({"Config"} if not hasattr(algorithm, "Config") else ())}
     if missing:
-        raise ValueError(f"algorithm.name = {path!r} does not define {', '.join(sorted(missing))}")
-    if not (found.known_utility or issubclass(found, FrontAgent)):
-        raise ValueError(f"algorithm.name = {path!r}: known_utility = False needs a subclass of algorithms.FrontAgent")
-    if not (isinstance(found.Config, type) and issubclass(found.Config, Settings)):
-        raise ValueError(f"algorithm.name = {path!r}: Config = {found.Config!r} must be a subclass of Settings")
-    return found
+        raise ValueError(f"{given} does not define {', '.join(sorted(missing))}")
+    if not (algorithm.known_utility or issubclass(algorithm, FrontAgent)):
+        raise ValueError(f"{given}: known_utility = False needs a subclass of algorithms.FrontAgent")
+    if not (isinstance(algorithm.Config, type) and issubclass(algorithm.Config, Settings)):
+        raise ValueError(f"{given}: Config = {algorithm.Config!r} must be a subclass of Settings")
+    return algorithm
 
 
 def peer_running() -> Any:
@@ -111,10 +100,6 @@ def directory_name(algorithm: str) -> str:
 
 
 def find_trained_policy(name: str) -> Path:
-    """The directory of a policy of the zoo.
-
-    Raises:
-        ValueError: if there is none of this name, with the nearest name.
-    """
+    """The directory of a policy of the zoo; a ValueError with the nearest name if there is none of this name."""
     directory: Path = resolve_name(FIND_TRAINED_POLICY)(name)
     return directory
