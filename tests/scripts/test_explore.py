@@ -124,13 +124,3 @@ def test_the_files_of_another_version_are_refused(
     if text is not None:
         (run / "front.csv").write_text(text)
     refused(call("explore", "run", "--output", "page.html"), message)
-
-
-def test_a_front_without_policies_is_refused(call: Call, finished_front: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    run.mkdir()
-    for name in ("config.yaml", "checkpoint.safetensors", "evaluation.json"):
-        (run / name).write_bytes((finished_front / name).read_bytes())
-    header = (finished_front / "front.csv").read_text().splitlines()[0]
-    (run / "front.csv").write_text(header + "\n")
-    refused(call("explore", "run", "--output", "page.html"), "front")

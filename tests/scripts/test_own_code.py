@@ -216,25 +216,6 @@ def test_the_hint_after_an_interrupt_is_a_command_that_resumes(call: Call, monke
     assert call(*words)[0] == 128 + signal.SIGTERM
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("env_id", ["deep-sea-treasure-v0", "commute:commute-v0"])
-def test_the_example_learns_in_environments_of_others(env_id: str) -> None:
-    weights = [1.0, 1.0] if env_id.startswith("deep") else {"time": 1, "energy": 2}
-    experiment = make_experiment(
-        {
-            "environment": {"id": env_id},
-            "utility": {"name": "linear", "arguments": {"weights": weights}},
-            "algorithm": {"name": "reinforce:REINFORCE"},
-            "training": {"total_timesteps": 10_000, "num_envs": 16, "seed": 3},
-        }
-    )
-    agent = build(experiment)
-    rows: list[dict[str, float]] = []
-    agent.train(experiment.training.total_timesteps, log=lambda _, row: rows.append(row), log_interval=1)
-    utilities = [row["train/utility"] for row in rows]
-    assert np.mean(utilities[-5:]) > np.mean(utilities[:5]) + 2.0
-
-
 def test_an_episode_counts_with_the_utility_of_its_whole_return() -> None:
     """The loss of one update against plain sums over the episodes, each of which is driven to its end."""
     experiment = load_experiment("reinforce.yaml", ["--training.num_envs=3"])

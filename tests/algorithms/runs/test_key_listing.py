@@ -71,12 +71,6 @@ def test_own_settings_are_described_at_their_fields_and_those_of_their_bases() -
     assert model_keys(Own)[3].text() == 'names: list of str, default ["a"]', "no blank line where there is none"
 
 
-def test_settings_without_source_code_have_no_descriptions() -> None:
-    names = {"Settings": Settings, "__name__": "typed_at_a_prompt"}
-    exec('class Typed(Settings):\n    steps: int = 16\n    """Steps of a rollout."""', names)
-    assert model_keys(names["Typed"]) == [Key("steps", "int", "16", "")]
-
-
 @pytest.mark.parametrize("algorithm", algorithm_names())
 def test_descriptions_are_complete_in_themselves(algorithm: str) -> None:
     described = {key.name: key.description for key in experiment_keys(algorithm) if key.name.startswith("algorithm.")}

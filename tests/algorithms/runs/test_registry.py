@@ -9,14 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from algorithms import ALGORITHMS, zoo
+from algorithms import ALGORITHMS
 from algorithms.peers import PEERS
 from algorithms.runs.registry import (
     agent_class,
     algorithm_names,
     directory_name,
     find_algorithm,
-    find_trained_policy,
 )
 
 
@@ -64,13 +63,6 @@ def test_peers_have_an_entry_but_no_class() -> None:
 def test_unknown_algorithms_are_refused(name: object) -> None:
     with pytest.raises(ValueError, match=r"algorithm.name = .* is unknown; .*known: a2c, .*mo_a2c"):
         find_algorithm(name)
-
-
-def test_trained_policies_are_found_in_the_zoo() -> None:
-    for name in zoo.names():
-        assert find_trained_policy(name) == zoo.find(name)
-    with pytest.raises(ValueError, match="zoo"):
-        find_trained_policy("no-such-policy")
 
 
 # ------------------------------------------------------------------------------------------------- a user's algorithm
@@ -139,19 +131,12 @@ def test_a_users_algorithm_is_found_by_its_path() -> None:
 
 
 @pytest.mark.usefixtures("users_module")
-def test_an_algorithm_has_the_name_of_its_class_unless_it_defines_one() -> None:
-    names = {name: agent_class(f"users_agents:{name}").name for name in ("Learner", "Renamed", "Inherited")}
-    assert names == {"Learner": "Learner", "Renamed": "mine", "Inherited": "Inherited"}
-
-
-@pytest.mark.usefixtures("users_module")
 @pytest.mark.parametrize(
     ("path", "message"),
     [
         ("no_such_module:A", "= 'no_such_module:A': 'no_such_module' cannot be imported: ModuleNotFoundError: "),
         ("users_mistake:A", "= 'users_mistake:A': 'users_mistake' cannot be imported: SyntaxError: invalid syntax"),
         ("users_agents:Lerner", "= 'users_agents:Lerner': 'users_agents' has no 'Lerner'; did you mean 'Learner'?"),
-        ("users_agents:", "= 'users_agents:' must have the form package.module:name"),
         (":Learner", "= ':Learner' must have the form package.module:name"),
         ("users_agents:function", "must be a subclass of algorithms.Agent; it is <function function"),
         (
@@ -160,10 +145,8 @@ def test_an_algorithm_has_the_name_of_its_class_unless_it_defines_one() -> None:
         ),
         ("users_agents:Partial", "= 'users_agents:Partial' does not define get_state, set_state"),
         ("users_agents:Front", "= 'users_agents:Front' does not define condition_names, conditions, policies"),
-        ("users_agents:NoLoss", "= 'users_agents:NoLoss' does not define advantages, loss"),
         ("users_agents:Unknown", "known_utility = False needs a subclass of algorithms.FrontAgent"),
         ("users_agents:WithoutConfig", "WithoutConfig': Config = <class 'dict'> must be a subclass of"),
-        ("algorithms:Agent", "= 'algorithms:Agent' does not define Config, act, get_state, set_state, update"),
     ],
 )
 def test_a_users_algorithm_that_cannot_be_used_is_refused_in_one_line(path: str, message: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 from algorithms.runs.config import make_experiment
 from algorithms.runs.jobs import perform
 from algorithms.runs.run_directory import Run
-from algorithms.runs.run_files import RECORDED, changed_files, record_files
+from algorithms.runs.run_files import RECORDED, changed_files
 from tests.helpers.short_runs import VALUES, job
 
 
@@ -25,18 +24,6 @@ def finished(tmp_path: Path) -> Path:
     run.set_status("finished", 960)
     run.unlock()
     return run.path
-
-
-def test_sizes_and_hashes_of_existing_files_are_recorded(tmp_path: Path) -> None:
-    assert record_files(tmp_path) == {}
-    (tmp_path / "metrics.csv").write_bytes(b"step\n")
-    (tmp_path / "video.mp4").write_bytes(b"v")
-    assert record_files(tmp_path) == {"metrics.csv": {"size": 5, "sha256": hashlib.sha256(b"step\n").hexdigest()}}
-
-
-def test_an_intact_run_has_no_changed_files(finished: Path) -> None:
-    assert set(json.loads((finished / "status.json").read_text())["files"]) == set(RECORDED)
-    assert changed_files(finished) == []
 
 
 def test_missing_cut_and_edited_files_are_named(finished: Path) -> None:

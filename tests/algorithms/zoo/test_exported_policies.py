@@ -16,24 +16,19 @@ from safetensors.torch import load_file, save_file
 
 from algorithms import zoo
 from algorithms.runs.build import build, make_environment
-from algorithms.runs.config import load_experiment
 from algorithms.runs.run_directory import Run, versions
 from algorithms.zoo.exporting import export
 from tests.helpers.agents import same, state
-from tests.helpers.paths import REPOSITORY
 from tests.helpers.zoo import (
     ACTOR_CRITICS,
     CONDITIONED,
     EVERY_ACTOR_CRITIC,
     EVERY_FRONT,
     EVERY_KIND,
-    FRONT,
     FRONTS,
-    KILOBYTE,
     Trained,
     assert_same_episodes,
     policy_of,
-    train,
     whole_agent,
 )
 
@@ -74,17 +69,6 @@ def test_an_exported_front_equals_that_of_the_complete_checkpoint_bit_for_bit(
     assert (path / "front.csv").read_bytes() == (run.path / "front.csv").read_bytes()
 
 
-@pytest.mark.slow
-def test_a_front_limited_to_fewer_policies_has_the_same_ones(trained: Trained, tmp_path: Path) -> None:
-    run = trained("pcn")
-    agents = whole_agent(run), policy_of(export(run, "policy", tmp_path))
-    for agent in agents:
-        agent.config = agent.config.model_copy(update={"max_policies": 3})
-    (first, _), (second, _) = (agent.commands() for agent in agents)
-    assert len(first) == 3
-    assert first.tobytes() == second.tobytes()
-
-
 def test_a_policy_that_is_trained_further_uses_its_new_episodes(trained: Trained, tmp_path: Path) -> None:
     agent = policy_of(export(trained("pcn"), "policy", tmp_path))
     agent.train(200)
@@ -92,20 +76,6 @@ def test_a_policy_that_is_trained_further_uses_its_new_episodes(trained: Trained
     best = agent.buffer.best()
     assert {*map(tuple, returns)} <= {*map(tuple, agent.buffer.returns[best].astype(np.float32))}
     assert {*lengths} <= {*agent.buffer.lengths[best]}
-
-
-@pytest.mark.slow
-def test_loading_a_policy_replaces_the_previous_one(trained: Trained, tmp_path: Path) -> None:
-    """Completely, whichever kind of file is loaded first."""
-    first, second = trained("pcn"), train(FRONT({"time_limit": 1, "fixed_destination": True}), tmp_path / "other")
-    alone = export(second, "policy", tmp_path) / zoo.CHECKPOINT
-    expected = [each.tobytes() for each in whole_agent(second).commands()]
-    for before, after in ((first.checkpoint, alone), (alone, second.checkpoint), (alone, first.checkpoint)):
-        agent = build(first.experiment, num_envs=1)
-        agent.load(before, policy_only=True)
-        agent.load(after, policy_only=True)
-        found = [each.tobytes() for each in agent.commands()]
-        assert (found == expected) == (after != first.checkpoint)
 
 
 @pytest.mark.slow
@@ -133,29 +103,6 @@ def test_only_what_is_needed_to_act_is_written_and_read(trained: Trained, kind: 
                 assert torch.equal(tensor, wanted), name
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("config", "overrides", "limit"),
-    [
-        ("one_waypoint/mo_a2c_nonlinear", (), 50),
-        ("static_obstacle/a2c_linear", (), 100),
-        ("intersection/mo_ppo_nonlinear", (), 120),
-        ("one_waypoint/conditioned_drawn", (), 50),
-        ("left_turn/conditioned", ("--algorithm.max_policies=2",), 100),
-        ("one_waypoint/pcn", ("--algorithm.gradient_steps=1",), 50),
-        ("static_obstacle/pcn", ("--algorithm.gradient_steps=1",), 50),
-    ],
-)
-def test_policies_of_our_configs_are_small(config: str, overrides: tuple[str, ...], limit: int, tmp_path: Path) -> None:
-    settings = ["--training.total_timesteps=1", *overrides]
-    run = train(load_experiment(REPOSITORY / "configs" / f"{config}.yaml", settings), tmp_path / "run")
-    path = export(run, "policy", tmp_path) / zoo.CHECKPOINT
-    tensors = load_file(path)
-    assert path.stat().st_size < limit * KILOBYTE
-    assert path.stat().st_size < sum(tensor.nbytes for tensor in tensors.values()) + 3 * KILOBYTE
-    assert path.stat().st_size < run.checkpoint.stat().st_size / 4
-
-
 @pytest.mark.parametrize("kind", ["mo_ppo, centralised critic", "pcn", CONDITIONED])
 def test_a_folder_describes_the_origin_of_its_policy(trained: Trained, kind: str, tmp_path: Path) -> None:
     run = trained(kind)
@@ -178,13 +125,6 @@ def test_a_policy_trained_on_another_device_is_exported_for_the_cpu(trained: Tra
     training = run.experiment.training.model_copy(update={"device": "cuda:99"})
     elsewhere = Run(run.path, run.experiment.model_copy(update={"training": training}))
     assert Run.open(export(elsewhere, "policy", tmp_path)).experiment.training.device == "cpu"
-
-
-def test_a_policy_can_be_exported_from_a_policy(trained: Trained, tmp_path: Path) -> None:
-    for kind in ("mo_ppo, two vehicles", "pcn", CONDITIONED):
-        first = export(trained(kind), "first", tmp_path)
-        second = export(Run.open(first), "second", tmp_path)
-        assert same(load_file(first / zoo.CHECKPOINT), load_file(second / zoo.CHECKPOINT))
 
 
 # ------------------------------------------------------------------------------------------------------------- refused

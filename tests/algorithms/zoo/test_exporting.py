@@ -33,7 +33,7 @@ def test_an_export_replaces_an_existing_policy(trained: Trained, home: Path) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("calls", [*range(12), None])
+@pytest.mark.parametrize("calls", [0, 3, 5, None])
 @pytest.mark.parametrize("function", ["fsync", "replace"])
 def test_a_failed_export_leaves_the_existing_policy_unchanged(
     trained: Trained, home: Path, monkeypatch: pytest.MonkeyPatch, function: str, calls: int | None
