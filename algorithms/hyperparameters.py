@@ -123,7 +123,7 @@ class ProximalSettings(ActorCriticSettings):
     """epsilon, by which pi / pi_old may differ from 1 before a sample no longer counts."""
 
 
-class AccruedSettings(Settings):
+class AccruedSettings(ActorCriticSettings):
     """Hyperparameters of algorithms whose utility judges the accrued reward and what is to come."""
 
     advantage: Literal["utility_difference", "as_printed", "utility_gradient", "expected_utility"] = (
@@ -144,21 +144,18 @@ class AccruedSettings(Settings):
     @property
     def accrued_discount(self) -> float:
         """g: ``accrued_gamma``, or gamma where that is None."""
-        gamma: float = self.gamma  # type: ignore[attr-defined]  # of the settings that this is mixed into
-        return gamma if self.accrued_gamma is None else self.accrued_gamma
+        return self.gamma if self.accrued_gamma is None else self.accrued_gamma
 
     @property
     def accrued_ratio(self) -> float:
         """``gamma / g``, which is 1 where both are 0."""
-        gamma: float = self.gamma  # type: ignore[attr-defined]
-        return 1.0 if gamma == self.accrued_discount else gamma / self.accrued_discount
+        return 1.0 if self.gamma == self.accrued_discount else self.gamma / self.accrued_discount
 
     @model_validator(mode="after")
     def _discounts(self) -> Self:
-        gamma: float = self.gamma  # type: ignore[attr-defined]
-        if self.advantage == "expected_utility" and gamma > self.accrued_discount:
+        if self.advantage == "expected_utility" and self.gamma > self.accrued_discount:
             raise ValueError(
-                f"gamma = {gamma} must be at most accrued_gamma = {self.accrued_discount} with advantage = "
+                f"gamma = {self.gamma} must be at most accrued_gamma = {self.accrued_discount} with advantage = "
                 f"{self.advantage!r}"
             )
         return self

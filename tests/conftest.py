@@ -25,6 +25,7 @@ from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.world.scenarios import SCENARIOS
 from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, read_golden
 from tests.helpers.paths import REPOSITORY
+from tests.helpers.script_runs import Call, Done
 
 hypothesis.settings.register_profile(
     "mo-deepdrive",
@@ -133,6 +134,31 @@ def load_script() -> Iterator[Callable[[str], ModuleType]]:
 
     yield load
     sys.path.remove(str(folder))
+
+
+@pytest.fixture
+def call(
+    load_script: Callable[[str], ModuleType],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> Call:
+    """Call a script's ``main`` in the test's directory; exit code, standard output and standard error."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setenv("SDL_AUDIODRIVER", "dummy")
+
+    def call(script: str, *arguments: Any) -> Done:
+        capfd.readouterr()
+        try:
+            code = load_script(script).main([str(argument) for argument in arguments])
+        except SystemExit as end:
+            code = end.code
+        captured = capfd.readouterr()
+        return code, captured.out, captured.err
+
+    return call
 
 
 @pytest.fixture

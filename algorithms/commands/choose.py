@@ -161,7 +161,7 @@ OPTIONS = (
     cli.option("--arguments", "YAML", "arguments of the utility, such as '{weights: [1, 2]}'", default="{}"),
     cli.option("--policy", "K", "score this policy of front.csv instead of choosing one", type=int),
     *cli.evaluation_options(cli.CHOICE_EPISODES, cli.CHOICE_SPLIT),
-    cli.video_option("also film the chosen policy"),
+    cli.option("--video", "FILE", "also film the chosen policy"),
     cli.TRUST,
 )
 main = cli.Command("choose", __doc__, OPTIONS, choose)

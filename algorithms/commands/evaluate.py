@@ -59,7 +59,7 @@ def evaluate(options: Namespace) -> int:
 OPTIONS = (
     cli.RUN,
     *cli.evaluation_options(),
-    cli.video_option("also write an MP4 of the first episodes (of a front, four policies)"),
+    cli.option("--video", "FILE", "also write an MP4 of the first episodes (of a front, four policies)"),
     cli.flag("--stochastic", "film the stochastic policy, not the greedy one"),
     cli.option("--output", "DIR", "also write the files that a training run ends with"),
     cli.TRUST,

@@ -107,14 +107,7 @@ def build(
 
 
 def training_memory(experiment: Experiment, num_envs: int) -> float:
-    """Bytes that the environments and rollouts of a training run take at the least.
-
-    A tenth less than was measured for A2C and PPO.
-
-    Args:
-        experiment: the run.
-        num_envs: number of parallel environments.
-    """
+    """Bytes that a run takes at the least, a tenth less than was measured for A2C and PPO."""
     env = EnvAdapter(make_environment(experiment.environment, 1))
     config, arguments = experiment.algorithm.config, experiment.environment.arguments
     sample: float = 8 * env.observation_size + 24 * len(env.objectives) + 32
@@ -130,10 +123,6 @@ def training_memory(experiment: Experiment, num_envs: int) -> float:
 
 def load_policy(run: Run, *, partners: bool = True) -> Any:
     """The agent of a run with its trained policy and the number of steps that it has learnt from; it cannot train.
-
-    Args:
-        run: the run.
-        partners: as for :func:`build`.
 
     Raises:
         ValueError: if the agent cannot be built, or the checkpoint cannot be read or does not fit it.
@@ -198,15 +187,7 @@ def _digest(name: str) -> str:
 
 
 def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
-    """The environment of an experiment.
-
-    Args:
-        settings: its id and arguments.
-        num_envs: number of parallel environments.
-
-    Raises:
-        ValueError: if it cannot be made with these arguments.
-    """
+    """The parallel environments of an experiment; a ValueError if they cannot be made with its arguments."""
     try:
         return make_env(settings.id, num_envs, settings.arguments)
     except ValueError:

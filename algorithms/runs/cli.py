@@ -127,18 +127,8 @@ RUN_OUTPUT = option("--output", "DIR", "directory of the run (default: runs/CONF
 TRUST = flag("--trust", "allow the run's config.yaml to import and run code that it names by module")
 
 
-def video_option(text: str) -> Option:
-    """--video, which :func:`evaluation_arguments` checks."""
-    return option("--video", "FILE", text)
-
-
 def evaluation_options(episodes: int | None = None, split: Split | None = None) -> tuple[Option | OneOf, ...]:
-    """--episodes, and --split or --seed, which :func:`evaluation_arguments` checks.
-
-    Args:
-        episodes: without the option; those of the config if None.
-        split: of scenario seeds without the options; that of the config if None.
-    """
+    """--episodes, and --split or --seed; without them ``episodes`` and ``split``, or those of the config."""
     defaults = ["as in the config" if value is None else value for value in (episodes, split)]
     text = f"episodes per policy (default: {defaults[0]})"
     splits = f"split of scenario seeds (default: {defaults[1]})"
@@ -224,10 +214,6 @@ def new_runs(options: argparse.Namespace, experiments: Sequence[Experiment]) -> 
 def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) -> tuple[int, int]:
     """The number of episodes per policy and the seed of the first one, from the command line or else the experiment.
 
-    Args:
-        options: those of :func:`evaluation_options`; perhaps --video, which is checked too.
-        experiment: the experiment to evaluate.
-
     Raises:
         ValueError: if one is out of range, or --video cannot be written.
     """
@@ -254,21 +240,13 @@ def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) ->
 
 
 def check_front(run: Run) -> None:
-    """Refuse a run whose algorithm learns one policy.
-
-    Raises:
-        ValueError: with the command that shows it.
-    """
+    """Refuse, with a ValueError, a run whose algorithm learns one policy."""
     if run.experiment.known_utility:
         raise ValueError(f"{str(run.path)!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
 
 
 def policy_index(option: int, count: int) -> int:
-    """The value of --policy, a row of the ``count`` ones in a front.csv.
-
-    Raises:
-        ValueError: if there is no such policy.
-    """
+    """The value of --policy, one of the ``count`` rows of a front.csv; a ValueError if it is not."""
     if not 0 <= option < count:
         raise ValueError(f"--policy {option} must be from 0 to {count - 1}, a policy of front.csv")
     return option

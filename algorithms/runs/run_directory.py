@@ -249,7 +249,7 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
         values: the sections of the experiment, which need not be valid.
 
     Returns:
-        "package.module:name" by the key where it is.
+        "package.module:name" by its key.
     """
     algorithm, utility = _section(values, "algorithm"), _section(values, "utility")
     vehicles = _section(utility, "vehicles")
@@ -273,12 +273,7 @@ def _section(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def resume_options(paths: Sequence[Path], values: Mapping[str, Any]) -> str:
-    """The options with which the command train resumes a run, or runs side by side.
-
-    Args:
-        paths: the runs' directories.
-        values: the sections of their experiment; --trust is needed where they name code to import.
-    """
+    """The options with which the command train resumes runs of these sections, which may name code to import."""
     return f"--resume {shlex.join(map(str, paths))}" + (" --trust" if imported_paths(values) else "")
 
 
@@ -301,11 +296,6 @@ def _refuse_contents(path: Path) -> None:
 
 def default_directory(root: str | Path, config: str | Path, experiment: Experiment) -> Path:
     """Make a new, empty directory: ``root/<config's stem>/<algorithm>-seed<N>-<time>``.
-
-    Args:
-        root: the directory of all runs.
-        config: the file that the experiment comes from.
-        experiment: its algorithm and seed are part of the name.
 
     Raises:
         OSError: if it cannot be made.

@@ -76,8 +76,6 @@ EVERY_FRONT = pytest.mark.parametrize("kind", FRONTS)
 EVERY_KIND = pytest.mark.parametrize("kind", [*ACTOR_CRITICS, *FRONTS])
 
 Trained = Callable[[str], Run]
-Done = tuple[int, str, str]  # exit code, standard output, standard error
-Call = Callable[..., Done]
 
 
 def train(experiment: Experiment, path: Path) -> Run:
@@ -92,15 +90,6 @@ def train(experiment: Experiment, path: Path) -> Run:
     if isinstance(agent, FrontAgent):
         evaluate_front(agent, experiment, episodes=1, seed=0).write(path, {"step": agent.step})
     return run
-
-
-def refused(done: Done, *messages: str) -> None:
-    """The script ended with code 2 and an error message that contains ``messages``."""
-    code, out, error = done
-    assert code == 2, out + error
-    assert error.startswith("error: ")
-    for part in messages:
-        assert part in error
 
 
 def contents(folder: Path) -> dict[str, bytes]:

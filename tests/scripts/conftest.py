@@ -1,4 +1,4 @@
-"""Shared by the tests of the scripts: calling a script, and finished runs."""
+"""Shared by the tests of the commands: a tiny experiment, and finished runs."""
 
 from __future__ import annotations
 
@@ -6,36 +6,10 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
 
-from tests.helpers.script_runs import DRIVING, FRONT, TIMEOUT, Call, Done, command, environment
-
-
-@pytest.fixture
-def call(
-    load_script: Callable[[str], ModuleType],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> Call:
-    """Call a script's ``main`` in the test's directory; exit code, standard output and standard error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setenv("SDL_AUDIODRIVER", "dummy")
-
-    def call(script: str, *arguments: Any) -> Done:
-        capfd.readouterr()
-        try:
-            code = load_script(script).main([str(argument) for argument in arguments])
-        except SystemExit as end:
-            code = end.code
-        captured = capfd.readouterr()
-        return code, captured.out, captured.err
-
-    return call
+from tests.helpers.script_runs import DRIVING, FRONT, TIMEOUT, command, environment
 
 
 @pytest.fixture

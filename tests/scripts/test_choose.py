@@ -224,11 +224,6 @@ def test_invalid_options_are_refused_by_name(
     refused(choose(folder, *options), *messages)
 
 
-@pytest.mark.parametrize("options", [[], ["--weights", "jerk=1", "--target", "jerk=1"]])
-def test_exactly_one_preference_is_needed(folder: Path, choose: Choose, options: list[str]) -> None:
-    assert choose(folder, *options)[0] == 2
-
-
 def test_runs_without_a_front_are_refused(folder: Path, choose: Choose, tmp_path: Path) -> None:
     refused(choose("nowhere", "--weights", "jerk=1"), "'nowhere' is not a run directory")
     config = REPOSITORY / "configs" / "one_waypoint" / "a2c_linear.yaml"

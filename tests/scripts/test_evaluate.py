@@ -14,10 +14,7 @@ from algorithms.runs.run_files import changed_files
 from mo_deepdrive.evaluation.front import Front
 from tests.helpers.script_runs import (
     PICTURES,
-    SEA_FRONT,
-    TREASURE,
     Call,
-    copied,
     refused,
 )
 
@@ -84,36 +81,6 @@ def test_evaluate_shows_a_front_on_other_episodes_and_films_it(
     assert (tmp_path / "drive.mp4").stat().st_size > 1000
     assert sorted((path.name, path.stat().st_mtime_ns) for path in finished_front.iterdir()) == before
     refused(call("evaluate", finished_front, "--episodes", 0), "--episodes 0")
-
-
-@pytest.mark.parametrize("algorithm", ["mo_a2c", "pcn"])
-def test_runs_on_other_environments_are_evaluated(
-    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, algorithm: str
-) -> None:
-    monkeypatch.setattr("algorithms.reporting.video_grid.write_video_grid", lambda *arguments, **options: None)
-    monkeypatch.setattr("algorithms.reporting.videos.record", lambda *arguments, **options: None)
-    (tmp_path / "other.yaml").write_text(SEA_FRONT if algorithm == "pcn" else TREASURE)
-    run = tmp_path / "run"
-    assert call("train", "--config", "other.yaml", "--output", run, "--training.total_timesteps=600")[0] == 0
-    code, out, error = call("evaluate", run, "--output", "numbers")
-    assert code == 0, out + error
-    assert (tmp_path / "numbers" / "evaluation.json").read_text() == (run / "evaluation.json").read_text()
-
-
-def test_missing_runs_and_checkpoints_of_other_environments_are_refused(
-    finished: Path, tmp_path: Path, call: Call
-) -> None:
-    refused(call("evaluate", "nowhere"), "'nowhere' is not a run directory")
-    run = copied(finished, tmp_path, "interrupted")
-    checkpoint, config = run / "checkpoint.safetensors", run / "config.yaml"
-    whole, text = checkpoint.read_bytes(), config.read_text()
-    checkpoint.write_bytes(whole[: len(whole) // 2])
-    refused(call("evaluate", run), "checkpoint.safetensors", "cannot be read")
-    checkpoint.write_bytes(whole)
-    config.write_text(text.replace("one-waypoint", "static-obstacle").replace("one_waypoint", "static_obstacle"))
-    refused(call("evaluate", run), "environment", "mo-deepdrive-one-waypoint-v0")
-    checkpoint.unlink()
-    refused(call("evaluate", run), "checkpoint.safetensors")
 
 
 def test_evaluate_renews_the_record_of_its_own_results(finished: Path, tmp_path: Path, call: Call) -> None:

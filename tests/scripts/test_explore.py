@@ -104,23 +104,3 @@ def test_a_front_of_another_librarys_environment_has_no_drives(call: Call, tmp_p
 def test_what_cannot_be_shown_is_refused(call: Call, tmp_path: Path, arguments: list[str], messages: list[str]) -> None:
     refused(call("explore", *arguments), *messages)
     assert not (tmp_path / "page.html").exists()
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "is broken"),
-        ("policy,success\n0,1.0\n", "is broken: KeyError"),
-        (None, "holds no front: there is no front.csv"),
-    ],
-)
-def test_the_files_of_another_version_are_refused(
-    call: Call, finished_front: Path, tmp_path: Path, text: str | None, message: str
-) -> None:
-    run = tmp_path / "run"
-    run.mkdir()
-    for name in ("config.yaml", "checkpoint.safetensors", "evaluation.json"):
-        (run / name).write_bytes((finished_front / name).read_bytes())
-    if text is not None:
-        (run / "front.csv").write_text(text)
-    refused(call("explore", "run", "--output", "page.html"), message)

@@ -17,13 +17,10 @@ import yaml
 from safetensors.torch import load_file
 
 from algorithms.reporting.training_log import read_metrics
-from algorithms.runs.build import build, load_policy
+from algorithms.runs.build import build
 from algorithms.runs.config import load_experiment, make_experiment
-from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
-from mo_deepdrive.evaluation.env_adapter import EnvAdapter
-from mo_deepdrive.evaluation.policy_driver import PolicyDriver
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import Call, interrupt, refused
 from tests.helpers.short_runs import assert_same_run
@@ -239,49 +236,6 @@ def test_an_episode_counts_with_the_utility_of_its_whole_return() -> None:
         log_probs.append(log_prob)
     weights = (np.array(values) - np.mean(values)) / (np.std(values) + 1e-8)
     assert loss == pytest.approx(-float(weights @ log_probs) / 3, rel=1e-3, abs=1e-6)
-
-
-def test_an_own_algorithm_drives_both_vehicles_and_the_other_one_in_play(folder: Path) -> None:
-    changes = ["--environment.id=mo-deepdrive-intersection-v0", "--utility.name=intersection_linear"]
-    experiment = load_experiment("reinforce.yaml", [*changes, "--training.num_envs=2", "--training.total_timesteps=20"])
-    run = Run.create(experiment, folder / "run")
-    agent = build(experiment)
-    agent.train(20)
-    agent.save(run.checkpoint)
-    run.unlock()
-    loaded = load_policy(Run.open(run.path, trust=True))
-    adapter = EnvAdapter(loaded.env.vector_env)
-    actions = PolicyDriver(loaded).act(adapter.reset(1))
-    assert actions.shape == (1, 2)
-    assert np.array_equal(actions, PolicyDriver(agent).act(adapter.reset(1)))
-
-
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        (
-            "--algorithm.name=reinforce:Reinforce",
-            "algorithm.name = 'reinforce:Reinforce': 'reinforce' has no 'Reinforce'",
-        ),
-        ("--algorithm.name=reinforced:REINFORCE", "'reinforced' cannot be imported: ModuleNotFoundError: "),
-        ("--algorithm.name=reinforce:Learner", "algorithm.name = 'reinforce:Learner' must be a subclass of"),
-        ("--algorithm.learning_rat=1", "hyperparameters of algorithm 'reinforce:REINFORCE': 'learning_rat' is unknown"),
-        (
-            "--algorithm.network=reinforce:nothing",
-            "algorithm.network = 'reinforce:nothing': 'reinforce' has no 'nothing'",
-        ),
-        ("--algorithm.network=nothing", "'network' = 'nothing'"),
-        ("--algorithm.activation=tan", "'activation' = 'tan'"),
-        ("--utility.arguments.weights={tme: 1}", "takes no arguments"),
-    ],
-)
-def test_a_mistake_is_one_line_before_anything_is_written(
-    folder: Path, call: Call, override: str, message: str
-) -> None:
-    done = call("train", "--config", "reinforce.yaml", override, "--output", "run")
-    refused(done, message)
-    assert len(done[2].strip().splitlines()) == 1
-    assert not (folder / "run").exists()
 
 
 # --------------------------------------------------------------------------------------------- networks and activations

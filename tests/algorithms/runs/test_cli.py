@@ -23,7 +23,7 @@ from algorithms.runs.cli import (
     exit_on_error,
     named_numbers,
     new_runs,
-    video_option,
+    option,
 )
 from algorithms.runs.config import Experiment, make_experiment
 from algorithms.runs.interrupts import DiskFull, Stopped
@@ -105,7 +105,7 @@ def test_a_new_run_is_in_its_output_or_a_directory_named_after_its_config(
 
 def choices(*arguments: str, episodes: int | None = None, split: Split | None = None) -> Namespace:
     """What a command that evaluates gets from a command line."""
-    return parsed(*arguments, options=(*evaluation_options(episodes, split), video_option("film it")))
+    return parsed(*arguments, options=(*evaluation_options(episodes, split), option("--video", "FILE", "film it")))
 
 
 def test_episodes_and_seed_are_those_of_the_command_line_or_the_experiment(experiment: Experiment) -> None:

@@ -300,23 +300,6 @@ def test_the_front_of_two_vehicles_has_a_reference_point_only_if_it_is_given(wri
     assert load_experiment(write(FRONT), given).evaluation.reference_point == [-1.0] * 6 + [-2.0] * 6
 
 
-def test_the_reference_point_has_the_chosen_objectives_in_their_order(write: Write) -> None:
-    override = "--environment.arguments.objectives=[jerk, distance]"
-    found = load_experiment(write(FRONT), [override]).evaluation.reference_point
-    whole = mo_deepdrive.reference_point("one_waypoint")
-    by_name = dict(zip(whole.objectives, whole.values.tolist(), strict=True))
-    assert found == [by_name["jerk"], by_name["distance"]]
-
-
-def test_a_given_reference_point_is_used(write: Write) -> None:
-    point = [-3.0, -0.5, -20.0, -900.0]
-    for gamma in (0.99, 0.5):  # there is no default for the second
-        overrides = [f"--evaluation.reference_point={point}", f"--evaluation.gamma={gamma}"]
-        experiment = load_experiment(write(FRONT), overrides)
-        assert experiment.evaluation.reference_point == point
-        assert make_experiment(experiment.to_dict()) == experiment
-
-
 def test_only_fronts_of_our_environments_get_a_reference_point(write: Write) -> None:
     assert load_experiment(write(TEXT)).evaluation.reference_point is None
     sea = "--environment={id: deep-sea-treasure-v0, arguments: {}}"

@@ -71,15 +71,6 @@ def test_own_settings_are_described_at_their_fields_and_those_of_their_bases() -
     assert model_keys(Own)[3].text() == 'names: list of str, default ["a"]', "no blank line where there is none"
 
 
-@pytest.mark.parametrize("algorithm", algorithm_names())
-def test_descriptions_are_complete_in_themselves(algorithm: str) -> None:
-    described = {key.name: key.description for key in experiment_keys(algorithm) if key.name.startswith("algorithm.")}
-    shared = [text for text in described.values() if list(described.values()).count(text) > 1]
-    assert shared == [], "each key has a description of its own"
-    assert described["algorithm.learning_rate_end"].endswith("null for a constant one.")
-    assert "null" not in described["algorithm.learning_rate"]
-
-
 def test_types_and_defaults_are_those_that_are_checked() -> None:
     keys = {key.name: key for key in experiment_keys("mo_ppo")}
     assert keys["training.total_timesteps"].text() == (

@@ -31,17 +31,6 @@ def test_names_are_known_without_importing_an_algorithm(run_python: Callable[[st
     assert loaded.splitlines() == [str(sorted(ALGORITHMS)), "[] False"]
 
 
-@pytest.mark.slow
-def test_peers_are_not_imported_for_an_algorithm_of_this_project(run_python: Callable[[str], str]) -> None:
-    loaded = run_python(
-        "import sys\n"
-        "from algorithms.runs.registry import find_algorithm\n"
-        "find_algorithm('pcn')\n"
-        "print([name for name in ('algorithms.pcn', 'algorithms.a2c', 'algorithms.peers') if name in sys.modules])"
-    )
-    assert loaded == "['algorithms.pcn']\n"
-
-
 def test_every_algorithm_has_an_entry_and_a_class() -> None:
     assert algorithm_names() == sorted(ALGORITHMS)
     for name, algorithm in ALGORITHMS.items():

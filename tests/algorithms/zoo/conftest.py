@@ -1,26 +1,16 @@
-"""Fixtures: trained runs, an empty zoo, and the scripts."""
+"""Fixtures: trained runs, and an empty zoo."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 from rich.console import Console
 
 from algorithms import zoo
 from algorithms.runs.run_directory import Run
-from tests.helpers.zoo import (
-    ACTOR_CRITICS,
-    FRONTS,
-    Call,
-    Done,
-    Trained,
-    train,
-)
+from tests.helpers.zoo import ACTOR_CRITICS, FRONTS, Trained, train
 
 
 @pytest.fixture(scope="session")
@@ -44,28 +34,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
-def scripts(load_script: Callable[[str], ModuleType]) -> dict[str, ModuleType]:
-    """The scripts as modules."""
-    return {name: load_script(name) for name in ("train", "evaluate", "choose", "play", "zoo")}
-
-
-@pytest.fixture
-def call(
-    scripts: dict[str, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> Call:
-    """Run a script in the test's folder, with a console wide enough for its tables."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
+@pytest.fixture(autouse=True)
+def _wide_console(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A console that is wide enough for the tables of commands."""
     monkeypatch.setattr("algorithms.runs.console.make_console", lambda: Console(width=250))
-
-    def call(script: str, *arguments: Any) -> Done:
-        capfd.readouterr()
-        try:
-            code = scripts[script].main([str(argument) for argument in arguments])
-        except SystemExit as end:
-            code = end.code
-        said = capfd.readouterr()
-        return code, said.out, said.err
-
-    return call

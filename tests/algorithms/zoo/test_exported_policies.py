@@ -69,15 +69,6 @@ def test_an_exported_front_equals_that_of_the_complete_checkpoint_bit_for_bit(
     assert (path / "front.csv").read_bytes() == (run.path / "front.csv").read_bytes()
 
 
-def test_a_policy_that_is_trained_further_uses_its_new_episodes(trained: Trained, tmp_path: Path) -> None:
-    agent = policy_of(export(trained("pcn"), "policy", tmp_path))
-    agent.train(200)
-    returns, lengths = agent.commands()
-    best = agent.buffer.best()
-    assert {*map(tuple, returns)} <= {*map(tuple, agent.buffer.returns[best].astype(np.float32))}
-    assert {*lengths} <= {*agent.buffer.lengths[best]}
-
-
 @pytest.mark.slow
 @EVERY_KIND
 def test_only_what_is_needed_to_act_is_written_and_read(trained: Trained, kind: str, tmp_path: Path) -> None:
@@ -181,18 +172,6 @@ def test_a_broken_policy_is_refused_and_changes_nothing(trained: Trained, kind: 
         check("best episodes of the policy are broken" if is_pcn(kind) else f"has '{name}' of shape ")
     path.unlink()
     check("cannot be read")
-
-
-def test_a_policy_of_another_agent_is_refused(trained: Trained, tmp_path: Path) -> None:
-    path = export(trained("mo_a2c"), "policy", tmp_path) / zoo.CHECKPOINT
-    for kind, message in (
-        ("a2c", "algorithm = 'mo_a2c'; this agent has 'a2c'"),
-        ("pcn", "algorithm = 'mo_a2c'; this agent has 'pcn'"),
-        ("mo_a2c, continuous", r"actions = \[22, False\]"),
-        ("mo_a2c, another environment", "environment = "),
-    ):
-        with pytest.raises(ValueError, match=message):
-            build(trained(kind).experiment, num_envs=1).load(path, policy_only=True)
 
 
 def test_a_policy_is_read_without_running_code_from_it(

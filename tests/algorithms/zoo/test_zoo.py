@@ -5,23 +5,21 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from algorithms import zoo
+from algorithms.commands import play
 from algorithms.runs.run_directory import Run
 from algorithms.zoo.exporting import export
-from mo_deepdrive.support.atomic_io import write_json
 from tests.helpers.agents import INTERSECTION, SEA
+from tests.helpers.script_runs import Call, refused
 from tests.helpers.zoo import (
     ACTOR_CRITICS,
     EVERY_KIND,
-    Call,
     Trained,
     assert_same_episodes,
     contents,
-    refused,
     whole_agent,
 )
 
@@ -119,13 +117,10 @@ def test_choosing_from_a_front_by_name_gives_the_same_policy_as_its_run(
     refused(call("choose", "single", *preference), "'single' learnt one policy, not a front")
 
 
-def test_a_human_can_play_against_a_policy_by_name(
-    trained: Trained, home: Path, scripts: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_human_can_play_against_a_policy_by_name(trained: Trained, home: Path) -> None:
     run = trained("mo_ppo, two vehicles")
     export(run, "intersection-mo_ppo")
     before = contents(home)
-    play = scripts["play"]
     options = play.main.parse(["--env", INTERSECTION, "--against", "intersection-mo_ppo", "--vehicle", "1"])
     env, agent, seats = play.open_environment(options)
     assert seats == [1]
@@ -172,11 +167,3 @@ def test_the_zoo_is_listed(trained: Trained, home: Path, call: Call) -> None:
     refused(call("zoo"), str(home / "second" / "about.json"))
     (home / "first" / "config.yaml").write_text("algorithm: 3\n")
     refused(call("zoo"), str(home / "first" / "config.yaml"))
-
-
-def test_a_listing_names_the_utility_of_every_vehicle(trained: Trained, home: Path, call: Call) -> None:
-    path = export(trained("a2c, two vehicles"), "policy")
-    values = trained("a2c, two vehicles").experiment.to_dict()
-    values["utility"]["vehicles"] = {"vehicle_1": {"name": "intersection_nonlinear"}}
-    write_json(path / "config.yaml", values)  # JSON is YAML
-    assert "intersection_linear, intersection_nonlinear" in call("zoo")[1]
