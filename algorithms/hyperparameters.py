@@ -181,11 +181,11 @@ def schedules(config: Settings) -> list[str]:
         config: with the names that schedules have in this package's algorithms.
     """
     values = config.model_dump()
-    found = []
+    names = []
     if values.get("learning_rate_end") not in (None, values.get("learning_rate")):
-        found.append("learning_rate_end")
+        names.append("learning_rate_end")
     if values.get("entropy_end") != values.get("entropy_start"):
-        found.append("entropy_end")
+        names.append("entropy_end")
     if values.get("cost_growth"):
-        found.append("cost_growth")
-    return [f"algorithm.{name} = {values[name]}" for name in found]
+        names.append("cost_growth")
+    return [f"algorithm.{name} = {values[name]}" for name in names]

@@ -102,13 +102,13 @@ def choice_table(
         worth = [Estimate(float(values[k])) for k in names]
     rows = [(criterion.name, worth)]
     for i, objective in enumerate(front.objectives):
-        rows.append((objective, [mean(each.joint_returns[:, i]) for each in shown]))
+        rows.append((objective, [mean(evaluation.joint_returns[:, i]) for evaluation in shown]))
     if np.isfinite(front.success).all():
-        arrivals = [rate(each.joint_succeeded) for each in shown]
-        rows.append(("arrivals", arrivals if intervals else [Estimate(each.value) for each in arrivals]))
-    rows.append(("decisions", [mean(each.joint_lengths.astype(np.float64)) for each in shown]))
+        arrivals = [rate(evaluation.joint_succeeded) for evaluation in shown]
+        rows.append(("arrivals", arrivals if intervals else [Estimate(share.value) for share in arrivals]))
+    rows.append(("decisions", [mean(evaluation.joint_lengths.astype(np.float64)) for evaluation in shown]))
     for name, (first, *rest) in rows:
-        table.add_row(name, first.text().replace("[", r"\["), *(f"{each.value:.4g}" for each in rest))
+        table.add_row(name, first.text().replace("[", r"\["), *(f"{estimate.value:.4g}" for estimate in rest))
     return table
 
 
@@ -133,7 +133,7 @@ def choose(options: Namespace) -> int:
     agent = load_policy(run)
     criterion = parse_criterion(options, front.objectives, agent.front_scales)
     evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
-    returns = np.stack([each.joint_returns for each in evaluations])
+    returns = np.stack([evaluation.joint_returns for evaluation in evaluations])
     with np.errstate(all="ignore"):  # what is not finite is refused below
         values = criterion.values(returns)
     order = rank_policies(values, returns.mean(axis=1), agent.front_scales).tolist()

@@ -38,9 +38,9 @@ def key_sections(algorithm: str | None = None, env_id: str | None = None) -> dic
     keys = {name: experiment_keys(name, env_id) for name in ([algorithm] if algorithm else algorithm_names())}
     first = next(iter(keys.values()))
     sections = {"experiment": [key for key in first if not _is_hyperparameter(key)]}
-    for name, found in keys.items():
+    for name, its_keys in keys.items():
         equations = "" if find_algorithm(name).is_peer else f"; equations: help({agent_class(name).__module__!r})"
-        sections[f"hyperparameters of {name}{equations}"] = [key for key in found if _is_hyperparameter(key)]
+        sections[f"hyperparameters of {name}{equations}"] = [key for key in its_keys if _is_hyperparameter(key)]
     others: dict[str, type[Settings]] = {
         "sweep": SweepSettings,
         "study": Study,
@@ -72,9 +72,9 @@ def list_keys(options: Namespace) -> int:
         for key in keys:
             line, *description = key.text().splitlines()
             here = f"; here {set_here[key.name]}" if key.name in set_here else ""
-            for each in (line + here, *description):
-                text = textwrap.fill(each, console.width, subsequent_indent="    ", break_on_hyphens=False)
-                print_line(console, text)
+            for text in (line + here, *description):
+                wrapped = textwrap.fill(text, console.width, subsequent_indent="    ", break_on_hyphens=False)
+                print_line(console, wrapped)
         console.print()
     return 0
 

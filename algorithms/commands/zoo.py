@@ -74,7 +74,7 @@ def _task(experiment: ExperimentRecord) -> str:
     settings = experiment.utility
     if settings is None:
         return f"{scenario}, a front"
-    utilities = dict.fromkeys([settings.name, *(each.name for each in settings.vehicles.values())])
+    utilities = dict.fromkeys([settings.name, *(choice.name for choice in settings.vehicles.values())])
     return ", ".join([*([] if settings.name.startswith(scenario) else [scenario]), *utilities])
 
 

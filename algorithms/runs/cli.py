@@ -106,8 +106,8 @@ class Command:
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
         """The options in a command line."""
         parser = make_parser(self.description, self.name)
-        for each in self.options:
-            each.add_to(parser)
+        for option in self.options:
+            option.add_to(parser)
         options, rest = parser.parse_known_args(arguments)
         if rest and not self.takes_keys:
             parser.error(f"unrecognized arguments: {' '.join(rest)}")
@@ -277,7 +277,7 @@ def check_directory(option: str, path: str | Path | None) -> None:
     if not path:
         return
     whole = Path(path).absolute()
-    existing = next(each for each in (whole, *whole.parents) if each.exists())
+    existing = next(folder for folder in (whole, *whole.parents) if folder.exists())
     if not existing.is_dir():
         raise ValueError(f"{option} {str(path)!r}: {str(existing)!r} is not a directory")
 

@@ -110,7 +110,7 @@ class EvaluationSettings(Settings):
     @model_serializer(mode="wrap")
     def _without_no_task(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
         values: dict[str, Any] = serialise(self)
-        return values if self.task is not None else {key: each for key, each in values.items() if key != "task"}
+        return values if self.task is not None else {key: value for key, value in values.items() if key != "task"}
 
     @property
     def final_seed(self) -> int:
@@ -189,8 +189,8 @@ class Experiment(Settings):
         """The experiments of the seeds, each that of a run of its own."""
         if self.training.seeds is None:
             return [self]
-        updates = [{"seed": seed, "seeds": None} for seed in self.training.seeds]
-        return [self.model_copy(update={"training": self.training.model_copy(update=each)}) for each in updates]
+        trainings = [self.training.model_copy(update={"seed": s, "seeds": None}) for s in self.training.seeds]
+        return [self.model_copy(update={"training": training}) for training in trainings]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, from which :func:`make_experiment` makes an equal experiment."""
@@ -336,8 +336,8 @@ def find_environment(env_id: str, source: str = "environment.id") -> EnvSpec:
             for spec in gymnasium.registry.values()
             if str(spec.entry_point or spec.vector_entry_point).startswith(ours)
         ]
-        own = "" if module else f"for one of your own write {f'module:{name}'!r}, which imports its module; "
-        raise ValueError(f"{source} = {env_id!r} is not registered; {own}{nearest(name, known)}")
+        hint = "" if module else f"for one of your own write {f'module:{name}'!r}, which imports its module; "
+        raise ValueError(f"{source} = {env_id!r} is not registered; {hint}{nearest(name, known)}")
     return gymnasium.registry[name]
 
 

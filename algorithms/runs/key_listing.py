@@ -51,7 +51,7 @@ def experiment_keys(algorithm: str, env_id: str | None = None) -> list[Key]:
         keys.append(key)
         if key.name == "environment.arguments" and ours:
             # The id chooses the scenario.
-            keys += [each for each in model_keys(EnvConfig, f"{key.name}.") if not each.name.endswith(".scenario")]
+            keys += [inner for inner in model_keys(EnvConfig, f"{key.name}.") if not inner.name.endswith(".scenario")]
     return keys
 
 
@@ -88,10 +88,10 @@ def _section(annotation: Any) -> tuple[str, type[BaseModel]] | None:
     # In Python 3.10 list[int] is an instance of type, too.
     if get_origin(annotation) is None and isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "", annotation
-    for each in get_args(annotation):
-        found = _section(each)
-        if found is not None:
-            return ("NAME." if get_origin(annotation) is dict else "") + found[0], found[1]
+    for argument in get_args(annotation):
+        section = _section(argument)
+        if section is not None:
+            return ("NAME." if get_origin(annotation) is dict else "") + section[0], section[1]
     return None
 
 
@@ -111,11 +111,11 @@ def _type_text(schema: Mapping[str, Any]) -> str:
 def differing_values(values: Mapping[str, Any], keys: Sequence[Key], prefix: str = "") -> dict[str, str]:
     """The values in nested sections that differ from the defaults of their keys, in JSON, by dotted name."""
     defaults = {key.name: key.default for key in keys}
-    found: dict[str, str] = {}
+    differing: dict[str, str] = {}
     for name, value in values.items():
         path = prefix + name
         if isinstance(value, dict) and any(known.startswith(f"{path}.") for known in defaults):
-            found |= differing_values(value, keys, f"{path}.")
+            differing |= differing_values(value, keys, f"{path}.")
         elif (text := json.dumps(value)) != defaults.get(path):
-            found[path] = text
-    return found
+            differing[path] = text
+    return differing

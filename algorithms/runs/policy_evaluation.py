@@ -68,8 +68,8 @@ def final_metrics(experiment: Experiment) -> list[str]:
         known = [f"{policy}/{metric}" for policy in POLICIES for metric in one.metrics()]
     else:
         point = np.zeros((1, adapter.vehicles * len(adapter.objectives)))
-        found = indicators(point, reference_point=settings.reference_point, reference_front=best_known)
-        known = [f"{FRONT}/{metric}" for metric in (*found, SUCCESS)]
+        measured = indicators(point, reference_point=settings.reference_point, reference_front=best_known)
+        known = [f"{FRONT}/{metric}" for metric in (*measured, SUCCESS)]
     if settings.task is not None:
         numbers_of_task = SCORERS[suite.load().task(settings.task).score].numbers
         known += [f"{policy}/{SUITE}{column}" for policy in POLICIES for column in numbers_of_task]

@@ -213,8 +213,8 @@ class Run:
         """
         status = self.status
         if "files" in status:
-            found = record_files(self.path)
-            status["files"] |= {name: found[name] for name in RESULTS if name in found}
+            record = record_files(self.path)
+            status["files"] |= {name: record[name] for name in RESULTS if name in record}
             write_json(self.path / STATUS_FILE, status)
 
     @property
@@ -224,7 +224,7 @@ class Run:
 
     def changed_versions(self) -> list[str]:
         """The differences between the versions that the run was started with and the current ones, one line each."""
-        then, now = ({**found, **found.get("packages", {})} for found in (self.versions, versions()))
+        then, now = ({**known, **known.get("packages", {})} for known in (self.versions, versions()))
         return [
             f"{name}: {then.get(name)} then, {version} now"
             for name, version in now.items()
@@ -253,14 +253,14 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
     """
     algorithm, utility = _section(values, "algorithm"), _section(values, "utility")
     vehicles = _section(utility, "vehicles")
-    found = {
+    names = {
         "environment.id": _section(values, "environment").get("id"),
         "algorithm.name": algorithm.get("name"),
         "algorithm.network": algorithm.get("network"),
         "utility.name": utility.get("name"),
         **{f"utility.vehicles.{name}.name": _section(vehicles, name).get("name") for name in vehicles},
     }
-    paths = {key: name for key, name in found.items() if isinstance(name, str) and ":" in name}
+    paths = {key: name for key, name in names.items() if isinstance(name, str) and ":" in name}
     # As Gymnasium does, which would import the module "gymnasium:evil" of "gymnasium:evil:ID".
     if paths.get("environment.id", "").rpartition(":")[0] in ALREADY_IMPORTED:
         del paths["environment.id"]

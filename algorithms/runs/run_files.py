@@ -74,11 +74,11 @@ def _record(path: Path) -> dict[str, Any]:
 def _difference(path: Path, entry: dict[str, Any]) -> str:
     """How a file differs from its entry in the record; empty if it does not."""
     try:
-        found = _record(path)
+        now = _record(path)
     except FileNotFoundError:
         return "missing"
     except OSError as error:
         return f"cannot be read: {error}"
-    if found["size"] != entry["size"]:
-        return f"{found['size']} bytes, recorded {entry['size']}"
-    return "" if found == entry else "changed since the run finished"
+    if now["size"] != entry["size"]:
+        return f"{now['size']} bytes, recorded {entry['size']}"
+    return "" if now == entry else "changed since the run finished"

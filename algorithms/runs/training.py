@@ -76,9 +76,9 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
     side_by_side = runs[0].experiment.is_resident
     trainees = [resume(*runs)] * len(runs) if side_by_side else [resume(run) for run in runs]
     trainee = trainees[0]
-    for run, each in zip(runs, trainees, strict=True):
+    for run, agent in zip(runs, trainees, strict=True):
         for name in (METRICS_FILE, FRONTS_FILE):
-            rows_until(run.path / name, each.step)
+            rows_until(run.path / name, agent.step)
     if total_timesteps is not None and trainee.schedules:
         raise ValueError(
             f"training.total_timesteps = {longer[0].training.total_timesteps}: the run cannot be trained longer, "
