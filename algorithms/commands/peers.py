@@ -4,8 +4,8 @@
     mo-deepdrive peers --config peers/pcn --seed 3
     mo-deepdrive peers --config FILE --algorithm.name=morl_baselines.lcn --training.total_timesteps=1e5
 
-Every key of the YAML file is an option, --section.key=value; mo-deepdrive keys lists them. Peers write no
-checkpoints: a run that is interrupted cannot be resumed.
+Every key of the YAML file is an option, --section.key=value; mo-deepdrive keys lists them. --seed is short for
+--training.seed. Peers write no checkpoints: a run that is interrupted cannot be resumed.
 """
 
 from __future__ import annotations

@@ -284,8 +284,9 @@ def train(
             save("trained" if interrupts.received is None else "interrupted")
     except BaseException as error:
         interrupted = isinstance(error, KeyboardInterrupt) and interrupts.received
+        state, reason = ("interrupted", None) if interrupted else ("failed", _reason(error))
         for record in records:
-            record.end(*(("interrupted",) if interrupted else ("failed", _reason(error))))
+            record.end(state, reason)
         if isinstance(error, OSError):
             text = f"training stopped at step {trainee.step:,}: {error}; {records[-1].rest}"
             raise stopped_by(error, text) from error

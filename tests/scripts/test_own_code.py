@@ -20,7 +20,6 @@ from algorithms.reporting.training_log import read_metrics
 from algorithms.runs.build import build
 from algorithms.runs.config import load_experiment, make_experiment
 from mo_deepdrive.evaluation import evaluate
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import Call, interrupt, refused
 from tests.helpers.short_runs import assert_same_run
@@ -100,14 +99,6 @@ def test_the_keys_of_an_own_algorithm_are_listed_with_their_descriptions(folder:
     del sys.modules["reinforce"]
     out = call("keys", "--algorithm", "reinforce:REINFORCE")[1]
     assert out.endswith("\nalgorithm.learning_rate: float > 0, <= 1, default 0.005\n\n")
-
-
-def test_the_keys_of_a_subclass_are_its_own_and_those_that_it_inherits(call: Call) -> None:
-    own, inherited = (call("keys", "--algorithm", name)[1] for name in ("kl_penalty:KLPenalty", "mo_ppo"))
-    keys = inherited.partition("\nalgorithm.hidden: ")[2].rstrip("\n") + "\n"
-    assert keys in own
-    assert "equations: help('kl_penalty')" in own
-    assert own.partition(keys)[2] == "algorithm.beta: float >= 0, default 3.0\n    Weight of the penalty.\n\n"
 
 
 @pytest.mark.slow
@@ -335,15 +326,6 @@ def test_an_own_algorithm_learns_a_front_from_which_is_chosen(folder: Path, call
     assert code == 0, error
     assert "chosen" in out
     assert call("evaluate", "run", "--trust")[0] == 0
-
-
-def test_acting_without_a_condition_is_refused(folder: Path) -> None:
-    (folder / "constants.py").write_text(CONSTANTS)
-    (folder / "front.yaml").write_text(FRONT)
-    agent = build(load_experiment("front.yaml"))
-    with pytest.raises(TypeError, match=r"Constants acts under a condition: agent.policy\(condition\).act"):
-        agent.act(np.zeros((1, 1, 2), np.float32), AccruedReward.begin(1, 1, 2), None)
-    assert agent.policy([3.0]).act(np.zeros((2, 1, 2), np.float32), None, None).tolist() == [[3], [3]]
 
 
 # -------------------------------------------------------------------------------------------------- an own environment

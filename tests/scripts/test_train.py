@@ -158,8 +158,10 @@ def test_bad_input_is_refused_before_anything_starts(driving: Path, call: Call) 
     assert sorted(path for path in folder.iterdir() if path.name not in ("own.py", "__pycache__")) == before
 
 
-@pytest.mark.parametrize("algorithm", ["a2c", "mo_a2c"])
-@pytest.mark.parametrize(("name", "weights"), [("deep-sea-treasure-v0", "[1, 0.1]"), ("minecart-v0", "[1, 1, 1]")])
+@pytest.mark.parametrize(
+    ("algorithm", "name", "weights"),
+    [("a2c", "deep-sea-treasure-v0", "[1, 0.1]"), ("mo_a2c", "minecart-v0", "[1, 1, 1]")],
+)
 def test_other_environments_can_be_trained_on(
     tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, algorithm: str, name: str, weights: str
 ) -> None:
@@ -172,34 +174,6 @@ def test_other_environments_can_be_trained_on(
     assert run.name.startswith(f"{algorithm}-seed2-")
     assert {path.name for path in run.iterdir()} - {".lock"} == RESULTS
     assert "success" not in json.loads((run / "evaluation.json").read_text())["policies"]["greedy"]
-
-
-@pytest.mark.parametrize("algorithm", ["a2c", "mo_ppo"])
-def test_vehicles_can_have_different_utilities(driving: Path, call: Call, algorithm: str) -> None:
-    overrides = [
-        "--environment.id=mo-deepdrive-intersection-v0",
-        f"--algorithm.name={algorithm}",
-        "--utility.name=intersection_linear",
-        "--utility.vehicles.vehicle_1={name: linear, arguments: {weights: [0, 0, 2, 0, 0, 0]}}",
-    ]
-    code, out, error = call("train", "--config", driving, *overrides, NO_FIGURES, "--output", "run")
-    assert code == 0, out + error
-    with (driving.parent / "run" / "episodes.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    weights = {"distance": 0.5, "destination": 10.0, "g_force": 0.03, "collision": 4.0, "jerk": 0.0006}
-    first = {**weights, "lane_violation": 0.06}
-    for row in rows:
-        returns = {name: float(row[f"return/{name}"]) for name in first}
-        expected = 2 * returns["g_force"]
-        if row["vehicle"] == "0":
-            expected = sum(weight * returns[name] for name, weight in first.items())
-        assert float(row["utility"]) == pytest.approx(expected, abs=1e-4)
-    assert {row["vehicle"] for row in rows} == {"0", "1"}
-
-    third = "--utility.vehicles.vehicle_2={name: linear}"
-    refused(call("train", "--config", driving, *overrides[:-1], third), "utility.vehicles has 'vehicle_2'")
-    foreign = "--utility.vehicles.vehicle_1={name: left_turn_linear}"
-    refused(call("train", "--config", driving, *overrides[:-1], foreign), "left_turn_linear")
 
 
 # Algorithms that learn a front.

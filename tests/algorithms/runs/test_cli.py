@@ -188,10 +188,6 @@ def test_a_tilde_in_an_option_is_the_home_directory_and_alone_in_a_key_null(
     assert (options.output, options.overrides) == (output, rest)
 
 
-def test_named_numbers_are_read() -> None:
-    assert named_numbers("--w", ["b=2", "a=-1e3"], ("a", "b", "c")) == {"b": 2.0, "a": -1000.0}
-
-
 @pytest.mark.parametrize(
     ("pairs", "message"),
     [
