@@ -123,7 +123,7 @@ def choose(options: Namespace) -> int:
     console = make_console()
     run = Run.open(options.run, trust=options.trust)
     experiment = run.experiment
-    cli.check_front(run)
+    cli.check_front(run, options.run)
     episodes, seed = cli.evaluation_arguments(options, experiment)
     front = every = Front.read(run.path)
     numbers = list(range(len(every)))

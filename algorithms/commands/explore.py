@@ -67,7 +67,7 @@ def _explorable_run(name: str, options: Namespace) -> ExplorableFront:
     from mo_deepdrive.evaluation.front import Front
 
     run = Run.open(name, trust=options.trust)
-    cli.check_front(run)
+    cli.check_front(run, name)
     episodes, seed = cli.evaluation_arguments(options, run.experiment)
     split = options.split or cli.CHOICE_SPLIT
     return explorable(

@@ -30,7 +30,7 @@ def export(options: Namespace) -> int:
     cli.check_file("--output", options.output, ".onnx")
     run, condition = Run.open(options.run, trust=options.trust), None
     if options.policy is not None:
-        cli.check_front(run)
+        cli.check_front(run, options.run)
         conditions = Front.read(run.path).conditions
         condition = conditions[cli.policy_index(options.policy, len(conditions))]
     exported = export_onnx(load_policy(run, partners=False), run.experiment, options.output, condition)

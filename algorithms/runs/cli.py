@@ -239,10 +239,10 @@ def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) ->
     return episodes, seed
 
 
-def check_front(run: Run) -> None:
-    """Refuse, with a ValueError, a run whose algorithm learns one policy."""
+def check_front(run: Run, name: str) -> None:
+    """Refuse, with a ValueError, a run whose algorithm learns one policy, by the name that the user gave it."""
     if run.experiment.known_utility:
-        raise ValueError(f"{str(run.path)!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
+        raise ValueError(f"{name!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
 
 
 def policy_index(option: int, count: int) -> int:
