@@ -171,7 +171,7 @@ def open_driver(
     return agent  # type: ignore[no-any-return]  # an algorithm of any class
 
 
-def _population(names: Sequence[str], vehicle: int, env: EnvAdapter, experiment: Experiment) -> Population:
+def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, experiment: Experiment) -> Population:
     """Drivers that take turns in driving a vehicle of an experiment, which may import what its config names."""
     action_type = str(experiment.environment.arguments.get("action_type", "discrete"))
     imports = imported_paths(experiment.to_dict()).values()
@@ -220,7 +220,7 @@ def _make_partners(experiment: Experiment, adapter: EnvAdapter, *, idle_only: bo
             populations[v] = (
                 Population([ScriptedPolicy(adapter)], v, [""])
                 if idle_only
-                else _population(drivers, v, adapter, experiment)
+                else open_population(drivers, v, adapter, experiment)
             )
     return populations
 
@@ -230,7 +230,7 @@ def _make_guides(experiment: Experiment, adapter: EnvAdapter) -> list[Guide]:
     settings, guides = experiment.training.guides, []
     for (name, guide), v in zip(settings.items(), _vehicles_named(settings, "training.guides", adapter), strict=True):
         with _naming(f"training.guides.{name}"):
-            guides.append(Guide(_population([guide.driver], v, adapter, experiment), guide, adapter.num_envs))
+            guides.append(Guide(open_population([guide.driver], v, adapter, experiment), guide, adapter.num_envs))
     return guides
 
 
