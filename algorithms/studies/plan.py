@@ -143,7 +143,7 @@ class StudyPlan:
         It is then one of an arm that is to be trained now, if any of them is.
         """
         arms = sorted(self.runs(scores), key=lambda runs: runs.arm.key not in self.selected)
-        self._check_columns([runs.rows[0] for runs in arms if runs.arm.key in self.selected])
+        self._check_columns([runs.rows[0] for runs in arms])
         tuning = [row for arm in arms for rows in arm.tuning for row in rows]
         found: dict[str, ManifestRow] = {}
         for row in [*tuning, *(row for arm in arms for row in arm.final)]:
@@ -151,13 +151,16 @@ class StudyPlan:
         return list(found.values())
 
     def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
-        """Refuse a column that none of the runs has."""
-        if not self.study.columns or self._columns_known:
+        """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
+        if self._columns_known:
             return
         from algorithms.runs.policy_evaluation import final_metrics
 
-        experiments = (make_experiment(row.config, here=False) for row in rows)
-        known = {name.partition("/")[2] for experiment in experiments for name in final_metrics(experiment)}
+        known: set[str] = set()
+        for row in rows:
+            if known.issuperset(self.study.columns):
+                break
+            known |= {name.partition("/")[2] for name in final_metrics(make_experiment(row.config, here=False))}
         for column in self.study.columns:
             if column not in known:
                 raise ValueError(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from algorithms.commands.suite import main
-from algorithms.commands.suite_results import plan_of
+from algorithms.studies.suite_plan import plan_of
 from algorithms.studies.suite_tables import Scoreboard
 from algorithms.studies.sweep_manifest import read_manifest
 from mo_deepdrive import suite
