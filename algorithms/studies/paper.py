@@ -266,19 +266,7 @@ def gather(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> PaperRe
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What to reproduce, and where to write it: the options of ``mo-deepdrive reproduce``.
-
-    Attributes:
-        study: of the paper.
-        figure, claim: number of the paper's figure or claim to reproduce; None without such a restriction.
-        seeds: number of runs of each learner; None for the study's.
-        quick: whether to use fewer seeds and steps.
-        redraw: whether to only judge and draw the results in ``output``, without training.
-        runs: folder of the run directories; None for runs/reproduce or runs/reproduce-quick.
-        output: folder of the report; None for a folder in ``runs``, in a checkout for docs/results if everything is
-            reproduced.
-        workers: maximum number of concurrent runs; None for one per core.
-    """
+    """What to reproduce, and where to write it: the options of ``mo-deepdrive reproduce``, which describes them."""
 
     study: Study
     figure: int | None = None

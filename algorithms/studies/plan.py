@@ -145,10 +145,10 @@ class StudyPlan:
         arms = sorted(self.runs(scores), key=lambda runs: runs.arm.key not in self.selected)
         self._check_columns([runs.rows[0] for runs in arms])
         tuning = [row for arm in arms for rows in arm.tuning for row in rows]
-        found: dict[str, ManifestRow] = {}
+        by_id: dict[str, ManifestRow] = {}
         for row in [*tuning, *(row for arm in arms for row in arm.final)]:
-            found.setdefault(row.id, row)
-        return list(found.values())
+            by_id.setdefault(row.id, row)
+        return list(by_id.values())
 
     def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
         """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
@@ -180,14 +180,14 @@ class StudyPlan:
     def _runs_of(self, arm: Arm, scores: Scores) -> ArmRuns:
         tuning = tuple(self._cell(arm, trial) for trial in range(len(arm.points)))
         refuse_duplicates([row for rows in tuning for row in rows])
-        found = tuple(_mean([scores.get(row.id, np.nan) for row in rows]) for rows in tuning)
-        known = [score for score in found if score is not None]
+        means = tuple(_mean([scores.get(row.id, np.nan) for row in rows]) for rows in tuning)
+        known = [score for score in means if score is not None]
         if not arm.points:
             return ArmRuns(arm, (), (), None, self._cell(arm, None))
         if not known or np.isnan(known).any():
-            return ArmRuns(arm, tuning, found, None, ())
-        chosen = found.index((min if lower_is_better(arm.metric) else max)(known))
-        return ArmRuns(arm, tuning, found, chosen, self._cell(arm, None, chosen))
+            return ArmRuns(arm, tuning, means, None, ())
+        chosen = means.index((min if lower_is_better(arm.metric) else max)(known))
+        return ArmRuns(arm, tuning, means, chosen, self._cell(arm, None, chosen))
 
     def _cell(self, arm: Arm, trial: int | None, chosen: int | None = None) -> tuple[ManifestRow, ...]:
         """The rows of a point of the tuning, or those that count with the chosen point; every cell is checked once."""

@@ -80,27 +80,18 @@ class Scoreboard:
     """The scores of a table of results, normalised.
 
     Args:
-        results: of tasks of the suite.
+        results: of tasks of the suite, in its version.
         suite: with their floors and ceilings.
 
     Attributes:
         tasks: that have results, by id, in the order of the suite.
         learners: in the order of the results.
-
-    Raises:
-        ValueError: if a task is unknown, or a result is of another version.
     """
 
     def __init__(self, results: Sequence[Row], suite: Suite):
         self.suite = suite
         self._rows: dict[tuple[str, str], list[Row]] = {}
         for result in results:
-            suite.task(result.task)
-            if result.version not in (suite.version, 0):
-                raise ValueError(
-                    f"the results of {result.learner} on {result.task} are of version {result.version} of the suite; "
-                    f"its version is {suite.version}, by which their runs must be scored again"
-                )
             self._rows.setdefault((result.task, result.learner), []).append(result)
         scored = {task for task, _ in self._rows}
         self.tasks: dict[str, Task] = {name: task for name, task in suite.tasks.items() if name in scored}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from typing import Any
 
 import polars as pl
@@ -126,12 +125,3 @@ def test_results_without_learning_curves_are_not_settled() -> None:
     for steps in (0, 400):
         short = dataclasses.replace(whole, curves=whole.curves.filter(pl.col("step") < steps))
         assert not is_settled(short, ONE, "best")
-
-
-def test_the_check_of_consistency_states_its_power() -> None:
-    scores = {"utility_esr": evenly_spread(22.0, 0.1)}
-    verdict = judge(2, make_results(OTHER, both(scores, scores)))
-    found = re.search(r"power of the test: (\d+)% for a true ratio of 0.5, (\d+)% for", verdict.checks[1].measured)
-    assert found is not None
-    half, quarter = map(int, found.groups())
-    assert 5 < half < 30 < quarter < 70
