@@ -39,6 +39,7 @@ from algorithms.zoo.exporting import export
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
+    COLLISION,
     EVALUATION,
     FRONT,
     HIGHEST_DISTANCE,
@@ -48,6 +49,10 @@ from mo_deepdrive.evaluation.metrics import (
     STEP,
     STOCHASTIC,
     SUCCESS,
+    TOTAL_UTILITY_ESR,
+    end_by,
+    return_of,
+    vehicle_prefix,
 )
 from mo_deepdrive.suite import read_rows, write_rows
 from mo_deepdrive.support.atomic_io import atomic_write
@@ -78,12 +83,20 @@ def load_paper(path: str | Path) -> Study:
     """Read the study of the paper: a YAML file, or the name of a shipped one.
 
     Raises:
-        ValueError: naming the file and every invalid key, or a task whose name or title does not name its protocol.
+        ValueError: naming the file and every invalid key, a task whose name or title does not name its protocol, or
+            columns that the report needs.
     """
     study = load_study(path)
     for key, task in study.tasks.items():
         if "/" not in key or ": " not in (task.title or ""):
             raise ValueError(f"task {key!r} must be named TASK/PROTOCOL, with a title 'task: protocol'")
+        needed = {SUCCESS, end_by(COLLISION), return_of("distance")}
+        if key.startswith("intersection"):
+            needed |= {TOTAL_UTILITY_ESR, vehicle_prefix(0, 2) + return_of("distance")}
+        elif key.startswith(FRONT_TASK):
+            needed = {CARDINALITY}
+        if missing := needed - {*study.columns}:
+            raise ValueError(f"task {key!r}: the report needs the columns {', '.join(sorted(missing))}")
     return study
 
 
@@ -172,16 +185,15 @@ class PaperResults:
 
     def learning_curves(self, task: str, protocol: str, learner: str) -> list[Columns]:
         """Learning curves of all runs of a learner, in the order of seeds."""
-        mine = self.curves.filter(pl.col("task") == f"{task}/{protocol}", pl.col("learner") == learner).sort("seed")
-        runs = mine.partition_by("seed", maintain_order=True)
-        named = ([column for column in run if column.name not in ("task", "learner", "seed")] for run in runs)
+        mine = self.curves.filter(pl.col("task") == f"{task}/{protocol}", pl.col("learner") == learner)
+        runs = mine.sort("seed", STEP).partition_by("seed", maintain_order=True)
         return [
             {
-                column.name: column.to_numpy().astype(np.float64)
-                for column in columns
+                name: column.to_numpy().astype(np.float64)
+                for name, column in run.drop("task", "learner", "seed").to_dict().items()
                 if column.null_count() < len(column)
             }
-            for columns in named
+            for run in runs
         ]
 
     def protocols(self, task: str) -> list[str]:
@@ -253,7 +265,7 @@ def gather(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> PaperRe
         {"run": pl.String, "task": pl.String, "learner": pl.String, "seed": pl.Int64},
         orient="row",
     )
-    logged = collection.metrics
+    logged = collection.metrics.lazy()
     names = [name for name in logged.collect_schema().names() if name.startswith(EVALUATION)]
     metrics = (pl.col(name).cast(pl.Float32).alias(name.removeprefix(EVALUATION)) for name in names)
     evaluated = logged.filter(pl.any_horizontal(pl.col(names).is_not_null())).select("run", STEP, *metrics).collect()

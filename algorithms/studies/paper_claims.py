@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -84,15 +84,8 @@ Criterion = Callable[["PaperResults", str], Check]  # of the results and a proto
 Decision = Callable[[Estimate, float], bool | None]  # of an estimate and a limit
 
 
-@dataclass(frozen=True)
-class AlgorithmComparison:
-    """A2C and MO-A2C on a task.
-
-    Attributes:
-        baseline, multi_objective: interquartile means over seeds.
-        difference: multi_objective - baseline.
-        improvement: probability that a run of MO-A2C scores higher than a run of A2C.
-    """
+class AlgorithmComparison(NamedTuple):
+    """Utilities of A2C and MO-A2C: interquartile means over seeds, their difference, P(a run of MO-A2C is higher)."""
 
     baseline: Estimate
     multi_objective: Estimate

@@ -252,9 +252,8 @@ def _verdict_rows(claim: Claim, results: PaperResults, *, quick: bool) -> Rows:
                 count = iqm(results.values(task, protocol, FRONT_LEARNER, CARDINALITY, FRONT))
                 effect = ["", "", f"PCN: {count.text()} non-dominated policies", ""]
             else:
-                compared = compare(results, task, protocol)
-                utilities = (compared.baseline, compared.multi_objective, compared.difference)
-                effect = [*map(shown, utilities), compared.improvement.text()]
+                *utilities, improvement = compare(results, task, protocol)
+                effect = [*map(shown, utilities), improvement.text()]
             rows.append([results.titles(task, protocol)[1] + which, *effect, conclusion])
     return rows
 

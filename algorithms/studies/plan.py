@@ -235,11 +235,11 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
                     raise ValueError(f"{where}: it learns for {'a' if entry.known_utility else 'no'} known utility")
                 continue
             help_, given = (
-                {each: value for each, value in settings.items() if _has(entry, each)}
+                {setting: value for setting, value in settings.items() if _has(entry, setting)}
                 for settings in ({**study.help, **task.help}, overrides)
             )
             unused -= {*help_, *given}
-            known |= {f"algorithm.{each}" for each in entry.config_class.model_fields}
+            known |= {f"algorithm.{setting}" for setting in entry.config_class.model_fields}
             values = _on_task(values, task)
             for changes in (study.overrides, task.overrides, help_, learner.overrides, given):
                 values = overridden(values, changes, {TASK: name, LEARNER: key})

@@ -190,14 +190,14 @@ def learners_in(study: Study) -> Iterator[tuple[str, Learner]]:
 
 def _keys_by_place(study: Study) -> dict[str, list[str]]:
     """The experiment keys in a study, by where they are in it."""
-    found = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
+    keys = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
     if study.tuning is not None:
-        found["tuning.values"] = tried_keys(study.tuning.values)
+        keys["tuning.values"] = tried_keys(study.tuning.values)
     for key, task in study.tasks.items():
-        found |= {f"tasks.{key}.overrides": keys_in(task.overrides), f"tasks.{key}.help": keys_in(task.help)}
+        keys |= {f"tasks.{key}.overrides": keys_in(task.overrides), f"tasks.{key}.help": keys_in(task.help)}
     for place, learner in learners_in(study):
-        found |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": tried_keys(learner.tuning or {})}
-    return found
+        keys |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": tried_keys(learner.tuning or {})}
+    return keys
 
 
 def problems_of(study: Study) -> list[str]:

@@ -25,7 +25,7 @@ from mo_deepdrive.suite.scorers import (
     SCORERS,
     WORST,
     Scorer,
-    make_drives,
+    open_drives,
     policies_of,
     single,
 )
@@ -143,13 +143,10 @@ def score(
         if ranked and perturbed:
             settings |= {name: suite.perturbations[name] for name in task.columns}
         for name, arguments in settings.items():
-            drives = make_drives(task, arguments, start, episodes, greedy=kind == GREEDY)
-            try:
-                for column, found in _numbers(scorer, drives, policy, everything=name == SCORE and ranked):
-                    shown, numbers = name if column == SCORE else column, (found.value, found.low, found.high)
-                    rows.append(Row(task_id, learner, seed, kind, shown, *numbers, version=suite.version))
-            finally:
-                drives.env.close()
+            with open_drives(task, arguments, start, episodes, greedy=kind == GREEDY) as drives:
+                for column, number in _numbers(scorer, drives, policy, everything=name == SCORE and ranked):
+                    place = task_id, learner, seed, kind, name if column == SCORE else column
+                    rows.append(Row(*place, number.value, number.low, number.high, version=suite.version))
     return rows
 
 
@@ -193,26 +190,23 @@ def check_policy(policy: Any, task_id: str) -> None:
             wrong shape, type or range.
     """
     task = load().task(task_id)
-    drives = make_drives(task, {}, SPLITS["validation"].start, 2, greedy=True)
     try:
         members = _members(policy, task)
         if not members:
             raise ValueError("the front has no policy")
         if task.utility is not None:
             single(policy)
-        adapter = EnvAdapter(drives.env)
-        actors = [as_policy(member, adapter) for member in members]  # before anything is compiled
-        functions = [actor for actor in actors if isinstance(actor, FunctionPolicy)]
-        if not functions:
-            return
-        observations = adapter.reset([drives.seed, drives.seed + 1])
-        nothing = AccruedReward.begin(2, adapter.vehicles, len(adapter.objectives))
-        for actor in functions:
-            actor.act(observations, nothing, None)
+        with open_drives(task, {}, SPLITS["validation"].start, 2, greedy=True) as drives:
+            adapter = EnvAdapter(drives.env)
+            actors = [as_policy(member, adapter) for member in members]  # before anything is compiled
+            functions = [actor for actor in actors if isinstance(actor, FunctionPolicy)]
+            if functions:
+                observations = adapter.reset([drives.seed, drives.seed + 1])
+            nothing = AccruedReward.begin(2, adapter.vehicles, len(adapter.objectives))
+            for actor in functions:
+                actor.act(observations, nothing, None)
     except (TypeError, ValueError) as error:
         raise type(error)(f"task {task_id}: {error}") from None
-    finally:
-        drives.env.close()
 
 
 def write_rows(path: str | Path, rows: Sequence[Row]) -> None:

@@ -17,10 +17,11 @@ PUBLISHED = REPOSITORY / "docs" / "results"
 SEEDS = 5
 TINY = """
 metric: stochastic/utility_esr
-columns: [success, end/collision, return/distance]
+columns: [success, end/collision, return/distance, cardinality]
 seeds: [3, 4]
-overrides: {evaluation.final_episodes: 4, evaluation.episodes: 4, logging.save_figures: false, algorithm.hidden: [8],
-  training.num_envs: 4, algorithm.steps: 10, environment.arguments.time_limit: 2}
+overrides: {evaluation.final_episodes: 4, evaluation.episodes: 4, logging.save_figures: false,
+  training.num_envs: 4, environment.arguments.time_limit: 2}
+help: {algorithm.hidden: [8], algorithm.steps: 10, algorithm.warmup_episodes: 4, algorithm.gradient_steps: 2}
 tasks:
   one_waypoint_linear/best:
     title: "OneWaypoint, linear utility: best effort"
@@ -35,6 +36,11 @@ tasks:
     learners:
       all: {label: nothing changed, config: configs/one_waypoint/mo_a2c_linear.yaml}
       gamma: {label: no discount, config: configs/one_waypoint/mo_a2c_linear.yaml, overrides: {algorithm.gamma: 1.0}}
+  one_waypoint_front/best:
+    title: "OneWaypoint, unknown utility: best effort"
+    metric: front/hypervolume
+    steps: 400
+    learners: {pcn: {label: PCN, config: configs/one_waypoint/pcn.yaml}}
 """
 
 

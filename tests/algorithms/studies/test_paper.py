@@ -123,15 +123,17 @@ def call(
 @pytest.mark.processes
 @pytest.mark.slow
 def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callable[..., Any], tmp_path: Path) -> None:
-    code, out, err = call("--claim", "1")
+    code, out, err = call("--all", "--output", "out")
     assert (code, err) == (0, "")
-    assert "6 runs, 0 of them done" in out
-    results = tmp_path / "runs" / "reproduce" / "results"
+    assert "8 runs, 0 of them done" in out
+    results = tmp_path / "out"
     report = (results / "reproduction.md").read_text()
-    assert all(text in report for text in ("mo-deepdrive reproduce --claim 1", "no discount", "](figure_04.png)"))
-    assert (results / "figure_04.png").exists()
+    assert all(text in report for text in ("mo-deepdrive reproduce --all", "no discount", "non-dominated policies |"))
+    for picture in ("figure_04.png", "figure_07_best.png"):
+        assert f"]({picture})" in report
+        assert (results / picture).exists()
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").rglob("checkpoint.safetensors")}
-    code, out, _ = call("--claim", "1")
+    code, out, _ = call("--claim", "1", "--output", "out")
     assert code == 0
     assert "of them done" not in out
     assert before == {path: path.stat().st_mtime_ns for path in before}
@@ -143,7 +145,7 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     curves = found.learning_curves("one_waypoint_linear", "best", "a2c")
     assert [curve["step"][-1] for curve in curves] == [800, 800]
     (results / "reproduction.md").unlink()
-    code, _, _ = call("--claim", "1", "--redraw", "--output", str(results))
+    code, _, _ = call("--claim", "1", "--redraw", "--output", "out")
     assert code == 0
     assert verdict_table(found) in (results / "reproduction.md").read_text()
 

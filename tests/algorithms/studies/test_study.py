@@ -31,7 +31,9 @@ RATE = "algorithm.learning_rate"
 
 def write_study(folder: Path, **changes: Any) -> Path:
     """A study of two learners on one task, with two points of tuning each."""
-    (folder / "base.yaml").write_text(yaml.safe_dump({"algorithm": VALUES["algorithm"], "training": {"num_envs": 4}}))
+    (folder / "base.yaml").write_text(
+        yaml.safe_dump({"algorithm": VALUES["algorithm"], "training": {"num_envs": 4, "seed": 7}})
+    )
     study = {
         "tasks": {"short": {key: VALUES[key] for key in ("environment", "utility")} | {"steps": 960}},
         "learners": {
@@ -83,11 +85,9 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
     tmp_path: Path,
 ) -> None:
     runner = made_up(tmp_path, write_study(tmp_path))
-    base = tmp_path / "base.yaml"
-    base.write_text("algorithm: {name: mo_a2c}\ntraining: {num_envs: 4, seed: 7}\n")
     assert runner.run() == 0
     assert printed(runner._console).splitlines()[:2] == [
-        f"{base}: training.seed is not used; set seeds with the key 'seeds'",
+        f"{tmp_path / 'base.yaml'}: training.seed is not used; set seeds with the key 'seeds'",
         "4 runs of tuning, then 4 that count: mo, plain on short",
     ]
     assert runner.batches == [4, 4]
