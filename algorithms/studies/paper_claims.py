@@ -44,7 +44,8 @@ from mo_deepdrive.evaluation.statistics import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from algorithms.studies.paper import PaperResults
+    from algorithms.studies.paper_results import PaperResults
+    from algorithms.studies.settings import Study
 
 # The two algorithms that are compared, by their keys in the study.
 BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
@@ -152,6 +153,11 @@ def compare(results: PaperResults, task: str, protocol: str) -> AlgorithmCompari
         iqm_difference(multi_objective, baseline),
         probability_of_improvement(multi_objective, baseline),
     )
+
+
+def is_ablation(study: Study, key: str) -> bool:
+    """Whether a task, TASK/PROTOCOL, is an ablation, instead of a comparison of A2C and MO-A2C or a run of PCN."""
+    return set(study.learners_of(key)) not in ({BASELINE, MULTI_OBJECTIVE}, {FRONT_LEARNER})
 
 
 def utility_metric(task: str) -> str:

@@ -19,7 +19,6 @@ from algorithms.reporting.front_plots import draw_front
 from algorithms.reporting.learning_curves import curve
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
 from algorithms.reporting.table_files import markdown
-from algorithms.studies.paper import PaperResults, is_ablation
 from algorithms.studies.paper_claims import (
     CLAIMS,
     FRONT_LEARNER,
@@ -28,6 +27,7 @@ from algorithms.studies.paper_claims import (
     Claim,
     Verdict,
     compare,
+    is_ablation,
     percent,
     shown,
     utility_kind,
@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.reporting.wide_tables import Rows
+    from algorithms.studies.paper_results import PaperResults
 
 REPORT_FILE = "reproduction.md"
 QUICK = "A quick reproduction checks the pipeline. It trains too little for verdicts."

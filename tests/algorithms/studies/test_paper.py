@@ -14,7 +14,7 @@ from algorithms.commands.reproduce import main
 from algorithms.runs.jobs import Job
 from algorithms.studies import FIGURES
 from algorithms.studies import paper as paper_module
-from algorithms.studies.paper import QUICK_SEEDS, PaperResults, Reproduction, load_paper, paper_plan
+from algorithms.studies.paper import QUICK_SEEDS, Reproduction, load_paper, paper_plan
 from algorithms.studies.paper_claims import CLAIMS
 from algorithms.studies.paper_report import (
     QUICK,
@@ -22,6 +22,7 @@ from algorithms.studies.paper_report import (
     verdict_table,
     write_report,
 )
+from algorithms.studies.paper_results import PaperResults
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.sweep_manifest import ManifestRow
 from tests.helpers.paths import REPOSITORY
