@@ -25,9 +25,9 @@ import numpy as np
 from paired_benchmark import REPOSITORY
 
 from algorithms.commands.suite import minutes_per_run
-from algorithms.commands.suite_results import REFERENCE
 from algorithms.runs.cli import make_parser
 from algorithms.studies.settings import load_study
+from algorithms.studies.suite_plan import REFERENCE
 from algorithms.studies.suite_tables import Scoreboard
 from algorithms.zoo import ZOO
 from mo_deepdrive import suite

@@ -14,8 +14,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import check_directory, make_parser, warn
-from algorithms.runs.interrupts import Stopped
+from algorithms.runs.cli import check_directory, exit_on_error, make_parser
 from algorithms.studies import CLAIM_NUMBERS, FIGURES
 
 if TYPE_CHECKING:
@@ -25,28 +24,22 @@ if TYPE_CHECKING:
 def parse_arguments(arguments: list[str]) -> Namespace:
     """The options."""
     parser = make_parser(__doc__, "reproduce")
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--all", action="store_true", help="everything (the default)")
-    what.add_argument("--figure", type=int, choices=FIGURES, metavar="N", help="a figure of the paper: 4 to 10")
-    what.add_argument("--claim", type=int, choices=CLAIM_NUMBERS, metavar="N", help="a claim of the paper: 1 to 6")
+    part = parser.add_mutually_exclusive_group()
+    part.add_argument("--all", action="store_true", help="everything (the default)")
+    part.add_argument("--figure", type=int, choices=FIGURES, metavar="N", help="a figure of the paper: 4 to 10")
+    part.add_argument("--claim", type=int, choices=CLAIM_NUMBERS, metavar="N", help="a claim of the paper: 1 to 6")
     parser.add_argument("--seeds", type=int, metavar="N", help="number of runs of each variant (default: the plan's)")
     parser.add_argument("--quick", action="store_true", help="use fewer seeds and shorter training")
     parser.add_argument(
         "--redraw", action="store_true", help="judge and draw the results in --output, without training"
     )
     parser.add_argument("--runs", type=Path, metavar="DIR", help="run directories (default: runs/reproduce[-quick])")
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="output folder (default: RUNS/results; in a checkout docs/results for --all)",
-    )
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="maximum number of concurrent runs (default: one per core)"
-    )
-    parser.add_argument(
-        "--plan", default="studies/paper", metavar="FILE", help="the study to train (default: studies/paper)"
-    )
+    where = "output folder (default: RUNS/results; in a checkout docs/results for --all)"
+    parser.add_argument("--output", type=Path, metavar="DIR", help=where)
+    workers = "maximum number of concurrent runs (default: limited by the cores)"
+    parser.add_argument("--workers", type=int, metavar="N", help=workers)
+    plan = "the study to train (default: %(default)s)"
+    parser.add_argument("--plan", default="studies/paper", metavar="FILE", help=plan)
     return parser.parse_args(arguments)
 
 
@@ -68,29 +61,12 @@ def check_options(options: Namespace) -> None:
 
 def main(arguments: list[str]) -> int:
     """Run the command line ``arguments`` and return the exit code."""
-    given = parse_arguments(arguments)
+    options = parse_arguments(arguments)
 
     from algorithms.runs.console import make_console
-    from algorithms.studies.paper_pipeline import ReproductionOptions, reproduce
-    from algorithms.studies.paper_plan import load_plan
-    from mo_deepdrive.support.machine import available_cores
+    from algorithms.studies.paper import Reproduction, load_paper
 
-    try:
-        check_options(given)
-        options = ReproductionOptions(
-            figure=given.figure,
-            claim=given.claim,
-            seeds=given.seeds,
-            quick=given.quick,
-            redraw=given.redraw,
-            runs=given.runs,
-            output=given.output,
-            workers=given.workers or available_cores(),
-        )
-        return reproduce(load_plan(given.plan), options, make_console())
-    except (ValueError, OSError) as error:
-        warn(f"error: {error}")
-        return 2
-    except Stopped as error:
-        warn(f"error: {error}")
-        return 1
+    with exit_on_error(ValueError, OSError):
+        check_options(options)
+        given = {name: value for name, value in vars(options).items() if name not in ("all", "plan")}
+        return Reproduction(load_paper(options.plan), **given).run(make_console())

@@ -24,9 +24,11 @@ from algorithms.runs.cli import make_parser, refuse_beside
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
+    from collections.abc import Callable
 
     from rich.console import Console
 
+    from algorithms.studies.plan import StudyPlan
     from algorithms.studies.sweep_runner import Backend, Runner
 
 
@@ -55,19 +57,29 @@ def parse_arguments(arguments: list[str]) -> Namespace:
     return options
 
 
+def study_runner(make_plan: Callable[[], StudyPlan], options: Namespace) -> Callable[..., Runner]:
+    """What makes the runner of a study for :func:`run_command`."""
+
+    def make(directory: Path, backend: Backend, console: Console) -> Runner:
+        from algorithms.studies.runner import StudyRunner
+
+        return StudyRunner(make_plan(), directory, backend, console, train=not options.tables)
+
+    return make
+
+
 def main(arguments: list[str]) -> int:
     """Run the command line ``arguments`` and return the exit code."""
     options = parse_arguments(arguments)
 
-    def make(directory: Path, backend: Backend, console: Console) -> Runner:
+    def make_plan() -> StudyPlan:
         from algorithms.studies.plan import StudyPlan
-        from algorithms.studies.runner import StudyRunner
         from algorithms.studies.settings import load_study
 
         plan = StudyPlan(load_study(options.config), options.tasks, options.learners)
         if plan.idle:
             raise ValueError(f"invalid study {options.config!r}: {'; '.join(plan.idle)}")
-        return StudyRunner(plan, directory, backend, console, train=not options.tables)
+        return plan
 
     directory = options.output or Path("runs") / "studies" / Path(options.config).stem
-    return run_command(options, directory, make)
+    return run_command(options, directory, study_runner(make_plan, options))

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -44,13 +44,14 @@ from mo_deepdrive.evaluation.statistics import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from algorithms.studies.paper_results import ReproductionResults
+    from algorithms.studies.paper_results import PaperResults
+    from algorithms.studies.settings import Study
 
-# The two algorithms that are compared, by the keys of their variants.
+# The two algorithms that are compared, by their keys in the study.
 BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
 LABELS = {BASELINE: "A2C", MULTI_OBJECTIVE: "MO-A2C"}
-# The task with an unknown utility, and the variant that learns its front.
-FRONT_TASK, FRONT_VARIANT = "one_waypoint_front", "pcn"
+# The task with an unknown utility, and the learner of its front.
+FRONT_TASK, FRONT_LEARNER = "one_waypoint_front", "pcn"
 # Limits of the criteria.
 SOLVED, LEARNED, FAILED = 0.95, 0.5, 0.05  # success rates
 SIMILAR = 0.05  # relative to the baseline's utility
@@ -80,34 +81,23 @@ class Check:
     stopped_at: int | None = None
 
 
-Criterion = Callable[["ReproductionResults", str], Check]  # of the results and the key of a protocol
+Criterion = Callable[["PaperResults", str], Check]  # of the results and a protocol
 Decision = Callable[[Estimate, float], bool | None]  # of an estimate and a limit
 
 
-@dataclass(frozen=True)
-class AlgorithmComparison:
-    """A2C and MO-A2C on a task.
-
-    Attributes:
-        baseline, multi_objective: interquartile means over seeds.
-        difference: multi_objective - baseline.
-        improvement: probability that a run of MO-A2C scores higher than a run of A2C.
-        width: of the interval of a run's score over evaluation episodes, the wider of both; 0 if it is not known.
-    """
+class AlgorithmComparison(NamedTuple):
+    """Utilities of A2C and MO-A2C: interquartile means over seeds, their difference, P(a run of MO-A2C is higher)."""
 
     baseline: Estimate
     multi_objective: Estimate
     difference: Estimate
     improvement: Estimate
-    width: float
 
 
 @dataclass(frozen=True)
 class Verdict:
     """Whether a claim is reproduced under a protocol, and the checks that decide it."""
 
-    claim: Claim
-    protocol: str
     conclusion: Conclusion
     checks: tuple[Check, ...]
 
@@ -127,7 +117,7 @@ class Claim:
         number: as in the documentation.
         figures: of the paper.
         statement: the claim in words.
-        tasks: keys of the tasks in the plan that the claim is about.
+        tasks: of the study, without the protocol, that the claim is about.
         criteria: which decide it.
     """
 
@@ -137,7 +127,7 @@ class Claim:
     tasks: tuple[str, ...]
     criteria: Sequence[Criterion]
 
-    def judge(self, results: ReproductionResults, protocol: str) -> Verdict | None:
+    def judge(self, results: PaperResults, protocol: str) -> Verdict | None:
         """The verdict under a protocol; None if results are missing."""
         try:
             checks = tuple(criterion(results, protocol) for criterion in self.criteria)
@@ -145,27 +135,29 @@ class Claim:
             return None
         passed = [check.passed for check in checks]
         conclusion: Conclusion = "inconclusive" if None in passed else "reproduced"
-        conclusion = "not reproduced" if False in passed else conclusion
-        return Verdict(self, protocol, conclusion, checks)
+        return Verdict("not reproduced" if False in passed else conclusion, checks)
 
 
-def compare(
-    results: ReproductionResults, task: str, protocol: str, metric: str, policy: str = STOCHASTIC
-) -> AlgorithmComparison:
-    """Compare A2C and MO-A2C by a metric.
+def compare(results: PaperResults, task: str, protocol: str) -> AlgorithmComparison:
+    """Compare the utilities of A2C and MO-A2C.
 
     Raises:
-        KeyError: if either has no run with the metric.
+        KeyError: if either has no run with a utility.
     """
-    baseline = results.values(task, protocol, BASELINE, metric, policy)
-    multi_objective = results.values(task, protocol, MULTI_OBJECTIVE, metric, policy)
+    baseline, multi_objective = (
+        results.values(task, protocol, learner, utility_metric(task)) for learner in (BASELINE, MULTI_OBJECTIVE)
+    )
     return AlgorithmComparison(
         iqm(baseline),
         iqm(multi_objective),
         iqm_difference(multi_objective, baseline),
         probability_of_improvement(multi_objective, baseline),
-        max(results.episodes_width(task, protocol, each, metric, policy) for each in (BASELINE, MULTI_OBJECTIVE)),
     )
+
+
+def is_ablation(study: Study, key: str) -> bool:
+    """Whether a task, TASK/PROTOCOL, is an ablation, instead of a comparison of A2C and MO-A2C or a run of PCN."""
+    return set(study.learners_of(key)) not in ({BASELINE, MULTI_OBJECTIVE}, {FRONT_LEARNER})
 
 
 def utility_metric(task: str) -> str:
@@ -178,7 +170,7 @@ def utility_kind(task: str) -> str:
     return "non-linear" if task.endswith("nonlinear") else "linear"
 
 
-def is_settled(results: ReproductionResults, task: str, protocol: str) -> bool:
+def is_settled(results: PaperResults, task: str, protocol: str) -> bool:
     """Whether the learning curves were flat at the end of training.
 
     They are if, for every compared algorithm, the upper end of the interval over seeds of the gain (the mean of the
@@ -188,23 +180,23 @@ def is_settled(results: ReproductionResults, task: str, protocol: str) -> bool:
     front = task == FRONT_TASK
     name = f"{FRONT}/{HYPERVOLUME}" if front else f"{STOCHASTIC}/{utility_metric(task)}"
     return all(
-        _is_flat([curve[name] for curve in results.learning_curves(task, protocol, variant) if name in curve])
-        for variant in ((FRONT_VARIANT,) if front else (BASELINE, MULTI_OBJECTIVE))
+        _is_flat([curve[name] for curve in results.learning_curves(task, protocol, learner) if name in curve])
+        for learner in ((FRONT_LEARNER,) if front else (BASELINE, MULTI_OBJECTIVE))
     )
 
 
 def _is_flat(curves: Sequence[NDArray[np.float64]]) -> bool:
     """Whether the curves of one algorithm, one per seed, are flat at their end; False if they are too short to tell."""
     scores = [curve[np.isfinite(curve)] for curve in curves]
-    if not scores or min(len(each) for each in scores) < MIN_EVALUATIONS:
+    if not scores or min(map(len, scores)) < MIN_EVALUATIONS:
         return False
-    fifths = [(each[-2 * (n := len(each) // 5) : -n].mean(), each[-n:].mean()) for each in scores]
+    fifths = [(curve[-2 * (n := len(curve) // 5) : -n].mean(), curve[-n:].mean()) for curve in scores]
     before, last = np.array(fifths).T
     return is_above(mean(last - before), FLAT * abs(float(last.mean()))) is False
 
 
 def _check(
-    results: ReproductionResults,
+    results: PaperResults,
     task: str,
     protocol: str,
     criterion: str,
@@ -214,19 +206,12 @@ def _check(
 ) -> Check:
     """A check, which is inconclusive if training stopped too early for its answer.
 
-    Args:
-        results: with the learning curves.
-        task: key of the task that the criterion is about.
-        protocol: key of the protocol.
-        criterion: in words.
-        measured: the measured value with its interval.
-        passed: what the interval over seeds says.
-        lasting: the answer that longer training could only confirm; None if it could change both.
+    ``passed`` is what the interval over seeds says; ``lasting`` is the answer that longer training could only confirm,
+    None if it could change both.
     """
     if passed is None or passed is lasting or is_settled(results, task, protocol):
         return Check(criterion, measured, passed)
-    steps = [row["steps"] for row in results.scores if (row["task"], row["protocol"]) == (task, protocol)]
-    return Check(criterion, measured, None, stopped_at=max(steps))
+    return Check(criterion, measured, None, stopped_at=results.steps(task, protocol))
 
 
 def is_above(estimate: Estimate, limit: float) -> bool | None:
@@ -235,7 +220,8 @@ def is_above(estimate: Estimate, limit: float) -> bool | None:
     return True if low > limit else False if high < limit else None
 
 
-def _is_below(estimate: Estimate, limit: float) -> bool | None:
+def is_below(estimate: Estimate, limit: float) -> bool | None:
+    """Whether the interval of an estimate is entirely below the limit; None if it contains the limit."""
     above = is_above(estimate, limit)
     return None if above is None else not above
 
@@ -253,73 +239,68 @@ def _interval(estimate: Estimate) -> tuple[float, float]:
     return estimate.low, estimate.high
 
 
-def percent(estimate: Estimate, other_width: float = 0.0) -> str:
-    """A fraction in percent, with its interval; ``other_width`` as for :meth:`Estimate.text`, of the fraction."""
+def shown(estimate: Estimate) -> str:
+    """A score with its interval, to hundredths at most: the episodes of an evaluation do not tell more."""
+    return estimate.text(other_width=0.1)
+
+
+def percent(estimate: Estimate) -> str:
+    """A fraction in percent, with its interval."""
     bounds = [None if bound is None else 100.0 * bound for bound in (estimate.low, estimate.high)]
-    return f"{Estimate(100.0 * estimate.value, *bounds).text(100.0 * other_width)}%"
+    return f"{shown(Estimate(100.0 * estimate.value, *bounds))}%"
 
 
-def success_above(task: str, variant: str, limit: float, results: ReproductionResults, protocol: str) -> Check:
-    """The share of episodes in which the vehicle, or all vehicles, arrive is above the limit."""
-    rate, measured = _success_rate(task, variant, results, protocol)
-    name = f"{LABELS[variant]}: success rate above {limit:.0%}"
-    return _check(results, task, protocol, name, measured, is_above(rate, limit), lasting=True)
+def arrives(task: str, learner: str, decide: Decision, limit: float, results: PaperResults, protocol: str) -> Check:
+    """The share of episodes in which the vehicle, or all vehicles, arrive is above or below the limit."""
+    rate = iqm(results.values(task, protocol, learner, SUCCESS))
+    above = decide is is_above
+    name = f"{LABELS[learner]}: success rate {'above' if above else 'below'} {limit:.0%}"
+    if task.startswith("intersection"):
+        name += f" ({utility_kind(task)} utility)"
+    measured = f"success rate {percent(rate)}"
+    return _check(results, task, protocol, name, measured, decide(rate, limit), lasting=above)
 
 
-def success_below(task: str, variant: str, limit: float, results: ReproductionResults, protocol: str) -> Check:
-    """The share of episodes in which the vehicle, or all vehicles, arrive is below the limit."""
-    rate, measured = _success_rate(task, variant, results, protocol)
-    utility = f" ({utility_kind(task)} utility)" if task.startswith("intersection") else ""
-    name = f"{LABELS[variant]}: success rate below {limit:.0%}{utility}"
-    return _check(results, task, protocol, name, measured, _is_below(rate, limit), lasting=False)
-
-
-def _success_rate(task: str, variant: str, results: ReproductionResults, protocol: str) -> tuple[Estimate, str]:
-    rate = iqm(results.values(task, protocol, variant, SUCCESS))
-    return rate, f"success rate {percent(rate, results.episodes_width(task, protocol, variant, SUCCESS))}"
-
-
-def moves_away(task: str, variant: str, results: ReproductionResults, protocol: str) -> Check:
+def moves_away(task: str, learner: str, results: PaperResults, protocol: str) -> Check:
     """Episodes end farther from the destination than they start."""
-    progress = iqm(results.values(task, protocol, variant, return_of("distance")))
-    name = f"{LABELS[variant]} moves away from the destination"
-    return _check(results, task, protocol, name, f"progress {progress.text()} m", _is_below(progress, 0.0))
+    progress = iqm(results.values(task, protocol, learner, return_of("distance")))
+    name = f"{LABELS[learner]} moves away from the destination"
+    return _check(results, task, protocol, name, f"progress {shown(progress)} m", is_below(progress, 0.0))
 
 
-def similar_utility(task: str, results: ReproductionResults, protocol: str) -> Check:
+def similar_utility(task: str, results: PaperResults, protocol: str) -> Check:
     """The utilities differ by less than SIMILAR of the baseline's."""
-    found = compare(results, task, protocol, utility_metric(task))
-    margin = SIMILAR * abs(found.baseline.value)
+    compared = compare(results, task, protocol)
+    margin = SIMILAR * abs(compared.baseline.value)
     name = f"the utilities differ by less than {SIMILAR:.0%}"
-    measured = f"difference {found.difference.text(found.width)}, {SIMILAR:.0%} is {margin:.2g}"
-    return _check(results, task, protocol, name, measured, _is_within(found.difference, margin))
+    measured = f"difference {shown(compared.difference)}, {SIMILAR:.0%} is {margin:.2g}"
+    return _check(results, task, protocol, name, measured, _is_within(compared.difference, margin))
 
 
-def higher_utility(task: str, results: ReproductionResults, protocol: str) -> Check:
+def higher_utility(task: str, results: PaperResults, protocol: str) -> Check:
     """MO-A2C has a higher utility than A2C."""
-    found = compare(results, task, protocol, utility_metric(task))
-    name, measured = "MO-A2C has the higher utility", f"difference {found.difference.text(found.width)}"
-    return _check(results, task, protocol, name, measured, is_above(found.difference, 0.0))
+    difference = compare(results, task, protocol).difference
+    name, measured = "MO-A2C has the higher utility", f"difference {shown(difference)}"
+    return _check(results, task, protocol, name, measured, is_above(difference, 0.0))
 
 
-def more_consistent(task: str, results: ReproductionResults, protocol: str) -> Check:
+def more_consistent(task: str, results: PaperResults, protocol: str) -> Check:
     """The utility of MO-A2C varies less between seeds than that of A2C."""
-    metric = utility_metric(task)
-    first, second = (results.values(task, protocol, variant, metric) for variant in (MULTI_OBJECTIVE, BASELINE))
+    first, second = (
+        results.values(task, protocol, learner, utility_metric(task)) for learner in (MULTI_OBJECTIVE, BASELINE)
+    )
     ratio = spread_ratio(first, second)
     runs = min(len(first), len(second))
     powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
     measured = f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}"
-    return _check(results, task, protocol, "MO-A2C varies less between seeds", measured, _is_below(ratio, 1.0))
+    return _check(results, task, protocol, "MO-A2C varies less between seeds", measured, is_below(ratio, 1.0))
 
 
-def broad_front(
-    metric: str, limit: float, passes: Decision, name: str, results: ReproductionResults, protocol: str
-) -> Check:
+def broad_front(metric: str, decide: Decision, limit: float, name: str, results: PaperResults, protocol: str) -> Check:
     """A metric of PCN's front, which longer training broadens, is on the right side of the limit."""
-    found = iqm(results.values(FRONT_TASK, protocol, FRONT_VARIANT, metric, FRONT))
+    score = iqm(results.values(FRONT_TASK, protocol, FRONT_LEARNER, metric, FRONT))
     unit = "" if metric == CARDINALITY else " m"
-    return _check(results, FRONT_TASK, protocol, name, f"{found.text()}{unit}", passes(found, limit), lasting=True)
+    return _check(results, FRONT_TASK, protocol, name, f"{shown(score)}{unit}", decide(score, limit), lasting=True)
 
 
 CLAIMS = (
@@ -329,8 +310,8 @@ CLAIMS = (
         "OneWaypoint, linear utility: A2C and MO-A2C both solve it, with similar utility (fig. 4a)",
         ("one_waypoint_linear",),
         [
-            partial(success_above, "one_waypoint_linear", BASELINE, SOLVED),
-            partial(success_above, "one_waypoint_linear", MULTI_OBJECTIVE, SOLVED),
+            partial(arrives, "one_waypoint_linear", BASELINE, is_above, SOLVED),
+            partial(arrives, "one_waypoint_linear", MULTI_OBJECTIVE, is_above, SOLVED),
             partial(similar_utility, "one_waypoint_linear"),
         ],
     ),
@@ -355,8 +336,8 @@ CLAIMS = (
         "(fig. 5b)",
         ("static_obstacle_nonlinear",),
         [
-            partial(success_above, "static_obstacle_nonlinear", MULTI_OBJECTIVE, LEARNED),
-            partial(success_below, "static_obstacle_nonlinear", BASELINE, LEARNED),
+            partial(arrives, "static_obstacle_nonlinear", MULTI_OBJECTIVE, is_above, LEARNED),
+            partial(arrives, "static_obstacle_nonlinear", BASELINE, is_below, LEARNED),
             partial(moves_away, "static_obstacle_nonlinear", BASELINE),
         ],
     ),
@@ -368,9 +349,9 @@ CLAIMS = (
         ("intersection_linear", "intersection_nonlinear"),
         [
             *(
-                partial(success_below, task, variant, FAILED)
+                partial(arrives, task, learner, is_below, FAILED)
                 for task in ("intersection_linear", "intersection_nonlinear")
-                for variant in (BASELINE, MULTI_OBJECTIVE)
+                for learner in (BASELINE, MULTI_OBJECTIVE)
             ),
             partial(higher_utility, "intersection_nonlinear"),
         ],
@@ -381,19 +362,19 @@ CLAIMS = (
         "OneWaypoint, unknown utility: PCN finds a broad range of behaviours (fig. 7, 10)",
         (FRONT_TASK,),
         [
-            partial(broad_front, CARDINALITY, MIN_POLICIES, is_above, f"over {MIN_POLICIES} non-dominated policies"),
+            partial(broad_front, CARDINALITY, is_above, MIN_POLICIES, f"over {MIN_POLICIES} non-dominated policies"),
             partial(
                 broad_front,
                 LOWEST_DISTANCE,
+                is_below,
                 SHORT_PROGRESS,
-                _is_below,
                 f"some policy progresses less than {SHORT_PROGRESS:g} m",
             ),
             partial(
                 broad_front,
                 HIGHEST_DISTANCE,
-                LONG_PROGRESS,
                 is_above,
+                LONG_PROGRESS,
                 f"some policy progresses over {LONG_PROGRESS:g} m",
             ),
         ],

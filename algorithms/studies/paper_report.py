@@ -1,33 +1,38 @@
-"""The report of the reproduction: verdicts and tables as Markdown, figures, and fronts."""
+"""The report of the reproduction: verdicts, tables and figures 4 to 10 of the paper."""
 
 from __future__ import annotations
 
 import tempfile
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import EngFormatter, MaxNLocator
 from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 from rich.text import Text
 
 from algorithms.reporting.front_plots import draw_front
+from algorithms.reporting.learning_curves import curve
+from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
+from algorithms.reporting.table_files import markdown
 from algorithms.studies.paper_claims import (
-    BASELINE,
     CLAIMS,
+    FRONT_LEARNER,
     FRONT_TASK,
-    FRONT_VARIANT,
-    MULTI_OBJECTIVE,
+    LABELS,
     Claim,
     Verdict,
     compare,
+    is_ablation,
     percent,
+    shown,
     utility_kind,
     utility_metric,
 )
-from algorithms.studies.paper_figures import CURVE_FIGURES, FRONT_FIGURES, draw_curves, file_name
-from algorithms.studies.paper_results import ReproductionResults
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
@@ -36,42 +41,64 @@ from mo_deepdrive.evaluation.metrics import (
     HIGHEST_DISTANCE,
     HYPERVOLUME,
     LOWEST_DISTANCE,
+    STEP,
     STOCHASTIC,
     SUCCESS,
+    TOTAL_UTILITY_ESR,
+    UTILITY_ESR,
     end_by,
     return_of,
+    title_of,
     vehicle_prefix,
 )
-from mo_deepdrive.evaluation.statistics import iqm, iqm_difference, probability_of_improvement
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, iqm, iqm_difference, probability_of_improvement
 from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
+    from matplotlib.axes import Axes
     from rich.console import Console
 
-    from algorithms.studies.paper_plan import Plan, PlannedRun, Protocol
+    from algorithms.reporting.wide_tables import Rows
+    from algorithms.studies.paper_results import PaperResults
 
 REPORT_FILE = "reproduction.md"
 QUICK = "A quick reproduction checks the pipeline. It trains too little for verdicts."
 VERDICT_COLUMNS = ("protocol", "A2C", "MO-A2C", "difference", "P(MO-A2C higher)", "verdict")
 COLLAPSED = 0.5  # a run of PCN has collapsed if its hypervolume is below this part of the median
 
+# Figures of learning curves, a column per task and a row per protocol: their title, tasks and metric.
+_ONE_WAYPOINT = ("one_waypoint_linear", "one_waypoint_nonlinear")
+_STATIC_OBSTACLE = ("static_obstacle_linear", "static_obstacle_nonlinear")
+_INTERSECTION = ("intersection_linear", "intersection_nonlinear")
+CURVE_FIGURES = {
+    4: ("OneWaypoint", _ONE_WAYPOINT, UTILITY_ESR),
+    5: ("StaticObstacle", _STATIC_OBSTACLE, UTILITY_ESR),
+    6: ("Intersection, both vehicles together", _INTERSECTION, TOTAL_UTILITY_ESR),
+    8: (
+        "Intersection, the vehicle that turns left (vehicle 0)",
+        _INTERSECTION,
+        vehicle_prefix(0, 2) + UTILITY_ESR,
+    ),
+    9: (
+        "Intersection, the vehicle that goes straight (vehicle 1)",
+        _INTERSECTION,
+        vehicle_prefix(1, 2) + UTILITY_ESR,
+    ),
+}
+# Drawn from a front by algorithms.reporting.front_plots, as the figure with this name.
+FRONT_FIGURES = {7: "importance", 10: "reduction"}
+MIN_WIDTH = 8.4  # inches, for the title and the note below it
+
 
 def write_report(
-    plan: Plan,
-    results: ReproductionResults,
-    directory: Path,
-    figures: Sequence[int],
-    *,
-    how: str,
-    quick: bool = False,
+    results: PaperResults, directory: Path, figures: Sequence[int], *, how: str, quick: bool = False
 ) -> list[Path]:
     """Write the results, the report and the figures.
 
     Args:
-        plan: of the reproduction.
-        results: of its runs.
+        results: of the runs.
         directory: where to write.
         figures: numbers of the paper's figures to draw; those of fronts are drawn from the fronts in ``directory``.
         how: the command that creates the same report, which the report quotes.
@@ -84,278 +111,272 @@ def write_report(
         OSError: if a file cannot be written; no file is left half written.
     """
     results.write(directory)
-    figure_paths: dict[int, list[Path]] = {}
-    for figure in figures:
-        if figure in CURVE_FIGURES:
-            path = directory / file_name(figure)
-            figure_paths[figure] = [path] if draw_curves(figure, plan, results, path) else []
+    pictures: dict[int, list[Path]] = {}
+    for number in figures:
+        path = directory / f"figure_{number:02}.png"
+        if number in FRONT_FIGURES:
+            pictures[number] = _draw_fronts(number, path)
         else:
-            figure_paths[figure] = _draw_front_figure(figure, directory)
-    text = _document(plan, results, figure_paths, how, quick)
-    atomic_write(directory / REPORT_FILE, text.encode())
-    return [directory / REPORT_FILE, *(path for paths in figure_paths.values() for path in paths)]
+            pictures[number] = [path] if draw_curves(number, results, path) else []
+    atomic_write(directory / REPORT_FILE, _document(results, pictures, how, quick).encode())
+    return [directory / REPORT_FILE, *(path for paths in pictures.values() for path in paths)]
 
 
-# ------------------------------------------------------------------------------------------------------------ fronts
+# ----------------------------------------------------------------------------------------------------------- figures
 
 
-def median_run(runs: Sequence[PlannedRun], results: ReproductionResults, metric: str, policy: str) -> PlannedRun | None:
-    """The finished run with the median score, the lower of two; None if no run has finished."""
-    scored = []
-    for run in runs:
-        score = results.of_run(run).get(policy, {}).get(metric)
-        if score is not None:
-            scored.append((score, run.seed, run))
-    if not scored:
-        return None
-    scored.sort(key=lambda each: each[:2])
-    return scored[(len(scored) - 1) // 2][2]
+def draw_curves(number: int, results: PaperResults, path: Path) -> bool:
+    """Draw a figure of learning curves; returns False, without a file, if there are no results for it.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    title, all_tasks, metric = CURVE_FIGURES[number]
+    panels = [
+        (protocol, task)
+        for task in all_tasks
+        for protocol in results.protocols(task)
+        if results.labels(task, protocol).keys() == LABELS.keys()
+    ]
+    protocols, tasks = (list(dict.fromkeys(panel[i] for panel in panels)) for i in (0, 1))
+    if not panels:
+        return False
+    with figure_style():
+        figure = Figure(figsize=(max(4.7 * len(tasks), MIN_WIDTH), 2.9 * len(protocols)))
+        axes = figure.subplots(len(protocols), len(tasks), squeeze=False)
+        for row, protocol in zip(axes, protocols, strict=True):
+            for axis, task in zip(row, tasks, strict=True):
+                if (protocol, task) not in panels:
+                    axis.set_visible(False)
+                    continue
+                _draw_panel(axis, results, task, protocol, f"{STOCHASTIC}/{metric}")
+                kind = utility_kind(task).capitalize()
+                axis.set_title(f"{kind} utility\n{results.titles(task, protocol)[1]}", fontsize=9.5)
+        for axis in axes[-1]:
+            axis.set_xlabel("environment steps")
+        for axis in axes[:, 0]:
+            axis.set_ylabel(title_of(UTILITY_ESR))
+        curves = [results.learning_curves(task, protocol, name) for protocol, task in panels for name in LABELS]
+        seeds = sorted({len(runs) for runs in curves})
+        count = " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
+        note = f"{STOCHASTIC} policy on unseen scenarios; thin: each of {count} seeds; thick: mean"
+        enough = seeds[-1] >= MIN_SAMPLES
+        note += " with 95% bootstrap interval" if enough else f", too few for an interval (n = {count})"
+        handles = [Line2D([], [], color=ALGORITHM_COLOURS[key], linewidth=2.4, label=LABELS[key]) for key in LABELS]
+        surround(figure, f"Figure {number}. {title}", [note], handles)
+        save_figure(figure, path)
+    return True
 
 
-def keep_fronts(runs: Sequence[PlannedRun], results: ReproductionResults, directory: Path) -> None:
-    """Save the front of the run with the median hypervolume of every protocol; figures are drawn from it."""
-    for protocol in results.protocols(FRONT_TASK):
-        mine = [run for run in runs if (run.task, run.protocol) == (FRONT_TASK, protocol)]
-        chosen = median_run(mine, results, HYPERVOLUME, FRONT)
-        if chosen is not None:
-            folder = directory / f"front_{protocol}"
-            folder.mkdir(exist_ok=True)
-            Front.read(chosen.job.path).write(folder, {"seed_of_the_run": chosen.seed})
-
-
-def _draw_front_figure(figure: int, directory: Path) -> list[Path]:
-    """Draw a figure of every front in a directory; returns the files."""
-    paths = []
-    for folder in sorted(directory.glob("front_*")):
-        if not folder.is_dir():
+def _draw_panel(axis: Axes, results: PaperResults, task: str, protocol: str, metric: str) -> None:
+    """Draw the mean over seeds with its interval, and every seed as a thin line."""
+    settled = []  # of the second half of training
+    for learner in LABELS:
+        colour, runs = ALGORITHM_COLOURS[learner], results.learning_curves(task, protocol, learner)
+        for run in runs:
+            if metric in run:
+                axis.plot(run[STEP], run[metric], color=colour, linewidth=0.6, alpha=0.45, zorder=2)
+                settled.append(run[metric][-max(1, len(run[metric]) // 2) :])
+        averaged = curve(runs, metric)
+        if averaged is None:
             continue
-        protocol = folder.name.removeprefix("front_")
-        path = directory / file_name(figure).replace(".png", f"_{protocol}.png")
+        steps, mean, low, high = averaged
+        axis.plot(steps, mean, color=colour, linewidth=2.1, zorder=4)
+        if np.isfinite(low).all():
+            axis.fill_between(steps, low, high, color=colour, alpha=0.17, linewidth=0, zorder=3)
+    if settled:  # values far below these would flatten the curves, and are cut off
+        values = np.concatenate(settled)
+        low, high = np.nanquantile(values, [0.1, 1.0])
+        reach = 0.5 * (high - low)
+        bottom, top = axis.get_ylim()
+        limits = max(bottom, low - reach), min(top, high + 0.2 * reach)
+        axis.set_ylim(*widened(*limits, float(np.nanmax(np.abs(values)))))
+    axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axis.xaxis.set_major_locator(MaxNLocator(5))
+    axis.yaxis.set_major_locator(MaxNLocator(6))
+    axis.margins(x=0.015)
+
+
+def _draw_fronts(number: int, path: Path) -> list[Path]:
+    """Draw a figure of every front beside a path; returns the files."""
+    paths = []
+    for folder in sorted(each for each in path.parent.glob("front_*") if each.is_dir()):
+        paths.append(path.with_stem(f"{path.stem}_{folder.name.removeprefix('front_')}"))
         with tempfile.TemporaryDirectory() as scratch:
-            draw_front(Front.read(folder), scratch, title=f"Figure {figure}. PCN on OneWaypoint")
-            atomic_write(path, (Path(scratch) / f"{FRONT_FIGURES[figure]}.png").read_bytes())
-        paths.append(path)
+            draw_front(Front.read(folder), scratch, title=f"Figure {number}. PCN on OneWaypoint")
+            atomic_write(paths[-1], (Path(scratch) / f"{FRONT_FIGURES[number]}.png").read_bytes())
     return paths
 
 
-# ------------------------------------------------------------------------------------------------------------ tables
+# ---------------------------------------------------------------------------------------------------------- verdicts
 
 
-def markdown_table(rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table; the first row is the header."""
-    header, *body = rows
-    lines = [header, ["---"] * len(header), *body]
-    return "\n".join("| " + " | ".join(cell.replace("|", "/") for cell in line) + " |" for line in lines)
+def verdicts(claim: Claim, results: PaperResults) -> dict[str, Verdict]:
+    """The verdicts of a claim, by protocol; only protocols with results for all tasks of the claim."""
+    judged = {protocol: claim.judge(results, protocol) for protocol in results.protocols(claim.tasks[0])}
+    return {protocol: verdict for protocol, verdict in judged.items() if verdict is not None}
 
 
-def verdict_table(plan: Plan, results: ReproductionResults, *, quick: bool = False) -> str:
+def verdict_table(results: PaperResults, *, quick: bool = False) -> str:
     """The verdicts as Markdown: a row per claim, protocol and task, with scores and effect size.
 
     Args:
-        plan: of the reproduction.
-        results: of its runs.
+        results: of the runs.
         quick: whether the runs are too short for verdicts; they are then not judged.
     """
     rows = [["claim", *VERDICT_COLUMNS]]
     for claim in CLAIMS:
-        for i, (*row, conclusion) in enumerate(_verdict_rows(claim, plan, results, quick=quick)):
+        for i, (*row, conclusion) in enumerate(_verdict_rows(claim, results, quick=quick)):
             name = f"{claim.number}. {claim.statement}" if i == 0 else ""
-            bold = f"**{conclusion}**" if conclusion and not quick else conclusion
-            rows.append([name, *row, bold])
-    return markdown_table(rows)
+            rows.append([name, *row, f"**{conclusion}**" if conclusion and not quick else conclusion])
+    return _table(rows, 2)
 
 
-def print_verdicts(plan: Plan, results: ReproductionResults, console: Console, *, quick: bool = False) -> None:
+def print_verdicts(results: PaperResults, console: Console, *, quick: bool = False) -> None:
     """Print the verdicts: a table per claim; arguments as of :func:`verdict_table`."""
     for claim in CLAIMS:
-        rows = _verdict_rows(claim, plan, results, quick=quick)
-        if rows:
+        if rows := _verdict_rows(claim, results, quick=quick):
             table = Table(*(Column(name, overflow="fold") for name in VERDICT_COLUMNS), box=SIMPLE_HEAD)
             for row in rows:
                 table.add_row(*(Text(cell.replace(" [", "\n[")) for cell in row))  # intervals below their values
             console.print(Text(f"{claim.number}. {claim.statement}", style="bold"), table)
 
 
-def _verdict_rows(claim: Claim, plan: Plan, results: ReproductionResults, *, quick: bool) -> list[list[str]]:
+def _verdict_rows(claim: Claim, results: PaperResults, *, quick: bool) -> Rows:
     """The rows of a claim in :data:`VERDICT_COLUMNS`; of the tasks of a protocol, only the first has the verdict."""
     rows = []
     for protocol, verdict in verdicts(claim, results).items():
-        title = plan.tasks[claim.tasks[0]].protocols[protocol].title
         for i, task in enumerate(claim.tasks):
             which = f" ({utility_kind(task)})" if len(claim.tasks) > 1 else ""
             conclusion = "" if i > 0 else "not judged" if quick else verdict.text
-            rows.append([title + which, *_effect_columns(results, task, protocol), conclusion])
+            if task == FRONT_TASK:
+                count = iqm(results.values(task, protocol, FRONT_LEARNER, CARDINALITY, FRONT))
+                effect = ["", "", f"PCN: {count.text()} non-dominated policies", ""]
+            else:
+                *utilities, improvement = compare(results, task, protocol)
+                effect = [*map(shown, utilities), improvement.text()]
+            rows.append([results.titles(task, protocol)[1] + which, *effect, conclusion])
     return rows
 
 
-def _effect_columns(results: ReproductionResults, task: str, protocol: str) -> list[str]:
-    """The scores of both algorithms and their comparison; for a front, its number of policies."""
-    if task == FRONT_TASK:
-        count = iqm(results.values(task, protocol, FRONT_VARIANT, CARDINALITY, FRONT))
-        return ["", "", f"PCN: {count.text()} non-dominated policies", ""]
-    found = compare(results, task, protocol, utility_metric(task))
-    utilities = [each.text(found.width) for each in (found.baseline, found.multi_objective, found.difference)]
-    return [*utilities, found.improvement.text()]
-
-
-def verdicts(claim: Claim, results: ReproductionResults) -> dict[str, Verdict]:
-    """The verdicts of a claim, by protocol; only protocols with results for all tasks of the claim."""
-    found = {}
-    for protocol in results.protocols(claim.tasks[0]):
-        verdict = claim.judge(results, protocol)
-        if verdict is not None:
-            found[protocol] = verdict
-    return found
-
-
-def _check_table(plan: Plan, claim: Claim, results: ReproductionResults) -> str:
+def _check_table(claim: Claim, results: PaperResults) -> str:
     """The checks of a claim: a row per criterion, a column per protocol."""
     answers = {True: "yes", False: "no", None: "inconclusive"}
-    protocols = plan.tasks[claim.tasks[0]].protocols
-    found = verdicts(claim, results)
-    rows = [["criterion", *(protocols[protocol].title for protocol in found)]]
-    for criterion in dict.fromkeys(check.criterion for verdict in found.values() for check in verdict.checks):
-        cells = (
-            "; ".join(
-                f"**{answers[each.passed]}**: {each.measured}" for each in verdict.checks if each.criterion == criterion
-            )
-            for verdict in found.values()
+    judged = verdicts(claim, results)
+    rows = [["criterion", *(results.titles(claim.tasks[0], protocol)[1] for protocol in judged)]]
+    for criterion in dict.fromkeys(check.criterion for verdict in judged.values() for check in verdict.checks):
+        mine = [[check for check in verdict.checks if check.criterion == criterion] for verdict in judged.values()]
+        rows.append(
+            [criterion, *("; ".join(f"**{answers[check.passed]}**: {check.measured}" for check in its) for its in mine)]
         )
-        rows.append([criterion, *cells])
-    return markdown_table(rows)
+    return _table(rows, 1)
 
 
-def _named_once(rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """The rows of a table whose first cells are empty where they repeat the one above."""
-    above = ["", *(row[0] for row in rows)]
-    return [["" if row[0] == before else row[0], *row[1:]] for row, before in zip(rows, above, strict=False)]
+# ------------------------------------------------------------------------------------------------------------ scores
 
 
-def _score_table(task: str, plan: Plan, results: ReproductionResults) -> str:
-    """The scores of a task: a row per protocol and variant, of the policy that samples its actions."""
-    if task == FRONT_TASK:
-        return _front_score_table(plan, results)
+def _comparison_table(task: str, results: PaperResults) -> str:
+    """The scores of a task: a row per protocol and learner, of the policy that samples its actions."""
     vehicles = 2 if task.startswith("intersection") else 1
-    score, progress = utility_metric(task), vehicle_prefix(0, vehicles) + return_of("distance")
+    progress = vehicle_prefix(0, vehicles) + return_of("distance")
     measures = ["utility (ESR)", "success rate", "collisions", "progress (m)"]
     rows = [["protocol", "algorithm", "seeds", "steps", *measures]]
     for protocol in results.protocols(task):
-        for variant, label in results.variants(task, protocol).items():
-            values = partial(results.values, task, protocol, variant, policy=STOCHASTIC)
-            width = partial(results.episodes_width, task, protocol, variant, policy=STOCHASTIC)
-            about = [plan.tasks[task].protocols[protocol].title, label, str(len(values(SUCCESS)))]
-            rates = [percent(iqm(values(metric)), width(metric)) for metric in (SUCCESS, end_by(COLLISION))]
-            utility, distance = (iqm(values(metric)).text(width(metric)) for metric in (score, progress))
-            steps = _steps(results, task, protocol, variant)
-            rows.append([*about, steps, utility, *rates, distance])
-    return markdown_table(_named_once(rows))
+        if is_ablation(results.study, f"{task}/{protocol}"):
+            continue
+        title = results.titles(task, protocol)[1]
+        for learner, label in results.labels(task, protocol).items():
+            values = partial(results.values, task, protocol, learner)
+            utility, distance = (shown(iqm(values(metric))) for metric in (utility_metric(task), progress))
+            rates = [percent(iqm(values(metric))) for metric in (SUCCESS, end_by(COLLISION))]
+            about = [title, label, str(len(values(SUCCESS))), f"{results.steps(task, protocol):,}"]
+            rows.append([*about, utility, *rates, distance])
+            title = ""
+    return _table(rows, 2)
 
 
-def _front_score_table(plan: Plan, results: ReproductionResults) -> str:
+def _front_table(results: PaperResults) -> str:
     """The scores of PCN's fronts: a row per protocol."""
     measures = ["hypervolume", "collapsed runs", "non-dominated policies", "progress of the policies (m)"]
     rows = [["protocol", "seeds", "steps", *measures]]
     for protocol in results.protocols(FRONT_TASK):
-        values = partial(results.values, FRONT_TASK, protocol, FRONT_VARIANT, policy=FRONT)
-        title = plan.tasks[FRONT_TASK].protocols[protocol].title
-        steps = _steps(results, FRONT_TASK, protocol, FRONT_VARIANT)
-        hypervolume, cardinality, nearest, farthest = (
-            iqm(values(metric)) for metric in (HYPERVOLUME, CARDINALITY, LOWEST_DISTANCE, HIGHEST_DISTANCE)
+        volumes, cardinalities, nearest, farthest = (
+            results.values(FRONT_TASK, protocol, FRONT_LEARNER, metric, FRONT)
+            for metric in (HYPERVOLUME, CARDINALITY, LOWEST_DISTANCE, HIGHEST_DISTANCE)
         )
-        progress = f"{nearest.value:.2g} to {farthest.value:.3g}"
-        volumes = values(HYPERVOLUME)
         collapsed = f"{(volumes < COLLAPSED * np.median(volumes)).sum()} of {len(volumes)}"
-        rows.append([title, str(len(volumes)), steps, hypervolume.text(), collapsed, cardinality.text(), progress])
-    return markdown_table(rows)
+        progress = f"{iqm(nearest).value:.2g} to {iqm(farthest).value:.3g}"
+        about = [results.titles(FRONT_TASK, protocol)[1], str(len(volumes)), f"{results.steps(FRONT_TASK, protocol):,}"]
+        rows.append([*about, iqm(volumes).text(), collapsed, iqm(cardinalities).text(), progress])
+    return _table(rows, 1)
 
 
-def _steps(results: ReproductionResults, task: str, protocol: str, variant: str) -> str:
-    """The number of environment steps of a variant's runs, as text."""
-    keys = (task, protocol, variant)
-    return f"{next(row['steps'] for row in results.scores if _keys(row) == keys):,}"
-
-
-def _keys(row: Mapping[str, Any]) -> tuple[str, str, str]:
-    return row["task"], row["protocol"], row["variant"]
-
-
-def is_ablation(protocol: Protocol) -> bool:
-    """Whether a protocol is an ablation, instead of a comparison of A2C and MO-A2C or a run of PCN."""
-    return set(protocol.variants) != {BASELINE, MULTI_OBJECTIVE} and set(protocol.variants) != {FRONT_VARIANT}
-
-
-def _ablation_table(task: str, protocol_key: str, protocol: Protocol, results: ReproductionResults) -> str:
-    """The scores of an ablation: a row per variant, with its difference from the first one."""
+def _ablation_table(task: str, protocol: str, results: PaperResults) -> str:
+    """The scores of an ablation: a row per learner, with its difference from the first one."""
     rows = [["change", "utility (ESR)", "success rate", "difference from the first", "P(higher than the first)"]]
-    metric = utility_metric(task)
-    labels = results.variants(task, protocol_key)
-    variants = [variant for variant in protocol.variants if variant in labels]
-    baseline = results.values(task, protocol_key, variants[0], metric) if variants else np.zeros(0)
-    for variant in variants:
-        values = results.values(task, protocol_key, variant, metric)
-        success = percent(iqm(results.values(task, protocol_key, variant, SUCCESS)))
+    labels = results.labels(task, protocol)
+    scores = {learner: results.values(task, protocol, learner, utility_metric(task)) for learner in labels}
+    first = next(iter(labels))
+    for learner, values in scores.items():
+        success = percent(iqm(results.values(task, protocol, learner, SUCCESS)))
         effect = ["", ""]
-        if variant != variants[0]:
-            effect = [iqm_difference(values, baseline).text(), probability_of_improvement(values, baseline).text()]
-        rows.append([labels[variant], iqm(values).text(), success, *effect])
-    return markdown_table(rows)
+        if learner != first:
+            difference = iqm_difference(values, scores[first])
+            effect = [shown(difference), probability_of_improvement(values, scores[first]).text()]
+        rows.append([labels[learner], shown(iqm(values)), success, *effect])
+    return _table(rows, 1)
 
 
-# ---------------------------------------------------------------------------------------------------------- document
+def _table(rows: Rows, labels: int) -> str:
+    """A table of Markdown; in one of a single row, all labels would be what the rows share."""
+    return markdown(rows, labels if len(rows) > 2 else 0, "").strip()
 
 
-def _document(
-    plan: Plan, results: ReproductionResults, figure_paths: dict[int, list[Path]], how: str, quick: bool
-) -> str:
+def _scores_of_task(task: str, results: PaperResults, level: str) -> list[str]:
+    """The section of a task: its scores, and those of its ablations."""
+    protocols = results.protocols(task)
+    ablations = [protocol for protocol in protocols if is_ablation(results.study, f"{task}/{protocol}")]
+    parts = [f"{level} {results.titles(task, protocols[0])[0]}"]
+    if len(ablations) < len(protocols):
+        parts.append(_front_table(results) if task == FRONT_TASK else _comparison_table(task, results))
+    for protocol in ablations:
+        parts += [f"**{results.titles(task, protocol)[1]}**", _ablation_table(task, protocol, results)]
+    return parts
+
+
+def _document(results: PaperResults, pictures: dict[int, list[Path]], how: str, quick: bool) -> str:
     """The whole report as Markdown."""
-    runs = {(row["task"], row["protocol"], row["variant"], row["seed"]): row["seconds"] for row in results.scores}
-    seeds = sorted({row["seed"] for row in results.scores})
+    seconds = {
+        (row.task, row.learner, row.seed): row.cpu_seconds or 0.0 for row in results.rows if row.value is not None
+    }
+    seeds = sorted({seed for *_, seed in seconds})
     parts = [
         "# Reproduction of the paper's figures and claims",
-        f"Written by `{how}`: {len(runs)} runs, {sum(runs.values()) / 3600:.1f} hours on one core, seeds {seeds[0]} to "
-        f"{seeds[-1]}. Background: [reproduction](../reproduction.md).",
+        f"Written by `{how}`: {len(seconds)} runs, {sum(seconds.values()) / 3600:.1f} hours on one core, seeds "
+        f"{seeds[0]} to {seeds[-1]}. Background: [reproduction](../reproduction.md).",
         "Scores are interquartile means over seeds of the utility (ESR) of the policy that samples its actions; at the "
         "intersection, of the sum of both vehicles' utilities. "
-        "The episodes of each evaluation, greedy policies, and intervals over the episodes of one run are in "
-        "reproduction_scores.csv.",
+        "The scores of every run, also of greedy policies, are in reproduction_scores.csv.",
         "Intervals (95%, bootstrap) are over seeds. P(MO-A2C higher) is the probability that a run of MO-A2C scores "
         "higher than one of A2C. A run of PCN has collapsed if its hypervolume is below "
         f"{COLLAPSED:.0%} of the median.",
         *([f"**{QUICK}**"] if quick else []),
         "## Verdicts",
-        verdict_table(plan, results, quick=quick),
+        verdict_table(results, quick=quick),
     ]
+    drawn = []
     for claim in CLAIMS:
         if not verdicts(claim, results):
             continue
-        parts += [f"## Claim {claim.number}", _check_table(plan, claim, results)]
+        parts += [f"## Claim {claim.number}", _check_table(claim, results)]
         for task in claim.tasks:
-            parts += [f"### {plan.tasks[task].title}", _comparison_table(task, plan, results)]
-            parts += _ablations(task, plan, results)
-        for figure in claim.figures:
-            pictures = [f"![Figure {figure}]({path.name})" for path in figure_paths.get(figure, [])]
-            parts += [picture for picture in pictures if picture not in parts]  # claims share figures
+            parts += _scores_of_task(task, results, "###")
+        for number in claim.figures:
+            links = [f"![Figure {number}]({path.name})" for path in pictures.get(number, [])]
+            parts += [link for link in links if link not in drawn]  # claims share figures
+            drawn += links
     claimed = {task for claim in CLAIMS for task in claim.tasks}
-    for task in plan.tasks:
+    for task in dict.fromkeys(key.partition("/")[0] for key in results.study.tasks):
         if task not in claimed and results.protocols(task):
-            parts += [f"## {plan.tasks[task].title}", _comparison_table(task, plan, results)]
-            parts += _ablations(task, plan, results)
+            parts += _scores_of_task(task, results, "##")
     return "\n\n".join(parts) + "\n"
-
-
-def _comparison_table(task: str, plan: Plan, results: ReproductionResults) -> str:
-    """The scores of a task's protocols that are not ablations."""
-    protocols = plan.tasks[task].protocols
-    compared = [protocol for protocol in results.protocols(task) if not is_ablation(protocols[protocol])]
-    kept = ReproductionResults([row for row in results.scores if row["protocol"] in compared], [])
-    return _score_table(task, plan, kept)
-
-
-def _ablations(task: str, plan: Plan, results: ReproductionResults) -> list[str]:
-    """Title and table of each ablation of a task."""
-    parts = []
-    for key in results.protocols(task):
-        protocol = plan.tasks[task].protocols[key]
-        if is_ablation(protocol):
-            parts += [f"**{protocol.title}**", _ablation_table(task, key, protocol, results)]
-    return parts

@@ -143,21 +143,24 @@ class StudyPlan:
         It is then one of an arm that is to be trained now, if any of them is.
         """
         arms = sorted(self.runs(scores), key=lambda runs: runs.arm.key not in self.selected)
-        self._check_columns([runs.rows[0] for runs in arms if runs.arm.key in self.selected])
+        self._check_columns([runs.rows[0] for runs in arms])
         tuning = [row for arm in arms for rows in arm.tuning for row in rows]
-        found: dict[str, ManifestRow] = {}
+        by_id: dict[str, ManifestRow] = {}
         for row in [*tuning, *(row for arm in arms for row in arm.final)]:
-            found.setdefault(row.id, row)
-        return list(found.values())
+            by_id.setdefault(row.id, row)
+        return list(by_id.values())
 
     def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
-        """Refuse a column that none of the runs has."""
-        if not self.study.columns or self._columns_known:
+        """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
+        if self._columns_known:
             return
         from algorithms.runs.policy_evaluation import final_metrics
 
-        experiments = (make_experiment(row.config, here=False) for row in rows)
-        known = {name.partition("/")[2] for experiment in experiments for name in final_metrics(experiment)}
+        known: set[str] = set()
+        for row in rows:
+            if known.issuperset(self.study.columns):
+                break
+            known |= {name.partition("/")[2] for name in final_metrics(make_experiment(row.config, here=False))}
         for column in self.study.columns:
             if column not in known:
                 raise ValueError(
@@ -177,14 +180,14 @@ class StudyPlan:
     def _runs_of(self, arm: Arm, scores: Scores) -> ArmRuns:
         tuning = tuple(self._cell(arm, trial) for trial in range(len(arm.points)))
         refuse_duplicates([row for rows in tuning for row in rows])
-        found = tuple(_mean([scores.get(row.id, np.nan) for row in rows]) for rows in tuning)
-        known = [score for score in found if score is not None]
+        means = tuple(_mean([scores.get(row.id, np.nan) for row in rows]) for rows in tuning)
+        known = [score for score in means if score is not None]
         if not arm.points:
             return ArmRuns(arm, (), (), None, self._cell(arm, None))
         if not known or np.isnan(known).any():
-            return ArmRuns(arm, tuning, found, None, ())
-        chosen = found.index((min if lower_is_better(arm.metric) else max)(known))
-        return ArmRuns(arm, tuning, found, chosen, self._cell(arm, None, chosen))
+            return ArmRuns(arm, tuning, means, None, ())
+        chosen = means.index((min if lower_is_better(arm.metric) else max)(known))
+        return ArmRuns(arm, tuning, means, chosen, self._cell(arm, None, chosen))
 
     def _cell(self, arm: Arm, trial: int | None, chosen: int | None = None) -> tuple[ManifestRow, ...]:
         """The rows of a point of the tuning, or those that count with the chosen point; every cell is checked once."""
@@ -232,11 +235,11 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
                     raise ValueError(f"{where}: it learns for {'a' if entry.known_utility else 'no'} known utility")
                 continue
             help_, given = (
-                {each: value for each, value in settings.items() if _has(entry, each)}
+                {setting: value for setting, value in settings.items() if _has(entry, setting)}
                 for settings in ({**study.help, **task.help}, overrides)
             )
             unused -= {*help_, *given}
-            known |= {f"algorithm.{each}" for each in entry.config_class.model_fields}
+            known |= {f"algorithm.{setting}" for setting in entry.config_class.model_fields}
             values = _on_task(values, task)
             for changes in (study.overrides, task.overrides, help_, learner.overrides, given):
                 values = overridden(values, changes, {TASK: name, LEARNER: key})

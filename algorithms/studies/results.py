@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,20 +14,18 @@ from algorithms.runs.run_directory import read_status
 from algorithms.studies.sweep_manifest import label
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
-from mo_deepdrive.evaluation.metrics import SUITE, split_name
+from mo_deepdrive.evaluation.metrics import SUITE
 from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.suite import Row, write_rows
 from mo_deepdrive.suite.scoring import FAILED
 from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, own_path
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from algorithms.reporting.wide_tables import Rows
     from algorithms.studies.plan import ArmRuns, StudyPlan
-    from algorithms.studies.sweep_manifest import ManifestRow
-    from mo_deepdrive.evaluation.statistics import Estimate
 
 RESULTS_FILE, TUNING_FILE, TABLES_FILE = "results.csv", "tuning.csv", "results.md"
 FINISHED, WAITING = "finished", "waiting"
@@ -47,25 +45,28 @@ def results_of(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> lis
     Raises:
         ValueError: if a finished run cannot be read, or has no value of its metric.
     """
-    return [result for arm in runs for seed in arm.arm.seeds for result in _results_of(plan, arm, seed, directory)]
+    return [row for arm in runs for seed in arm.arm.seeds for row in _rows_of_run(plan, arm, seed, directory)]
 
 
-def _results_of(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> list[Row]:
+def _rows_of_run(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> list[Row]:
     """The results of one seed of an arm; an arm whose tuning failed has failed for every seed."""
-    task, learner = arm.arm.key
-    row = next((row for row in arm.final if row.seed == seed), None)
-    if row is None:
-        state = FAILED if arm.given_up else WAITING
-        return [Row(task, learner, seed, "", "", None, state=state)]
-    path = directory / row.directory
+    key = (*arm.arm.key, seed)
+    run = next((run for run in arm.final if run.seed == seed), None)
+    if run is None:
+        return [Row(*key, "", "", None, state=FAILED if arm.given_up else WAITING)]
+    path = directory / run.directory
     status = read_status(path)
     state = str(status.get("state", WAITING))
-    about: dict[str, Any] = {"state": state, "cpu_seconds": status.get("cpu_seconds"), "source": row.directory}
-    about["steps"] = row.config["training"]["total_timesteps"]
-    about["environment"] = experiment_record(row.config).environment.label
+    about: dict[str, Any] = {
+        "source": run.directory,
+        "state": state,
+        "cpu_seconds": status.get("cpu_seconds"),
+        "steps": run.config["training"]["total_timesteps"],
+        "environment": experiment_record(run.config).environment.label,
+    }
     evaluation = read_evaluation(path) if state == FINISHED else None
     if evaluation is None:
-        return [Row(task, learner, seed, "", "", None, **about)]
+        return [Row(*key, "", "", None, **about)]
     if arm.arm.metric not in evaluation.scores:
         raise ValueError(f"run {str(path)!r} has no {arm.arm.metric!r} in its final evaluation")
     version = evaluation.suite_version
@@ -74,35 +75,18 @@ def _results_of(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> li
             f"run {str(path)!r} was scored as version {version} of the suite, which is now {suite.load().version}; "
             f"delete its {EVALUATION_FILE}, and --remake scores it again"
         )
-    return [
-        Row(
-            task,
-            learner,
-            seed,
-            split_name(name).policy,
-            column,
-            each.value,
-            each.low,
-            each.high,
-            version=version or 0,
-            **about,
-        )
-        for name, each in evaluation.scores.items()
-        if (column := _column(plan, arm, name)) is not None
-    ]
+    shown = {arm.arm.metric.partition("/")[2], *plan.study.columns}
+    rows = []
+    for name, score in evaluation.scores.items():
+        policy, _, metric = name.partition("/")
+        if metric in shown or metric.startswith(SUITE):
+            numbers = (score.value, score.low, score.high)
+            rows.append(Row(*key, policy, metric.removeprefix(SUITE), *numbers, version=version or 0, **about))
+    return rows
 
 
-def _column(plan: StudyPlan, arm: ArmRuns, name: str) -> str | None:
-    """The column of a metric of the final evaluation; None for one that the results leave out."""
-    rest = name.partition("/")[2]
-    if rest.startswith(SUITE):
-        return rest.removeprefix(SUITE)
-    metric = arm.arm.metric.partition("/")[2]
-    return rest if rest in (metric, *plan.study.columns) else None
-
-
-def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[Row]:
-    """Write the tables of a study into its directory; returns the results.
+def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[StudyTable]:
+    """Write the results of a study into its directory; returns its tables.
 
     Raises:
         ValueError: as :func:`results_of`, or if one of the files is a link.
@@ -112,11 +96,11 @@ def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> 
     write_rows(own_path(directory, RESULTS_FILE), results)
     if plan.study.tuning is not None:
         atomic_write(own_path(directory, TUNING_FILE), csv_bytes(tuning_rows(runs, directory)))
+    tables = study_tables(plan, runs, results)
     parts = [f"# {plan.study.title or directory.name}"]
-    for title, rows, which in study_tables(plan, runs, results):
-        parts.append(f"## {title}\n\n{markdown(rows, 1, f'{which} {NOTE}')}")
+    parts += [f"## {table.title}\n\n{markdown(table.rows, 1, f'{table.to_cite} {NOTE}')}" for table in tables]
     atomic_write(own_path(directory, TABLES_FILE), ("\n\n".join(parts)).encode())
-    return results
+    return tables
 
 
 def tuning_rows(runs: Sequence[ArmRuns], directory: Path) -> list[list[Any]]:
@@ -127,49 +111,57 @@ def tuning_rows(runs: Sequence[ArmRuns], directory: Path) -> list[list[Any]]:
     for arm in runs:
         for trial, (of_point, score) in enumerate(zip(arm.tuning, arm.scores, strict=True)):
             known = "" if score is None or np.isnan(score) else f"{score:.7g}"
-            for row in of_point:
-                settings = json.dumps(arm.arm.points[trial], sort_keys=True)
-                about = [*arm.arm.key, trial, settings, row.seed, _state(row, directory)]
+            settings = json.dumps(arm.arm.points[trial], sort_keys=True)
+            for run in of_point:
+                state = read_status(directory / run.directory).get("state", WAITING)
+                about = [*arm.arm.key, trial, settings, run.seed, state]
                 rows.append([*about, arm.arm.metric, known, int(trial == arm.chosen)])
     return rows
 
 
-def _state(row: ManifestRow, directory: Path) -> str:
-    return str(read_status(directory / row.directory).get("state", WAITING))
+class StudyTable(NamedTuple):
+    """The table of a task: a row per learner; and which of the study's numbers to cite."""
+
+    title: str
+    rows: Rows
+    to_cite: str
 
 
-def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row]) -> list[tuple[str, Rows, str]]:
-    """The tables of a study, one per task with its title and which numbers to cite: a row per learner, the best first.
+def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row]) -> list[StudyTable]:
+    """The tables of a study, one per task.
 
     Args:
         plan: of the study.
         runs: that are known by now.
         results: of these.
     """
-    found = []
+    tables = []
     for name, task in plan.study.tasks.items():
-        mine = [result for result in results if result.task == name]
+        arms = [arm for arm in runs if arm.arm.task == name]
+        of_task = [row for row in results if row.task == name and row.column]
         # The details of a scorer are in the tidy table alone.
-        shown = [result for result in mine if result.column and not (task.task and "/" in result.column)]
-        columns = list(dict.fromkeys((result.policy, result.column) for result in shown))
-        if not (arms := [arm for arm in runs if arm.arm.task == name]):
-            continue
-        rows = [["learner", "seeds", "CPU minutes", *(f"{column} ({policy})" for policy, column in columns), "chosen"]]
+        places = [(row.policy, row.column) for row in of_task if not (task.task and "/" in row.column)]
+        columns = list(dict.fromkeys(places))
+        header = ["learner", "seeds", "CPU minutes", *(f"{column} ({policy})" for policy, column in columns), "chosen"]
+        rows = [header]
         for arm in arms:
-            of_arm = [result for result in mine if result.learner == arm.arm.learner]
-            states = Counter({result.seed: result.state for result in of_arm}.values())
+            of_arm = [row for row in results if (row.task, row.learner) == arm.arm.key]
+            states = Counter({row.seed: row.state for row in of_arm}.values())
             others = ", ".join(f"{number} {state}" for state, number in sorted(states.items()) if state != FINISHED)
             seeds = f"{sum(states.values())}" + (f" ({others})" if others else "")
-            minutes = [
-                seconds / 60
-                for seconds in {result.seed: result.cpu_seconds for result in of_arm}.values()
-                if seconds is not None
-            ]
-            cells = [_text(score_of(of_arm, policy, column)) for policy, column in columns]
+            times = {row.seed: row.cpu_seconds for row in of_arm if row.cpu_seconds is not None}
+            minutes = f"{np.mean([*times.values()]) / 60:.1f}" if times else ""
             chosen = "" if arm.chosen is None else label(arm.arm.points[arm.chosen])
-            rows.append([arm.arm.label, seeds, f"{np.mean(minutes):.1f}" if minutes else "", *cells, chosen])
-        found.append((task.title or name, rows, _to_cite(task.task, arms)))
-    return found
+            rows.append([arm.arm.label, seeds, minutes, *(_score(of_arm, *column) for column in columns), chosen])
+        if arms:
+            tables.append(StudyTable(task.title or name, rows, _to_cite(task.task, arms)))
+    return tables
+
+
+def _score(rows: Sequence[Row], policy: str, column: str) -> str:
+    """The mean over seeds of a column of one policy; empty if no run has it."""
+    values = [row.value for row in rows if (row.policy, row.column) == (policy, column) and row.value is not None]
+    return mean(np.array(values)).text() if values else ""
 
 
 def _to_cite(task: str | None, arms: Sequence[ArmRuns]) -> str:
@@ -183,15 +175,3 @@ def _to_cite(task: str | None, arms: Sequence[ArmRuns]) -> str:
         f"split, as on the scoreboard. Other columns, and mo-deepdrive table, are of the {final}; intervals are over "
         "seeds alone, so that those of the two need not meet."
     )
-
-
-def score_of(results: Iterable[Row], policy: str, column: str) -> Estimate | None:
-    """The mean over seeds of a column of one policy; None if no run has it."""
-    values = [
-        each.value for each in results if (each.policy, each.column) == (policy, column) and each.value is not None
-    ]
-    return mean(np.array(values)) if values else None
-
-
-def _text(score: Estimate | None) -> str:
-    return "" if score is None else score.text()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from algorithms.reporting.wide_tables import print_rows
 from algorithms.runs.run_directory import is_run
 from algorithms.studies.plan import LEARNER, TASK, StudyPlan
-from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, study_tables, write_results
+from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, write_results
 from algorithms.studies.settings import ELSEWHERE, learners_in
 from algorithms.studies.sweep_manifest import is_sweep
 from algorithms.studies.sweep_runner import Backend, Runner
@@ -77,25 +77,19 @@ class StudyRunner(Runner):
         elif not is_sweep(self._directory):
             raise ValueError(f"there is no study in {str(self._directory)!r} yet; leave out --tables to train its runs")
         if self._backend.name != "manifest":
-            self._write_tables()
+            for table in write_results(self._plan, self.runs_of_arms(), self._directory):
+                print_rows(self._console, table.rows, table.title, 1)
+                self._console.print(table.to_cite, highlight=False)
+            self._console.print(NOTE, highlight=False)
+            self._say(f"written: {self._directory / RESULTS_FILE}, {self._directory / TABLES_FILE}")
         return code
 
     def runs_of_arms(self) -> list[ArmRuns]:
         """The runs of the arms that were selected, and of others that were begun before."""
-        runs = self._plan.runs(self.scores())
-        return [arm for arm in runs if arm.arm.key in self._plan.selected or self._begun(arm)]
+        return [arm for arm in self._plan.runs(self.scores()) if arm.arm.key in self._plan.selected or self._begun(arm)]
 
     def _begun(self, arm: ArmRuns) -> bool:
         return any(is_run(self._directory / row.directory) for row in arm.rows)
-
-    def _write_tables(self) -> None:
-        runs = self.runs_of_arms()
-        results = write_results(self._plan, runs, self._directory)
-        for title, rows, which in study_tables(self._plan, runs, results):
-            print_rows(self._console, rows, title, 1)
-            self._console.print(which, highlight=False)
-        self._console.print(NOTE, highlight=False)
-        self._say(f"written: {self._directory / RESULTS_FILE}, {self._directory / TABLES_FILE}")
 
 
 def _arm(row: ManifestRow) -> tuple[str, str]:

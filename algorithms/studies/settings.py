@@ -147,12 +147,9 @@ class Study(BackendSettings):
 
     def points(self, learner: Learner) -> list[dict[str, Any]]:
         """The settings that are tried for a learner: values of experiment keys; none if the study does not tune."""
-        if self.tuning is None:
-            return []
-        values = self.tuning.values if learner.tuning is None else learner.tuning
-        return (
-            [dict(zip(values, combination, strict=True)) for combination in product(*values.values())] if values else []
-        )
+        values = (self.tuning.values if learner.tuning is None else learner.tuning) if self.tuning else {}
+        combinations = product(*values.values()) if values else ()
+        return [dict(zip(values, combination, strict=True)) for combination in combinations]
 
 
 def load_study(path: str | Path) -> Study:
@@ -171,14 +168,17 @@ def load_study(path: str | Path) -> Study:
     if problems:
         raise ValueError(f"invalid study {name!r}: {'; '.join(problems)}")
 
-    def found(learners: dict[str, Learner]) -> dict[str, Learner]:
+    def beside(learners: dict[str, Learner]) -> dict[str, Learner]:
+        """The learners, whose configs may be beside the study's file."""
         return {
-            key: each.model_copy(update={"config": found_beside(each.config, path)}) if each.config else each
-            for key, each in learners.items()
+            key: learner.model_copy(update={"config": found_beside(learner.config, path)})
+            if learner.config
+            else learner
+            for key, learner in learners.items()
         }
 
-    tasks = {key: task.model_copy(update={"learners": found(task.learners)}) for key, task in study.tasks.items()}
-    return study.model_copy(update={"tasks": tasks, "learners": found(study.learners)})
+    tasks = {key: task.model_copy(update={"learners": beside(task.learners)}) for key, task in study.tasks.items()}
+    return study.model_copy(update={"tasks": tasks, "learners": beside(study.learners)})
 
 
 def learners_in(study: Study) -> Iterator[tuple[str, Learner]]:
@@ -190,57 +190,52 @@ def learners_in(study: Study) -> Iterator[tuple[str, Learner]]:
 
 def _keys_by_place(study: Study) -> dict[str, list[str]]:
     """The experiment keys in a study, by where they are in it."""
-    found = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
+    keys = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
     if study.tuning is not None:
-        found["tuning.values"] = tried_keys(study.tuning.values)
+        keys["tuning.values"] = tried_keys(study.tuning.values)
     for key, task in study.tasks.items():
-        found |= {f"tasks.{key}.overrides": keys_in(task.overrides), f"tasks.{key}.help": keys_in(task.help)}
+        keys |= {f"tasks.{key}.overrides": keys_in(task.overrides), f"tasks.{key}.help": keys_in(task.help)}
     for place, learner in learners_in(study):
-        found |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": tried_keys(learner.tuning or {})}
-    return found
+        keys |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": tried_keys(learner.tuning or {})}
+    return keys
 
 
 def problems_of(study: Study) -> list[str]:
     """What is invalid in a study by itself, one line each."""
-    found = []
+    problems = []
     tuning = [] if study.tuning is None else study.tuning.seeds
-    for where, seeds in {
-        "seeds": study.seeds,
-        "tuning.seeds": tuning,
-        **{f"tasks.{key}.seeds": task.seeds or [] for key, task in study.tasks.items()},
-    }.items():
+    counted = {"seeds": study.seeds, **{f"tasks.{key}.seeds": task.seeds or [] for key, task in study.tasks.items()}}
+    for where, seeds in {**counted, "tuning.seeds": tuning}.items():
         if len(set(seeds)) < len(seeds):
-            found.append(f"{where} = {seeds} has a duplicate seed")
-        if where != "tuning.seeds" and (both := set(seeds) & set(tuning)):
-            found.append(f"{where} has {min(both)}, a seed of the tuning; take others")
-    found += key_problems(_keys_by_place(study), ELSEWHERE)
+            problems.append(f"{where} = {seeds} has a duplicate seed")
+        if where in counted and (both := set(seeds) & set(tuning)):
+            problems.append(f"{where} has {min(both)}, a seed of the tuning; take others")
+    problems += key_problems(_keys_by_place(study), ELSEWHERE)
     for place, learner in learners_in(study):
         for name in ("tuning", "tuning_share") if study.tuning is None else ():
             if getattr(learner, name) is not None:
-                found.append(f"{place}.{name} has no effect in a study without tuning")
+                problems.append(f"{place}.{name} has no effect in a study without tuning")
     for key, task in study.tasks.items():
         if task.task is not None and task.environment is not None:
-            found.append(f"tasks.{key}.environment: the suite's task {task.task!r} has an environment of its own")
+            problems.append(f"tasks.{key}.environment: the suite's task {task.task!r} has an environment of its own")
+    tasks = study.tasks.values()
     for name, used in {
-        "metric": any(task.task is None and task.metric is None for task in study.tasks.values()),
-        "seeds": any(task.seeds is None for task in study.tasks.values()),
+        "metric": any(task.task is None and task.metric is None for task in tasks),
+        "seeds": any(task.seeds is None for task in tasks),
     }.items():
         if name in study.model_fields_set and getattr(study, name) is not None and not used:
-            found.append(f"{name} has no effect: every task has its own")
+            problems.append(f"{name} has no effect: every task has its own")
     if study.ray.asha is not None:
-        found.append("ray.asha would prune runs that count")
+        problems.append("ray.asha would prune runs that count")
     for name in study.tasks:
-        learners = study.learners_of(name)
-        if not learners:
-            found.append(f"task {name!r} has no learners")
-        runs = {key: len(study.points(learner)) * len(tuning) for key, learner in learners.items()}
-        if len(set(runs.values())) > 1:
+        runs = {key: len(study.points(learner)) * len(tuning) for key, learner in study.learners_of(name).items()}
+        if not runs:
+            problems.append(f"task {name!r} has no learners")
+        elif len(set(runs.values())) > 1:
             numbers = ", ".join(f"{key} {number}" for key, number in runs.items())
-            found.append(f"task {name!r}: every learner must have the same number of tuning runs, not {numbers}")
-        if study.tuning is not None and runs and 0 in runs.values():
-            found.append(f"task {name!r}: tuning without values; give tuning.values, or those of the learners")
-        if max(runs.values(), default=0) > MAX_TUNING_RUNS:
-            found.append(
-                f"task {name!r}: {max(runs.values())} tuning runs of a learner; at most {MAX_TUNING_RUNS} are allowed"
-            )
-    return found
+            problems.append(f"task {name!r}: every learner must have the same number of tuning runs, not {numbers}")
+        elif study.tuning is not None and 0 in runs.values():
+            problems.append(f"task {name!r}: tuning without values; give tuning.values, or those of the learners")
+        if (most := max(runs.values(), default=0)) > MAX_TUNING_RUNS:
+            problems.append(f"task {name!r}: {most} tuning runs of a learner; at most {MAX_TUNING_RUNS} are allowed")
+    return problems

@@ -48,22 +48,31 @@ class Scores:
     """The normalised scores of a learner on a task.
 
     Attributes:
-        values: (n,) of the runs that finished or failed.
+        by_seed: of the runs that finished or failed.
         failed: number of those that failed.
         unfinished: number of further runs that have no score yet.
     """
 
-    values: NDArray[np.float64]
+    by_seed: dict[int, float]
     failed: int
     unfinished: int
 
     @property
+    def values(self) -> NDArray[np.float64]:
+        """(n,) the scores."""
+        return np.array([*self.by_seed.values()], dtype=np.float64)
+
+    @property
+    def iqm(self) -> Estimate:
+        """The interquartile mean with its interval."""
+        return iqm(self.values)
+
+    @property
     def text(self) -> str:
         """The interquartile mean with its interval, and what is missing."""
-        notes = [
-            f"{number} {what}" for number, what in ((self.failed, FAILED), (self.unfinished, "unfinished")) if number
-        ]
-        value = iqm(self.values).text() if len(self.values) else ""
+        missing = ((self.failed, FAILED), (self.unfinished, "unfinished"))
+        notes = [f"{number} {state}" for number, state in missing if number]
+        value = self.iqm.text() if self.by_seed else ""
         return f"{value} ({', '.join(notes)})" if notes else value
 
 
@@ -71,31 +80,22 @@ class Scoreboard:
     """The scores of a table of results, normalised.
 
     Args:
-        results: of tasks of the suite.
+        results: of tasks of the suite, in its version.
         suite: with their floors and ceilings.
 
     Attributes:
         tasks: that have results, by id, in the order of the suite.
         learners: in the order of the results.
-
-    Raises:
-        ValueError: if a task is unknown, or a result is of another version.
     """
 
     def __init__(self, results: Sequence[Row], suite: Suite):
-        for result in results:
-            suite.task(result.task)
-            if result.version not in (suite.version, 0):
-                raise ValueError(
-                    f"the results of {result.learner} on {result.task} are of version {result.version} of the suite; "
-                    f"its version is {suite.version}, by which their runs must be scored again"
-                )
         self.suite = suite
-        self.tasks: dict[str, Task] = {
-            name: task for name, task in suite.tasks.items() if any(result.task == name for result in results)
-        }
+        self._rows: dict[tuple[str, str], list[Row]] = {}
+        for result in results:
+            self._rows.setdefault((result.task, result.learner), []).append(result)
+        scored = {task for task, _ in self._rows}
+        self.tasks: dict[str, Task] = {name: task for name, task in suite.tasks.items() if name in scored}
         self.learners = list(dict.fromkeys(result.learner for result in results))
-        self._results = results
 
     def scores(self, task: str, learner: str, policy: str | None = None) -> Scores | None:
         """The scores of a learner on a task; None if it was not trained on it.
@@ -105,21 +105,26 @@ class Scoreboard:
             learner: its name.
             policy: "greedy" or "stochastic"; None for the one that is ranked.
         """
-        mine = [result for result in self._results if (result.task, result.learner) == (task, learner)]
-        if not mine:
+        rows = self._rows.get((task, learner))
+        if rows is None:
             return None
-        policy = policy or self.tasks[task].policy
-        values = [
-            each.value for each in mine if (each.policy, each.column) == (policy, SCORE) and each.value is not None
-        ]
-        states = {each.seed: each.state for each in mine}
-        failed = sum(state == FAILED for state in states.values())
-        normalised = np.asarray(self.tasks[task].normalised(np.array(values, dtype=np.float64)))
-        return Scores(
-            np.append(normalised, np.full(failed, LOWEST)),
-            failed,
-            sum(state not in (FINISHED, FAILED) for state in states.values()),
-        )
+        place = (policy or self.tasks[task].policy, SCORE)
+        scored = [row for row in rows if (row.policy, row.column) == place and row.normalised is not None]
+        states = {row.seed: row.state for row in rows}
+        failed = [seed for seed, state in states.items() if state == FAILED]
+        unfinished = sum(state not in (FINISHED, FAILED) for state in states.values())
+        by_seed = {row.seed: row.normalised for row in scored if row.normalised is not None}
+        return Scores(by_seed | dict.fromkeys(failed, LOWEST), len(failed), unfinished)
+
+    def _reference(self, option: str, learner: str | None) -> str:
+        """The learner that others are compared with: the one that is named, or else :data:`BASELINE`, or the first.
+
+        Raises:
+            ValueError: if there are no results of it.
+        """
+        if learner is not None and learner not in self.learners:
+            raise ValueError(f"{option} {learner}: there are no results of it; {nearest(learner, self.learners)}")
+        return learner or (BASELINE if BASELINE in self.learners else self.learners[0])
 
     def task_table(self, *, ranked: bool = True) -> Rows:
         """Scores by task and learner; with ``ranked`` false, those of the policy that is not ranked.
@@ -129,12 +134,10 @@ class Scoreboard:
         rows = [["task", "track", "floor", "ceiling", "policy", *self.learners, "clearly best"]]
         for name, task in self.tasks.items():
             policy = task.policy if ranked else {GREEDY: STOCHASTIC, STOCHASTIC: GREEDY}[task.policy]
-            found = [self.scores(name, learner, policy) for learner in self.learners]
+            by_learner = {learner: self.scores(name, learner, policy) for learner in self.learners}
             bounds = [f"{task.floor.value:.4g}", f"{task.ceiling.value:.4g} ({task.ceiling.kind})"]
-            texts = ["" if each is None else each.text for each in found]
-            best = _clearly_best(
-                {key: each for key, each in zip(self.learners, found, strict=True) if each is not None}
-            )
+            texts = ["" if scores is None else scores.text for scores in by_learner.values()]
+            best = _clearly_best({learner: scores for learner, scores in by_learner.items() if scores is not None})
             rows.append([name, task.track if task.counted else "not counted", *bounds, policy, *texts, best])
         return rows
 
@@ -142,48 +145,46 @@ class Scoreboard:
         """A table per track with its name: a row per learner, the best first.
 
         Args:
-            against: the learner that others are compared with; None for :data:`BASELINE` if there is one, else the
-                first one.
+            against: the learner that others are compared with; None for :data:`BASELINE` if it has results on the
+                track, else the first one there.
 
         Raises:
             ValueError: if there is no such learner.
         """
-        if against is not None and against not in self.learners:
-            raise ValueError(f"--against {against}: there are no results of it; {nearest(against, self.learners)}")
+        if against is not None:
+            self._reference("--against", against)
         tables: list[tuple[str, Rows]] = []
-        for track in dict.fromkeys(task.track for task in self.tasks.values()):
-            by_learner = self.of_track(track)
-            if not by_learner:
-                continue
+        for track, by_learner in self.of_tracks().items():
             other = against or (BASELINE if BASELINE in by_learner else next(iter(by_learner)))
             total = sum(task.counted and task.track == track for task in self.suite.tasks.values())
             header = ["learner", "tasks", "runs", FAILED, "IQM over tasks", f"P(better than {other})", "worst task"]
             ranked: list[tuple[bool, float, list[str]]] = []
-            for learner, scores in by_learner.items():
-                together = iqm_over_tasks([each.values for each in scores.values()])
-                worst = min(scores, key=lambda task: iqm(scores[task].values).value)
+            for learner, by_task in by_learner.items():
+                together = iqm_over_tasks([scores.values for scores in by_task.values()])
+                worst = min(by_task, key=lambda task: by_task[task].iqm.value)
                 row = [
                     learner,
-                    f"{len(scores)} of {total}",
-                    str(sum(len(each.values) for each in scores.values())),
-                    str(sum(each.failed for each in scores.values())),
+                    f"{len(by_task)} of {total}",
+                    str(sum(len(scores.by_seed) for scores in by_task.values())),
+                    str(sum(scores.failed for scores in by_task.values())),
                     together.text(),
-                    _improvement(scores, by_learner.get(other, {})) if learner != other else "",
-                    f"{worst} {iqm(scores[worst].values).text()}",
+                    _improvement(by_task, by_learner.get(other, {})) if learner != other else "",
+                    f"{worst} {by_task[worst].iqm.text()}",
                 ]
-                ranked.append((len(scores) < total, -together.value, row))
+                ranked.append((len(by_task) < total, -together.value, row))
             tables.append((track, [header, *(row for *_, row in sorted(ranked))]))
         return tables
 
-    def of_track(self, track: str) -> dict[str, dict[str, Scores]]:
-        """The scores of a track's counted tasks, by learner and task; only those with a run that has ended."""
-        found: dict[str, dict[str, Scores]] = {}
-        for learner in self.learners:
-            for name, task in self.tasks.items():
-                scores = self.scores(name, learner) if task.counted and task.track == track else None
-                if scores is not None and len(scores.values):
-                    found.setdefault(learner, {})[name] = scores
-        return found
+    def of_tracks(self) -> dict[str, dict[str, dict[str, Scores]]]:
+        """The scores by track, learner and task, of the tasks that count and have a run that has ended."""
+        tracks: dict[str, dict[str, dict[str, Scores]]] = {}
+        for track in dict.fromkeys(task.track for task in self.tasks.values()):
+            for learner in self.learners:
+                for name, task in self.tasks.items():
+                    scores = self.scores(name, learner) if task.counted and task.track == track else None
+                    if scores is not None and scores.by_seed:
+                        tracks.setdefault(track, {}).setdefault(learner, {})[name] = scores
+        return tracks
 
     def comparison(self, baseline: str | None, own: Container[str] = ()) -> tuple[Rows, Rows]:
         """Scores of learners by tasks, and their differences from a baseline; the last row is the mean over tasks.
@@ -197,53 +198,29 @@ class Scoreboard:
         Raises:
             ValueError: if there are no results of the baseline, or no task has results of it and of all of ``own``.
         """
-        if baseline is not None and baseline not in self.learners:
-            raise ValueError(f"--baseline {baseline}: there are no results of it; {nearest(baseline, self.learners)}")
-        other = baseline or (BASELINE if BASELINE in self.learners else self.learners[0])
-        runs = {(task, learner): self.runs(task, learner) for task in self.tasks for learner in self.learners}
-        first = [other, *(each for each in self.learners if each in own and each != other)]
-        tasks = [task for task in self.tasks if all(runs[task, learner] for learner in first)]
+        other = self._reference("--baseline", baseline)
+        runs: dict[str, dict[str, dict[int, float]]] = {}  # by task, learner and seed
+        for task in self.tasks:
+            by_learner = {learner: self.scores(task, learner) for learner in self.learners}
+            runs[task] = {learner: scores.by_seed for learner, scores in by_learner.items() if scores is not None}
+        first = [other, *(learner for learner in self.learners if learner in own and learner != other)]
+        tasks = [task for task in runs if all(runs[task].get(learner) for learner in first)]
         if not tasks:
             raise ValueError(f"no task has results of all of {', '.join(first)}")
-        shown = [each for each in self.learners if each in first or all(runs[task, each] for task in tasks)]
-        scores: Rows = [["task", *shown]]
-        differences: Rows = [["task", *(f"{each} - {other}" for each in shown if each != other)]]
-        for task in tasks:
-            scores.append([task, *(mean(np.array([*runs[task, each].values()])).text() for each in shown)])
-            differences.append(
-                [task, *(_difference(runs[task, each], runs[task, other]).text() for each in shown if each != other)]
-            )
-
-        def over_tasks(learner: str) -> dict[int, float]:
-            """Of every seed with a run on all tasks, the mean of its scores."""
-            seeds = set.intersection(*({*runs[task, learner]} for task in tasks))
-            return {seed: float(np.mean([runs[task, learner][seed] for task in tasks])) for seed in sorted(seeds)}
-
-        means = {each: over_tasks(each) for each in shown}
-        scores.append(
-            ["mean", *(mean(np.array([*found.values()])).text() if found else "" for found in means.values())]
-        )
-        differences.append(
-            [
-                "mean",
-                *(
-                    _difference(means[each], means[other]).text() if means[each] and means[other] else ""
-                    for each in shown
-                    if each != other
-                ),
-            ]
-        )
+        shown = [each for each in self.learners if each in first or all(runs[task].get(each) for task in tasks)]
+        seeds = {learner: set.intersection(*({*runs[task][learner]} for task in tasks)) for learner in shown}
+        means = {
+            learner: {seed: float(np.mean([runs[task][learner][seed] for task in tasks])) for seed in sorted(common)}
+            for learner, common in seeds.items()
+        }
+        lines = [*((task, runs[task]) for task in tasks), ("mean", means)]
+        others = [learner for learner in shown if learner != other]
+        scores = [["task", *shown], *([name, *(_mean(line[learner]) for learner in shown)] for name, line in lines)]
+        differences = [
+            ["task", *(f"{learner} - {other}" for learner in others)],
+            *([name, *(_difference(line[learner], line[other]) for learner in others)] for name, line in lines),
+        ]
         return scores, differences
-
-    def runs(self, task: str, learner: str) -> dict[int, float]:
-        """The normalised score of every run of a learner on a task, by its seed; a failed run has the lowest."""
-        mine = [row for row in self._results if (row.task, row.learner) == (task, learner)]
-        found = {row.seed: LOWEST for row in mine if row.state == FAILED}
-        policy = self.tasks[task].policy
-        for row in mine:
-            if (row.policy, row.column) == (policy, SCORE) and row.normalised is not None:
-                found[row.seed] = row.normalised
-        return found
 
     def draw_profiles(self, path: Path, labels: Mapping[str, str]) -> None:
         """Draw the performance profiles: the share of runs that score at least so much, the mean over tasks.
@@ -260,11 +237,7 @@ class Scoreboard:
 
         from algorithms.reporting.style import algorithm_colours, figure_style, save_figure
 
-        tracks = {
-            track: found
-            for track in dict.fromkeys(task.track for task in self.tasks.values())
-            if (found := self.of_track(track))
-        }
+        tracks = self.of_tracks()
         if not tracks:
             raise ValueError("no run of a task that counts has ended yet")
         colours = algorithm_colours(self.learners)
@@ -274,30 +247,35 @@ class Scoreboard:
                 np.atleast_1d(figure.subplots(1, len(tracks), sharey=True)), tracks.items(), strict=True
             ):
                 for learner, scores in by_learner.items():
-                    shares = [(each.values[:, None] >= PROFILE).mean(axis=0) for each in scores.values()]
-                    axes.plot(
-                        PROFILE, np.mean(shares, axis=0), color=colours[learner], label=labels.get(learner, learner)
-                    )
+                    shares = np.mean([(its.values[:, None] >= PROFILE).mean(axis=0) for its in scores.values()], axis=0)
+                    axes.plot(PROFILE, shares, color=colours[learner], label=labels.get(learner, learner))
                 axes.set(title=track, xlabel="score (floor 0, ceiling 1)", ylim=(-0.02, 1.02))
                 axes.legend(frameon=False, fontsize=8)
             figure.axes[0].set_ylabel("share of runs that score at least this")
             save_figure(figure, path)
 
 
-def _difference(first: dict[int, float], second: dict[int, float]) -> Estimate:
+def _mean(runs: dict[int, float]) -> str:
+    """The mean of runs by their seeds; empty if there are none."""
+    return mean(np.array([*runs.values()])).text() if runs else ""
+
+
+def _difference(first: dict[int, float], second: dict[int, float]) -> str:
     """The mean difference of runs by their seeds: paired where the seeds are the same, else of independent samples."""
+    if not first or not second:
+        return ""
     if first.keys() == second.keys():
-        return mean(np.array([first[seed] - second[seed] for seed in first]))
-    return mean_difference(np.array([*first.values()]), np.array([*second.values()]))
+        return mean(np.array([first[seed] - second[seed] for seed in first])).text()
+    return mean_difference(np.array([*first.values()]), np.array([*second.values()])).text()
 
 
 def _clearly_best(scores: dict[str, Scores]) -> str:
     """The learner whose interval lies above those of all others; empty if there is none."""
-    found: dict[str, Estimate] = {name: iqm(each.values) for name, each in scores.items() if len(each.values)}
-    if len(found) < 2:
+    estimates = {learner: its.iqm for learner, its in scores.items() if its.by_seed}
+    if len(estimates) < 2:
         return ""
-    best = max(found, key=lambda name: found[name].value)
-    low, highs = found[best].low, [each.high for name, each in found.items() if name != best]
+    best = max(estimates, key=lambda learner: estimates[learner].value)
+    low, highs = estimates[best].low, [other.high for learner, other in estimates.items() if learner != best]
     clear = low is not None and all(high is not None and high < low for high in highs)
     return best if clear else ""
 

@@ -7,8 +7,9 @@ any resample of the rows, so that every number has a bootstrap interval over the
 from __future__ import annotations
 
 import inspect
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -24,7 +25,7 @@ from mo_deepdrive.support.importing import import_named
 from mo_deepdrive.utilities import RISK_AVERSE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
@@ -41,13 +42,6 @@ if TYPE_CHECKING:
 CHOICE_EPISODES = 50  # of the validation split, by which a policy of a front is chosen for a preference
 TAIL = 0.1  # share of the worst episodes in CVaR10
 SCORE, CVAR, WORST, CONTROLLABILITY = "score", "cvar10", "worst_partner", "controllability"
-
-
-class Conditioned(Protocol):
-    """One policy for every preference."""
-
-    def for_preference(self, weights: NDArray[np.float64]) -> Single:
-        """The policy under weights (d,), which sum to 1, of returns divided by the objectives' nominal scales."""
 
 
 @dataclass(frozen=True)
@@ -280,15 +274,11 @@ SCORERS: dict[str, Scorer] = {
 }
 
 
-def make_drives(task: Task, arguments: Mapping[str, Any], seed: int, episodes: int, *, greedy: bool) -> Drives:
-    """Where a policy is driven; the caller closes the environment.
-
-    Args:
-        task: the task.
-        arguments: of the environment, besides the task's own.
-        seed: of the first episode.
-        episodes: E.
-        greedy: as of :class:`Drives`.
-    """
-    env = make_env(task.environment.id, min(episodes, OUR_ENVS), {**task.environment.arguments, **arguments})
-    return Drives(task, env, seed, episodes, greedy)
+@contextmanager
+def open_drives(
+    task: Task, arguments: Mapping[str, Any], seed: int, episodes: int, *, greedy: bool
+) -> Iterator[Drives]:
+    """Where a policy is driven, in an environment with ``arguments`` besides the task's own; the rest as of Drives."""
+    merged = {**task.environment.arguments, **arguments}
+    with closing(make_env(task.environment.id, min(episodes, OUR_ENVS), merged)) as env:
+        yield Drives(task, env, seed, episodes, greedy)

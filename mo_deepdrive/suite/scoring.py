@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import as_policy
 from mo_deepdrive.evaluation.function_policy import FunctionPolicy
-from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
+from mo_deepdrive.evaluation.metrics import FRONT, GREEDY, POLICIES, STOCHASTIC
 from mo_deepdrive.evaluation.splits import SPLITS, first_seed
 from mo_deepdrive.evaluation.statistics import Estimate, resample
 from mo_deepdrive.suite.scorers import (
@@ -24,7 +25,7 @@ from mo_deepdrive.suite.scorers import (
     SCORERS,
     WORST,
     Scorer,
-    make_drives,
+    open_drives,
     policies_of,
     single,
 )
@@ -50,7 +51,7 @@ class Row:
         task: the id of the task.
         learner: what was trained.
         seed: by which it was trained.
-        policy: "greedy" or "stochastic".
+        policy: "greedy", "stochastic" or "front"; "" without a value.
         column: "score", a perturbation of the suite, or what a scorer gives beside the score; "" without a value.
         value: the number, not normalised; None where there is none.
         low, high: ends of its 95% bootstrap interval over the scenarios; None where it has none.
@@ -89,6 +90,9 @@ class Row:
         if self.value is None or (self.column != SCORE and self.column not in suite.perturbations):
             return None
         return float(suite.task(self.task).normalised(self.value))
+
+
+_ROW = TypeAdapter(Row)
 
 
 def score(
@@ -139,13 +143,10 @@ def score(
         if ranked and perturbed:
             settings |= {name: suite.perturbations[name] for name in task.columns}
         for name, arguments in settings.items():
-            drives = make_drives(task, arguments, start, episodes, greedy=kind == GREEDY)
-            try:
-                for column, found in _numbers(scorer, drives, policy, everything=name == SCORE and ranked):
-                    shown, numbers = name if column == SCORE else column, (found.value, found.low, found.high)
-                    rows.append(Row(task_id, learner, seed, kind, shown, *numbers, version=suite.version))
-            finally:
-                drives.env.close()
+            with open_drives(task, arguments, start, episodes, greedy=kind == GREEDY) as drives:
+                for column, number in _numbers(scorer, drives, policy, everything=name == SCORE and ranked):
+                    place = task_id, learner, seed, kind, name if column == SCORE else column
+                    rows.append(Row(*place, number.value, number.low, number.high, version=suite.version))
     return rows
 
 
@@ -189,26 +190,23 @@ def check_policy(policy: Any, task_id: str) -> None:
             wrong shape, type or range.
     """
     task = load().task(task_id)
-    drives = make_drives(task, {}, SPLITS["validation"].start, 2, greedy=True)
     try:
         members = _members(policy, task)
         if not members:
             raise ValueError("the front has no policy")
         if task.utility is not None:
             single(policy)
-        adapter = EnvAdapter(drives.env)
-        actors = [as_policy(member, adapter) for member in members]  # before anything is compiled
-        functions = [actor for actor in actors if isinstance(actor, FunctionPolicy)]
-        if not functions:
-            return
-        observations = adapter.reset([drives.seed, drives.seed + 1])
-        nothing = AccruedReward.begin(2, adapter.vehicles, len(adapter.objectives))
-        for actor in functions:
-            actor.act(observations, nothing, None)
+        with open_drives(task, {}, SPLITS["validation"].start, 2, greedy=True) as drives:
+            adapter = EnvAdapter(drives.env)
+            actors = [as_policy(member, adapter) for member in members]  # before anything is compiled
+            functions = [actor for actor in actors if isinstance(actor, FunctionPolicy)]
+            if functions:
+                observations = adapter.reset([drives.seed, drives.seed + 1])
+            nothing = AccruedReward.begin(2, adapter.vehicles, len(adapter.objectives))
+            for actor in functions:
+                actor.act(observations, nothing, None)
     except (TypeError, ValueError) as error:
         raise type(error)(f"task {task_id}: {error}") from None
-    finally:
-        drives.env.close()
 
 
 def write_rows(path: str | Path, rows: Sequence[Row]) -> None:
@@ -228,8 +226,8 @@ def check_row(row: Row) -> None:
     Raises:
         ValueError: naming the attribute, its value and what is allowed.
     """
-    if row.policy not in (GREEDY, STOCHASTIC) and (row.policy or row.value is not None):
-        raise ValueError(f"policy = {row.policy!r} must be {GREEDY!r} or {STOCHASTIC!r}")
+    if row.policy not in POLICIES and (row.policy or row.value is not None):
+        raise ValueError(f"policy = {row.policy!r} must be {GREEDY!r}, {STOCHASTIC!r} or {FRONT!r}")
     for name in ("value", "low", "high", "cpu_seconds"):
         number = getattr(row, name)
         if number is not None and not math.isfinite(number):
@@ -258,6 +256,8 @@ def check_of_suite(row: Row) -> None:
         raise ValueError(f"task = {row.task!r} is unknown; {nearest(row.task, list(suite.tasks))}")
     if row.steps is not None and row.steps > (limit := suite.task(row.task).steps):
         raise ValueError(f"steps = {row.steps:,}; task {row.task} allows {limit:,}")
+    if row.value is not None and row.policy not in (GREEDY, STOCHASTIC):
+        raise ValueError(f"policy = {row.policy!r} must be {GREEDY!r} or {STOCHASTIC!r}")
     known = [SCORE, CVAR, WORST, CONTROLLABILITY, *suite.perturbations]
     if row.value is not None and row.column.partition("/")[0] not in known:
         raise ValueError(f"column = {row.column!r} is unknown; {nearest(row.column, known)}")
@@ -269,42 +269,34 @@ def read_rows(path: str | Path) -> list[Row]:
     Raises:
         ValueError: if it is another file, or naming the line and what is wrong in it.
     """
-    numbers = {
-        "value": float,
-        "low": float,
-        "high": float,
-        "cpu_seconds": float,
-        "seed": int,
-        "version": int,
-        "steps": int,
-    }
-
-    def cell(name: str, text: str) -> Any:
-        return numbers.get(name, str)(text) if text or name not in numbers else None
-
-    known = [each.name for each in fields(Row)]
-    required = [each.name for each in fields(Row) if each.default is MISSING]
+    columns = {field.name: field.type == "str" for field in fields(Row)}  # by name, whether it is text
+    required = {field.name for field in fields(Row) if field.default is MISSING}
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:  # spreadsheets begin with a BOM
             reader = csv.DictReader(file)
-            columns = reader.fieldnames or ()
-            if not {*required} <= {*columns} <= {*known}:
-                raise ValueError(f"its columns must be {', '.join(known)}")
+            names = {*(reader.fieldnames or ())}
+            if not required <= names <= {*columns}:
+                raise ValueError(f"its columns must be {', '.join(columns)}")
             rows: dict[tuple[Any, ...], Row] = {}
-            for each in reader:
-                if None in each or None in each.values():
-                    raise ValueError(f"line {reader.line_num} must have {len(columns)} cells")
+            for line in reader:
+                if None in line or None in line.values():
+                    raise ValueError(f"line {reader.line_num} must have {len(names)} cells")
+                known = {name: text for name, text in line.items() if text or columns[name]}
                 try:
-                    row = Row(**{name: cell(name, text) for name, text in each.items()})
+                    row = _ROW.validate_python({"value": None, **known})
                     check_row(row)
                     if rows.setdefault(row.key, row) is not row:
                         raise ValueError(f"a second row of {', '.join(map(str, row.key))}")
-                except (TypeError, ValueError) as error:
+                except ValidationError as error:
+                    problem = error.errors(include_url=False)[0]
+                    where = f"line {reader.line_num}: {problem['loc'][0]} = {line[problem['loc'][0]]!r}"
+                    raise ValueError(f"{where}: {problem['msg']}") from None
+                except ValueError as error:
                     raise ValueError(f"line {reader.line_num}: {error}") from None
             return list(rows.values())
     except FileNotFoundError:
         raise ValueError(f"{str(path)!r} does not exist") from None
     except UnicodeDecodeError:
         raise ValueError(f"{str(path)!r} is not a table of scores: it is not a text file") from None
-    except (OSError, TypeError, ValueError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise ValueError(f"{str(path)!r} is not a table of scores: {error}") from None

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-import numpy as np
+from functools import cache
+from typing import Any
 
-from algorithms.studies.paper_claims import CLAIMS, Claim
-from algorithms.studies.paper_results import ReproductionResults
+import numpy as np
+import polars as pl
+
+from algorithms.studies.paper import load_paper
+from algorithms.studies.paper_results import PaperResults
+from algorithms.studies.settings import Study
+from mo_deepdrive.suite import Row
 from tests.helpers.paths import REPOSITORY
 
-PLAN = REPOSITORY / "configs" / "studies" / "paper.yaml"
 PUBLISHED = REPOSITORY / "docs" / "results"
 SEEDS = 5
 TINY = """
 metric: stochastic/utility_esr
+columns: [success, end/collision, return/distance, cardinality]
 seeds: [3, 4]
-overrides: {evaluation.final_episodes: 4, evaluation.episodes: 4, logging.save_figures: false, algorithm.hidden: [8],
-  training.num_envs: 4, algorithm.steps: 10, environment.arguments.time_limit: 2}
+overrides: {evaluation.final_episodes: 4, evaluation.episodes: 4, logging.save_figures: false,
+  training.num_envs: 4, environment.arguments.time_limit: 2}
+help: {algorithm.hidden: [8], algorithm.steps: 10, algorithm.warmup_episodes: 4, algorithm.gradient_steps: 2}
 tasks:
   one_waypoint_linear/best:
     title: "OneWaypoint, linear utility: best effort"
@@ -30,12 +37,18 @@ tasks:
     learners:
       all: {label: nothing changed, config: configs/one_waypoint/mo_a2c_linear.yaml}
       gamma: {label: no discount, config: configs/one_waypoint/mo_a2c_linear.yaml, overrides: {algorithm.gamma: 1.0}}
+  one_waypoint_front/best:
+    title: "OneWaypoint, unknown utility: best effort"
+    metric: front/hypervolume
+    steps: 400
+    learners: {pcn: {label: PCN, config: configs/one_waypoint/pcn.yaml}}
 """
 
 
-def get_claim(number: int) -> Claim:
-    """The claim with a number."""
-    return next(claim for claim in CLAIMS if claim.number == number)
+@cache
+def paper() -> Study:
+    """The shipped study of the paper."""
+    return load_paper("studies/paper")
 
 
 def make_results(
@@ -44,30 +57,30 @@ def make_results(
     protocol: str = "best",
     policy: str = "stochastic",
     risen: float = 0.5,
-    first_episode: int = 3_000_000,
-) -> ReproductionResults:
-    """Results with one score per variant, metric and seed.
+) -> PaperResults:
+    """Results with one score per learner, metric and seed.
 
     The learning curves rise linearly to the scores until ``risen``, a part of the training, and are flat from there on.
     """
-    rows, curves = [], []
-    for variant, metrics in scores.items():
+    rows: list[Row] = []
+    curves: list[dict[str, Any]] = []
+    key = f"{task}/{protocol}"
+    for learner, metrics in scores.items():
         for i in range(len(next(iter(metrics.values())))):
-            keys = {
-                "task": task,
-                "protocol": protocol,
-                "variant": variant,
-                "label": variant,
-                "seed": 20 + i,
-                "steps": 1000,
-            }
-            values = {name: float(each[i]) for name, each in metrics.items()}
-            measured = {"seconds": 2.5, "episodes": 1000, "first_episode": first_episode}
-            rows.append({**keys, **measured, "policy": policy, **values})
+            values = {name: float(values[i]) for name, values in metrics.items()}
+            about: dict[str, Any] = {"cpu_seconds": 2.5, "steps": 1000}
+            rows += [Row(key, learner, 20 + i, policy, name, value, **about) for name, value in values.items()]
             for step in range(0, 1001, 100):
                 part = min(1.0, step / (1000 * risen))
-                curves.append({**keys, "step": step, **{f"{policy}/{k}": v * part for k, v in values.items()}})
-    return ReproductionResults(rows, curves)
+                reached = {f"{policy}/{name}": value * part for name, value in values.items()}
+                curves.append({"task": key, "learner": learner, "seed": 20 + i, "step": step, **reached})
+    return PaperResults(paper(), rows, pl.DataFrame(curves, infer_schema_length=None))
+
+
+def together(*parts: PaperResults) -> PaperResults:
+    """The results of several tasks."""
+    rows = [row for part in parts for row in part.rows]
+    return PaperResults(paper(), rows, pl.concat([part.curves for part in parts], how="diagonal"))
 
 
 def evenly_spread(value: float, spread: float = 0.01, count: int = SEEDS) -> list[float]:

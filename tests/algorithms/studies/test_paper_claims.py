@@ -2,67 +2,84 @@
 
 from __future__ import annotations
 
-import re
+import dataclasses
+from typing import Any
 
+import polars as pl
 import pytest
 
-from algorithms.studies.paper_claims import Verdict, compare, is_settled
-from algorithms.studies.paper_results import ReproductionResults
-from tests.helpers.reproduction import SOLVED, evenly_spread, get_claim, make_results
+from algorithms.studies import CLAIM_NUMBERS, FIGURES
+from algorithms.studies.paper_claims import CLAIMS, Verdict, is_settled
+from algorithms.studies.paper_report import CURVE_FIGURES, FRONT_FIGURES
+from algorithms.studies.paper_results import PaperResults
+from tests.helpers.reproduction import SOLVED, evenly_spread, make_results, paper, together
+
+ONE, OTHER, OBSTACLE = "one_waypoint_linear", "one_waypoint_nonlinear", "static_obstacle_nonlinear"
+# Arrival and progress of learners on StaticObstacle.
+GOOD = {**SOLVED, "success": evenly_spread(0.9), "return/distance": evenly_spread(18.0)}
+BAD = {**SOLVED, "success": evenly_spread(0.0, 0.0), "return/distance": evenly_spread(-30.0, 1.0)}
+STANDING_STILL = {**BAD, "return/distance": evenly_spread(1.0)}
+ONE_SEED = {"utility_esr": [10.0], "success": [0.99]}
+FRONT = {
+    "hypervolume": evenly_spread(25_000.0),
+    "cardinality": evenly_spread(80.0, 5.0),
+    "lowest_distance": evenly_spread(0.0),
+    "highest_distance": evenly_spread(14.5),
+}
 
 
-def judge(number: int, results: ReproductionResults, protocol: str = "best") -> Verdict:
+def judge(number: int, results: PaperResults, protocol: str = "best") -> Verdict:
     """The verdict of a claim."""
-    verdict = get_claim(number).judge(results, protocol)
+    verdict = CLAIMS[number - 1].judge(results, protocol)
     assert verdict is not None
     return verdict
 
 
+def solved(
+    utility: float, spread: float = 0.01, arrivals: tuple[float, float] = (0.99, 0.001)
+) -> dict[str, list[float]]:
+    return {"utility_esr": evenly_spread(utility, spread), "success": evenly_spread(*arrivals)}
+
+
+def both(mo_a2c: dict[str, Any], a2c: dict[str, Any] = SOLVED) -> dict[str, dict[str, Any]]:
+    return {"a2c": a2c, "mo_a2c": mo_a2c}
+
+
+def test_every_claim_and_figure_has_its_tasks_in_the_study() -> None:
+    assert [claim.number for claim in CLAIMS] == list(CLAIM_NUMBERS) == [1, 2, 3, 4, 5, 6]
+    assert {figure for claim in CLAIMS for figure in claim.figures} == {*CURVE_FIGURES, *FRONT_FIGURES} == set(FIGURES)
+    tasks = {task for claim in CLAIMS for task in claim.tasks} | {
+        name for _, names, _ in CURVE_FIGURES.values() for name in names
+    }
+    assert {f"{task}/{protocol}" for task in tasks for protocol in ("printed", "best")} <= set(paper().tasks)
+
+
 @pytest.mark.parametrize(
-    ("utility", "arrivals", "conclusion"),
+    ("number", "task", "scores", "conclusion"),
     [
-        (evenly_spread(10.1), evenly_spread(0.99, 0.001), "reproduced"),
-        (evenly_spread(9.0), evenly_spread(0.99, 0.001), "not reproduced"),  # they differ by a tenth
-        (evenly_spread(10.5, 2.0), evenly_spread(0.99, 0.001), "inconclusive"),
-        (evenly_spread(10.1), evenly_spread(0.5, 0.001), "not reproduced"),  # similar, but not solved
-        (evenly_spread(10.1), evenly_spread(0.95, 0.04), "inconclusive"),
+        (1, ONE, both(solved(10.1)), "reproduced"),
+        (1, ONE, both(solved(9.0)), "not reproduced"),  # they differ by a tenth
+        (1, ONE, both(solved(10.5, 2.0)), "inconclusive"),
+        (1, ONE, both(solved(10.1, arrivals=(0.5, 0.001))), "not reproduced"),  # similar, but not solved
+        (1, ONE, both(solved(10.1, arrivals=(0.95, 0.04))), "inconclusive"),
+        (1, ONE, both(ONE_SEED, ONE_SEED), "inconclusive"),
+        (2, OTHER, both(solved(23.0), solved(22.0, 0.1)), "reproduced"),
+        (2, OTHER, both(solved(23.0, 0.5), solved(22.0, 0.1)), "not reproduced"),  # higher, but less consistent
+        (2, OTHER, both(solved(19.0), solved(22.0, 0.1)), "not reproduced"),  # more consistent, but lower
+        (2, OTHER, both(solved(22.0, 0.1), solved(22.0, 0.1)), "inconclusive"),
+        (4, OBSTACLE, both(GOOD, BAD), "reproduced"),
+        (4, OBSTACLE, both(GOOD, STANDING_STILL), "not reproduced"),
+        (4, OBSTACLE, both(GOOD, GOOD), "not reproduced"),
+        (4, OBSTACLE, both(BAD, BAD), "not reproduced"),
+        (6, "one_waypoint_front", {"pcn": FRONT}, "reproduced"),
+        (6, "one_waypoint_front", {"pcn": {**FRONT, "lowest_distance": evenly_spread(12.0)}}, "not reproduced"),
     ],
 )
-def test_claim_1_requires_that_both_solve_it_with_similar_utility(
-    utility: list[float], arrivals: list[float], conclusion: str
+def test_a_claim_is_judged_by_its_criteria(
+    number: int, task: str, scores: dict[str, dict[str, list[float]]], conclusion: str
 ) -> None:
-    scores = {"a2c": SOLVED, "mo_a2c": {"utility_esr": utility, "success": arrivals}}
-    verdict = judge(1, make_results("one_waypoint_linear", scores))
-    assert verdict.conclusion == conclusion
-
-
-@pytest.mark.parametrize(
-    ("utility", "conclusion"),
-    [
-        (evenly_spread(23.0, 0.01), "reproduced"),
-        (evenly_spread(23.0, 0.5), "not reproduced"),  # higher, but less consistent
-        (evenly_spread(19.0, 0.01), "not reproduced"),  # more consistent, but lower
-        (evenly_spread(22.0, 0.1), "inconclusive"),
-    ],
-)
-def test_claim_2_requires_that_mo_a2c_is_higher_and_more_consistent(utility: list[float], conclusion: str) -> None:
-    scores = {"a2c": {"utility_esr": evenly_spread(22.0, 0.1)}, "mo_a2c": {"utility_esr": utility}}
-    verdict = judge(2, make_results("one_waypoint_nonlinear", scores))
-    assert verdict.conclusion == conclusion
-
-
-def test_claim_4_requires_that_a2c_does_not_learn_and_moves_away() -> None:
-    good = {**SOLVED, "success": evenly_spread(0.9), "return/distance": evenly_spread(18.0)}
-    bad = {**SOLVED, "success": evenly_spread(0.0, 0.0), "return/distance": evenly_spread(-30.0, 1.0)}
-    standing_still = {**bad, "return/distance": evenly_spread(1.0)}
-    for a2c, mo_a2c, passed in (
-        (bad, good, [True, True, True]),
-        (good, good, [True, False, False]),
-        (bad, bad, [False, True, True]),
-        (standing_still, good, [True, True, False]),
-    ):
-        verdict = judge(4, make_results("static_obstacle_nonlinear", {"a2c": a2c, "mo_a2c": mo_a2c}))
-        assert [check.passed for check in verdict.checks] == passed
+    policy = "front" if number == 6 else "stochastic"
+    assert judge(number, make_results(task, scores, policy=policy)).conclusion == conclusion
 
 
 @pytest.mark.parametrize(
@@ -73,86 +90,38 @@ def test_claim_5_requires_that_both_fail_and_mo_a2c_less_badly(arrivals: float, 
     failing = {"success": evenly_spread(0.0, 0.001, 4), "total_utility_esr": evenly_spread(-5.0, 0.1, 4)}
     other = {"success": evenly_spread(arrivals, 0.001, 4), "total_utility_esr": evenly_spread(total, 0.1, 4)}
     parts = [
-        make_results(task, {"a2c": failing, "mo_a2c": other}, protocol="printed")
+        make_results(task, both(other, failing), protocol="printed")
         for task in ("intersection_linear", "intersection_nonlinear")
     ]
-    results = ReproductionResults(
-        [row for part in parts for row in part.scores], [row for part in parts for row in part.curves]
-    )
-    verdict = judge(5, results, "printed")
-    assert verdict.conclusion == conclusion
-    assert get_claim(5).judge(parts[0], "printed") is None  # the other task has no results
-
-
-def test_claim_6_requires_many_policies_from_standing_still_to_arriving() -> None:
-    broad = {
-        "hypervolume": evenly_spread(25_000.0),
-        "cardinality": evenly_spread(80.0, 5.0),
-        "lowest_distance": evenly_spread(0.0),
-        "highest_distance": evenly_spread(14.5),
-    }
-    narrow = {**broad, "lowest_distance": evenly_spread(12.0)}
-    for scores, conclusion in ((broad, "reproduced"), (narrow, "not reproduced")):
-        verdict = judge(6, make_results("one_waypoint_front", {"pcn": scores}, policy="front"))
-        assert verdict.conclusion == conclusion
+    assert judge(5, together(*parts), "printed").conclusion == conclusion
+    assert CLAIMS[4].judge(parts[0], "printed") is None  # the other task has no results
 
 
 @pytest.mark.parametrize(
-    ("arrivals", "risen", "conclusion", "text"),
+    ("arrivals", "risen", "text"),
     [
-        (0.5, 0.5, "not reproduced", "not reproduced"),
-        (0.5, 1.0, "inconclusive", "inconclusive: stopped at 1,000 steps"),
-        (0.99, 1.0, "inconclusive", "inconclusive: stopped at 1,000 steps"),  # the utilities may still move apart
-        (0.99, 0.5, "reproduced", "reproduced"),
+        (0.5, 0.5, "not reproduced"),
+        (0.5, 1.0, "inconclusive: stopped at 1,000 steps"),
+        (0.99, 1.0, "inconclusive: stopped at 1,000 steps"),  # the utilities may still move apart
+        (0.99, 0.5, "reproduced"),
     ],
 )
-def test_a_run_that_was_still_improving_decides_nothing(
-    arrivals: float, risen: float, conclusion: str, text: str
-) -> None:
-    other = {**SOLVED, "success": evenly_spread(arrivals, 0.001)}
-    results = make_results("one_waypoint_linear", {"a2c": SOLVED, "mo_a2c": other}, risen=risen)
-    assert is_settled(results, "one_waypoint_linear", "best") is (risen < 1.0)
-    verdict = judge(1, results)
-    assert (verdict.conclusion, verdict.text) == (conclusion, text)
+def test_a_run_that_was_still_improving_decides_nothing(arrivals: float, risen: float, text: str) -> None:
+    results = make_results(ONE, both(solved(10.0, arrivals=(arrivals, 0.001))), risen=risen)
+    assert is_settled(results, ONE, "best") is (risen < 1.0)
+    assert judge(1, results).text == text
 
 
 def test_an_answer_that_longer_training_could_only_confirm_stands() -> None:
-    arriving = {**SOLVED, "success": evenly_spread(0.9), "return/distance": evenly_spread(18.0)}
-    failing = {**arriving, "success": evenly_spread(0.1)}
-    scores = {"a2c": arriving, "mo_a2c": arriving}
-    verdict = judge(4, make_results("static_obstacle_nonlinear", scores, risen=1.0))
-    assert [check.passed for check in verdict.checks] == [True, False, None]  # both learn: A2C will not unlearn it
-    assert verdict.text == "not reproduced"
-    scores = {"a2c": failing, "mo_a2c": failing}
-    verdict = judge(4, make_results("static_obstacle_nonlinear", scores, risen=1.0))
-    assert [check.passed for check in verdict.checks] == [None, None, None]
+    failing = {**GOOD, "success": evenly_spread(0.1)}
+    for scores, passed in ((GOOD, [True, False, None]), (failing, [None, None, None])):
+        verdict = judge(4, make_results(OBSTACLE, both(scores, scores), risen=1.0))
+        assert [check.passed for check in verdict.checks] == passed  # who has learnt to arrive will not unlearn it
 
 
 def test_results_without_learning_curves_are_not_settled() -> None:
-    scores = {"a2c": SOLVED, "mo_a2c": SOLVED}
-    whole = make_results("one_waypoint_linear", scores)
-    assert is_settled(whole, "one_waypoint_linear", "best")
-    assert not is_settled(ReproductionResults(whole.scores, []), "one_waypoint_linear", "best")
-    short = [row for row in whole.curves if row["step"] < 400]
-    assert not is_settled(ReproductionResults(whole.scores, short), "one_waypoint_linear", "best")
-
-
-def test_the_check_of_consistency_states_its_power() -> None:
-    scores = {each: {"utility_esr": evenly_spread(22.0, 0.1)} for each in ("a2c", "mo_a2c")}
-    verdict = judge(2, make_results("one_waypoint_nonlinear", scores))
-    found = re.search(r"power of the test: (\d+)% for a true ratio of 0.5, (\d+)% for", verdict.checks[1].measured)
-    assert found is not None
-    half, quarter = map(int, found.groups())
-    assert 5 < half < 30 < quarter < 70
-
-
-def test_one_seed_is_inconclusive() -> None:
-    scores = {"a2c": {"utility_esr": [10.0], "success": [0.99]}, "mo_a2c": {"utility_esr": [10.0], "success": [0.99]}}
-    verdict = judge(1, make_results("one_waypoint_linear", scores))
-    assert verdict.conclusion == "inconclusive"
-
-
-def test_a_claim_without_results_has_no_verdict() -> None:
-    assert get_claim(1).judge(ReproductionResults([], []), "best") is None
-    with pytest.raises(KeyError, match="one_waypoint_linear/best/a2c"):
-        compare(ReproductionResults([], []), "one_waypoint_linear", "best", "utility_esr")
+    whole = make_results(ONE, both(SOLVED))
+    assert is_settled(whole, ONE, "best")
+    for steps in (0, 400):
+        short = dataclasses.replace(whole, curves=whole.curves.filter(pl.col("step") < steps))
+        assert not is_settled(short, ONE, "best")

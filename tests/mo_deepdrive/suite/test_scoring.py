@@ -138,7 +138,10 @@ def test_rows_are_written_and_read_again(tmp_path: Path) -> None:
     [
         (b"a,b\n1,2\n", "its columns must be task, learner, seed"),
         (b"task,learner,seed,policy,column,value\nK1,mine\n", "line 2 must have 6 cells"),
-        (b"task,learner,seed,policy,column,value\nK1,mine,first,,,\n", "line 2: invalid literal for int"),
+        (
+            b"task,learner,seed,policy,column,value\nK1,mine,first,,,\n",
+            "line 2: seed = 'first': Input should be a valid integer",
+        ),
         (b"\xff\xfe\x00", "it is not a text file"),
     ],
 )
