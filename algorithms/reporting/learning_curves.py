@@ -15,8 +15,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 
-from algorithms.reporting.run_records import LEFT_OUT, read_runs
-from algorithms.reporting.seed_groups import distinct_labels, group_by_experiment, identifying_settings
+from algorithms.reporting.run_records import (
+    LEFT_OUT,
+    distinct_labels,
+    group_by_experiment,
+    identifying_settings,
+    read_runs,
+)
 from algorithms.reporting.style import (
     DIM,
     MAX_POINTS,
@@ -102,7 +107,7 @@ class CurveGroup:
 
 
 def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] | None = None) -> list[CurveGroup]:
-    """Read runs and group those that differ in their seed alone (:mod:`algorithms.reporting.seed_groups`).
+    """Read runs and group those that differ in their seed alone (:mod:`algorithms.reporting.run_records`).
 
     Groups are in the order of their algorithms, those of one algorithm in the order given.
 

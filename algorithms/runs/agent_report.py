@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.reporting.front_report import FILMED_POLICIES, MAX_FRAMES, caption, covering_policies, front_table
+from algorithms.reporting.fronts import FILMED_POLICIES, MAX_FRAMES, caption, covering_policies, front_table
 from algorithms.reporting.run_records import final_metrics
 from algorithms.reporting.tables import evaluation_table
 from algorithms.reporting.training_log import rows_until

@@ -12,8 +12,8 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.reporting.seed_groups import flatten
-from algorithms.reporting.seed_tables import TABLE_METRICS
+from algorithms.reporting.run_records import flatten
+from algorithms.reporting.tables import TABLE_METRICS
 from algorithms.reporting.training_log import MetricsFile
 from algorithms.runs.accessories import Accessory
 from mo_deepdrive.evaluation.metrics import split_name

@@ -161,7 +161,7 @@ class _Record:
         """Write a front."""
         self.run.check_place()
         assert self.fronts is not None
-        self.fronts.write(step, front)
+        self.fronts.write_front(step, front)
 
     def save(self, step: int, write: Callable[[Path], None], state: Any) -> None:
         """Have a checkpoint written, and note the state."""

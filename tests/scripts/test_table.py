@@ -11,7 +11,7 @@ from types import ModuleType
 
 import pytest
 
-from algorithms.reporting.seed_tables import TABLE_METRICS
+from algorithms.reporting.tables import TABLE_METRICS
 from algorithms.runs.config import load_experiment
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.support.yaml import dump, read_mapping

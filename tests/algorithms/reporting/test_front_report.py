@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from algorithms.reporting.front_report import front_table
+from algorithms.reporting.fronts import front_table
 from mo_deepdrive.evaluation.statistics import Estimate
 from tests.helpers.fronts import front_of
 

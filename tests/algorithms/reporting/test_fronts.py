@@ -34,7 +34,7 @@ def test_every_front_is_stored_to_the_last_bit_with_a_row_per_policy(tmp_path: P
     path = tmp_path / "fronts.csv"
     file = FrontsFile(path)
     for number, (step, front) in enumerate(FRONTS):
-        file.write(step, front)
+        file.write_front(step, front)
         assert rows_of(path) == expected_rows(*FRONTS[: number + 1])
 
 
@@ -42,11 +42,11 @@ def test_a_resumed_run_writes_fronts_after_the_checkpoint_again(tmp_path: Path) 
     path = tmp_path / "fronts.csv"
     file = FrontsFile(path)
     for step, front in FRONTS:
-        file.write(step, front)
+        file.write_front(step, front)
     again = FrontsFile(path, after=10)
     assert rows_of(path) == expected_rows(*FRONTS[:2])
     other = make_front(2, 9)
-    again.write(20, other)
+    again.write_front(20, other)
     assert rows_of(path) == expected_rows(*FRONTS[:2], (20, other))
 
 
@@ -55,10 +55,10 @@ def test_a_torn_row_of_a_front_is_dropped(tmp_path: Path, torn: str) -> None:
     path = tmp_path / "fronts.csv"
     file = FrontsFile(path)
     for step, front in FRONTS[:3]:
-        file.write(step, front)
+        file.write_front(step, front)
     with path.open("a") as rest:
         rest.write(torn)
-    FrontsFile(path, after=30).write(*FRONTS[3])
+    FrontsFile(path, after=30).write_front(*FRONTS[3])
     assert rows_of(path) == expected_rows(*FRONTS)
 
 
@@ -69,15 +69,15 @@ def test_a_run_resumes_where_no_front_was_written_yet(tmp_path: Path, content: s
         path.write_text(content)
     file = FrontsFile(path, after=10)
     for step, front in FRONTS[1:]:
-        file.write(step, front)
+        file.write_front(step, front)
     assert rows_of(path) == expected_rows(*FRONTS[1:])
 
 
 @pytest.mark.parametrize("after", [None, -1])
 def test_a_run_without_checkpoint_starts_its_fronts_again(tmp_path: Path, after: int | None) -> None:
     path = tmp_path / "fronts.csv"
-    FrontsFile(path).write(*FRONTS[0])
-    FrontsFile(path, after=after).write(*FRONTS[3])
+    FrontsFile(path).write_front(*FRONTS[0])
+    FrontsFile(path, after=after).write_front(*FRONTS[3])
     assert rows_of(path) == expected_rows(FRONTS[3])
 
 
@@ -87,10 +87,10 @@ def test_missing_rows_of_fronts_are_noticed(tmp_path: Path) -> None:
     nothing = file.sync()
     assert FrontsFile(path, after=0, noted=nothing).gap is None
     for step, front in FRONTS[:3]:
-        file.write(step, front)
+        file.write_front(step, front)
     noted = file.sync()
     whole = path.read_text().splitlines(keepends=True)
-    file.write(*FRONTS[3])
+    file.write_front(*FRONTS[3])
     assert FrontsFile(path, after=20, noted=noted).gap is None
     path.write_text("".join(whole[:3]))
     gap = "fronts.csv lacks 4 of 6 rows up to step 20 (it has rows of steps 0 to 10)"
@@ -98,5 +98,5 @@ def test_missing_rows_of_fronts_are_noticed(tmp_path: Path) -> None:
     path.unlink()
     again = FrontsFile(path, after=20, noted=noted)
     assert again.gap == "fronts.csv lacks 6 of 6 rows up to step 20 (it has none)"
-    again.write(*FRONTS[3])
+    again.write_front(*FRONTS[3])
     assert rows_of(path) == expected_rows(FRONTS[3])

@@ -8,8 +8,13 @@ from typing import Any
 
 import pytest
 
-from algorithms.reporting.run_records import RunRecord, experiment_record
-from algorithms.reporting.seed_groups import distinct_labels, group_by_experiment, identifying_settings
+from algorithms.reporting.run_records import (
+    RunRecord,
+    distinct_labels,
+    experiment_record,
+    group_by_experiment,
+    identifying_settings,
+)
 
 CONFIG: dict[str, Any] = {
     "environment": {"id": "a-v0", "arguments": {"time_limit": 60.0}},

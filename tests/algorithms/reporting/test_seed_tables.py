@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from algorithms.reporting.run_records import EnvironmentRecord, UtilityRecord, label_of
-from algorithms.reporting.seed_tables import (
+from algorithms.reporting.tables import (
     TABLE_METRICS,
     comparison_table,
     find_runs,

@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from algorithms.reporting.wide_tables import print_rows, split_columns
+from algorithms.reporting.tables import print_rows, split_columns
 
 LABELS = ("algorithm", "policy", "vehicle", "seeds")
 METRICS = tuple(f"return/objective_{i}" for i in range(9))
