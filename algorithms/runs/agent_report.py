@@ -179,8 +179,7 @@ def film_policies_of_front(
     what = f"{'policy' if len(chosen) == 1 else 'policies'} {', '.join(map(str, chosen))} of the front, seed {seed}"
 
     with _filming(path, what, console) as filming:
-        from algorithms.reporting.video_grid import write_video_grid
-        from algorithms.reporting.videos import DEFAULT_FPS, cut_off, episode_frames, make_render_env
+        from algorithms.reporting.videos import DEFAULT_FPS, cut_off, episode_frames, make_render_env, write_video_grid
 
         settings = experiment.environment
         with ExitStack() as stack:
@@ -213,7 +212,7 @@ def draw_figures_of_front(front: Front, experiment: Experiment, directory: Path,
     """Draw the figures of a front into a directory; whether they could be drawn, otherwise the reason is printed."""
     with _beside(console, "the front could not be drawn") as accessory:
         if len(front.objectives) > 1:  # there are no figures of a single objective
-            from algorithms.reporting.front_plots import draw_front
+            from algorithms.reporting.explorer.plots import draw_front
 
             with closing(make_environment(experiment.environment, 1)) as env:
                 best_known = best_known_front(env, front.gamma)
@@ -232,7 +231,7 @@ def show_results(run: Run, step: int, console: Console) -> None:
     with _beside(console, "the curves could not be drawn"):
         # No rows are left if metrics.csv was deleted.
         if run.experiment.logging.save_figures and rows_until(run.path / METRICS_FILE, step)[1]:
-            from algorithms.reporting.learning_curves import load_groups, plot
+            from algorithms.reporting.curves import load_groups, plot
 
             plot(load_groups([run.path]), run.path / "curves.png")
     with _beside(console, "TensorBoard has no results"):

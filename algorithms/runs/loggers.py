@@ -292,7 +292,7 @@ def log_results(
         for summary in hparams({key: plain[key] for key in plain if flat[key] is not None}, scores):
             events.add(summary=summary)
         if video is not None and video.is_file():
-            from algorithms.reporting.animated_gif import video_as_gif
+            from algorithms.reporting.videos import video_as_gif
 
             gif, height, width = video_as_gif(video)
             image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)

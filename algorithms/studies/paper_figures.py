@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
-from algorithms.reporting.learning_curves import curve
+from algorithms.reporting.curves import curve
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
 from algorithms.studies.paper_claims import LABELS, utility_kind
 from mo_deepdrive.evaluation.metrics import STEP, STOCHASTIC, TOTAL_UTILITY_ESR, UTILITY_ESR, title_of, vehicle_prefix
@@ -55,7 +55,7 @@ CURVE_FIGURES = {
         "Intersection, the vehicle that goes straight (vehicle 1)", vehicle_prefix(1, 2) + UTILITY_ESR, _INTERSECTION
     ),
 }
-# Drawn from a front by algorithms.reporting.front_plots, as the figure with this name.
+# Drawn from a front by algorithms.reporting.explorer.plots, as the figure with this name.
 FRONT_FIGURES = {7: "importance", 10: "reduction"}
 
 

@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 from rich.text import Text
 
-from algorithms.reporting.front_plots import draw_front
+from algorithms.reporting.explorer.plots import draw_front
 from algorithms.studies.paper_claims import (
     BASELINE,
     CLAIMS,

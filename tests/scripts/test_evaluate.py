@@ -90,7 +90,7 @@ def test_evaluate_shows_a_front_on_other_episodes_and_films_it(
 def test_runs_on_other_environments_are_evaluated(
     tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, algorithm: str
 ) -> None:
-    monkeypatch.setattr("algorithms.reporting.video_grid.write_video_grid", lambda *arguments, **options: None)
+    monkeypatch.setattr("algorithms.reporting.videos.write_video_grid", lambda *arguments, **options: None)
     monkeypatch.setattr("algorithms.reporting.videos.record", lambda *arguments, **options: None)
     (tmp_path / "other.yaml").write_text(SEA_FRONT if algorithm == "pcn" else TREASURE)
     run = tmp_path / "run"

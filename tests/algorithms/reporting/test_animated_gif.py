@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from algorithms.reporting.animated_gif import write_gif
-from algorithms.reporting.video_grid import GAP
-from algorithms.reporting.videos import CAPTION_PIXELS, Frame
+from algorithms.reporting.videos import CAPTION_PIXELS, GAP, Frame, write_gif
 
 RED, BLUE = (220, 20, 30), (30, 40, 200)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from algorithms.reporting import front_report, videos
+from algorithms.reporting import fronts, videos
 from algorithms.reporting.videos import CAPTION_PIXELS, Frame, caption_strip, cut_off
 
 
@@ -34,5 +34,5 @@ def test_whole_episodes_of_our_environments_fit_into_a_video() -> None:
         frames_of_episode = env.unwrapped.config.max_decisions + 1
     finally:
         env.close()
-    assert frames_of_episode <= front_report.MAX_FRAMES
+    assert frames_of_episode <= fronts.MAX_FRAMES
     assert 3 * (frames_of_episode + videos.HOLD * 10) <= videos.MAX_FRAMES

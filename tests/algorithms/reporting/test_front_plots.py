@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from algorithms.reporting import front_plots
-from algorithms.reporting.front_plots import BARS, draw_front
-from algorithms.reporting.front_view import FrontView
+from algorithms.reporting.explorer import plots
+from algorithms.reporting.explorer.plots import BARS, FrontView, draw_front
 from algorithms.reporting.style import DPI
 from mo_deepdrive.evaluation.metrics import joint_objectives
 from tests.helpers.fronts import driving, front_of
@@ -80,7 +79,7 @@ def test_pairs_of_many_objectives_are_not_drawn(tmp_path: Path) -> None:
     names = joint_objectives(("distance", "g_force", "jerk", "collision", "lane_violation"), 2)
     front = front_of(np.random.default_rng(0).normal(size=(3, 10)), names)
     assert [path.stem for path in draw_front(front, tmp_path)] == [name for name in FIGURES if name != "scatter"]
-    assert "vehicle 1: g-force (discounted, g)" in texts(front_plots._importance(FrontView(front)))
+    assert "vehicle 1: g-force (discounted, g)" in texts(plots._importance(FrontView(front)))
     many = joint_objectives(("distance", "jerk", "time"), 8)
     front = front_of(np.random.default_rng(0).normal(size=(3, 24)), many)
     assert [path.stem for path in draw_front(front, tmp_path)] == ["importance"]
@@ -95,7 +94,7 @@ def test_a_reference_front_of_another_shape_is_refused(tmp_path: Path) -> None:
 
 def test_importance_shows_numbers_and_their_range_in_real_units() -> None:
     front = front_of([[0.0, 1.0, -10.0], [10.0, 1.0, -30.0], [4.0, 1.0, -15.0]], ("distance", "destination", "g_force"))
-    figure = front_plots._importance(FrontView(front, "pcn"))
+    figure = plots._importance(FrontView(front, "pcn"))
     distance, destination, comfort = figure.axes
     assert [round(bar.get_height(), 2) for bar in distance.patches] == [0.0, 0.4, 1.0]
     assert [round(bar.get_height(), 2) for bar in comfort.patches] == [1.0, 0.75, 0.0]
@@ -111,7 +110,7 @@ def test_policies_that_differ_in_their_arrival_time_alone_are_spread_over_the_fr
     arrivals = np.linspace(0.0, 200.0, 90)
     discounted = np.stack([10.0 * 0.99**arrivals, -4.0 * 0.99**arrivals], axis=1)
     front = replace(front_of(np.tile([14.5, -5.5], (90, 1)), ("distance", "g_force")), discounted=discounted)
-    distance = front_plots._importance(FrontView(front)).axes[0]
+    distance = plots._importance(FrontView(front)).axes[0]
     heights = [bar.get_height() for bar in distance.patches]
     assert len(heights) == 16
     assert heights == sorted(heights)
@@ -120,7 +119,7 @@ def test_policies_that_differ_in_their_arrival_time_alone_are_spread_over_the_fr
 
 def test_scatter_shows_discounted_returns_in_front_of_the_reference_front() -> None:
     front, reference = driving(6, 3), driving(4, 3, seed=1).discounted
-    figure = front_plots._scatter(FrontView(front), reference)
+    figure = plots._scatter(FrontView(front), reference)
     panels = [axis for axis in figure.axes if axis.get_visible() and axis.get_label() != "<colorbar>"]
     for axis, pair in zip(panels, ((0, 1), (0, 2), (1, 2)), strict=True):
         below, above = axis.collections
@@ -135,7 +134,7 @@ def test_scatter_shows_discounted_returns_in_front_of_the_reference_front() -> N
 
 def test_parallel_distinguishes_policies_that_arrive_and_numbers_representatives() -> None:
     front = driving(30, 4)
-    figure = front_plots._parallel(FrontView(front))
+    figure = plots._parallel(FrontView(front))
     lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) == 4]
     assert len(lines) == 30
     assert sum(line.get_linestyle() == "--" for line in lines) == (front.success < 0.5).sum()
@@ -143,7 +142,7 @@ def test_parallel_distinguishes_policies_that_arrive_and_numbers_representatives
     assert sum(line.get_alpha() == 1.0 for line in lines) == len(shown)
     assert {str(policy) for policy in shown} <= set(texts(figure))
     unknown = replace(front, success=np.full(30, np.nan))
-    lines = front_plots._parallel(FrontView(unknown)).axes[0].lines
+    lines = plots._parallel(FrontView(unknown)).axes[0].lines
     assert all(line.get_linestyle() == "-" for line in lines)
 
 
@@ -151,7 +150,7 @@ def test_bars_show_means_intervals_and_arrival_rates() -> None:
     front = driving(12, 4)
     view = FrontView(front)
     shown = view.representatives(BARS)
-    figure = front_plots._bars(view)
+    figure = plots._bars(view)
     assert front.is_arrival_rate(1), "and needs no panel of its own"
     for i, axis in zip((0, 2, 3), figure.axes, strict=False):
         np.testing.assert_allclose([bar.get_width() for bar in axis.patches], front.returns[shown, i])
@@ -161,5 +160,5 @@ def test_bars_show_means_intervals_and_arrival_rates() -> None:
     rates = figure.axes[3]
     np.testing.assert_array_equal([bar.get_width() for bar in rates.patches], front.success[shown])
     assert any("95% bootstrap intervals" in text for text in texts(figure))
-    alone = front_plots._bars(FrontView(front_of([[1.0, -2.0]], episodes=1)))
+    alone = plots._bars(FrontView(front_of([[1.0, -2.0]], episodes=1)))
     assert not any("bootstrap" in text for text in texts(alone))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from algorithms.reporting.front_plots import BARS
-from algorithms.reporting.front_view import (
+from algorithms.reporting.explorer.plots import (
+    BARS,
     REPRESENTATIVES,
     FrontView,
     importance,

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from algorithms.reporting import learning_curves
-from algorithms.reporting.learning_curves import CurveGroup, curve, curve_panels, drawn, load_groups, plot
+from algorithms.reporting import curves
+from algorithms.reporting.curves import CurveGroup, curve, curve_panels, drawn, load_groups, plot
 from algorithms.reporting.run_records import experiment_record
 from algorithms.reporting.style import ALGORITHM_COLOURS, MAX_POINTS, MINIMUM_SPAN
 from algorithms.reporting.training_log import MetricsFile
@@ -144,7 +144,7 @@ def panel(*groups: CurveGroup) -> Axes:
     """The only panel of the groups."""
     (wanted,) = curve_panels(groups)
     axis = Figure().subplots()
-    learning_curves._draw_panel(axis, groups, wanted)
+    curves._draw_panel(axis, groups, wanted)
     return axis
 
 
@@ -170,11 +170,11 @@ def test_two_seeds_get_no_band_and_the_figure_says_so() -> None:
     assert not panel(two).collections
     assert len(panel(two, three).collections) == 1
     figure = Figure()
-    learning_curves._frame(figure, [two, three], "")
+    curves._frame(figure, [two, three], "")
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()][:2] == ["a2c (n = 2)", "mo_a2c"]
     figure = Figure()
-    learning_curves._frame(figure, [two], "")
+    curves._frame(figure, [two], "")
     assert "2 seeds, too few for an interval (n = 2)" in " ".join(figure.artists[0].get_text().split())
 
 

@@ -10,9 +10,8 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from algorithms.reporting import sweep_effects
-from algorithms.reporting.style import ALGORITHM_COLOURS
-from algorithms.reporting.sweep_effects import (
+from algorithms.reporting import curves
+from algorithms.reporting.curves import (
     VariedScores,
     effect_of_numbers,
     effect_of_words,
@@ -20,6 +19,7 @@ from algorithms.reporting.sweep_effects import (
     plot_effects,
     score_limits,
 )
+from algorithms.reporting.style import ALGORITHM_COLOURS
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_runs_have_the_colours_of_their_algorithms() -> None:
     axis = Figure().subplots()
     scores = np.array([1.0, 2.0, 3.0, 4.0])
     colours = [ALGORITHM_COLOURS[name] for name in ("a2c", "mo_a2c", "mo_a2c", "a2c")]
-    sweep_effects._draw_effect(axis, effect_of_words(["x", "x", "y", "y"], scores), scores, colours, (0.0, 5.0))
+    curves._draw_effect(axis, effect_of_words(["x", "x", "y", "y"], scores), scores, colours, (0.0, 5.0))
     dots = axis.collections[0]
     assert [to_hex(colour).upper() for colour in dots.get_facecolors()] == colours
 

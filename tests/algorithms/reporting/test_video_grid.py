@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from algorithms.reporting.video_grid import GAP, MAX_WIDTH, scaled, write_video_grid
-from algorithms.reporting.videos import CAPTION_PIXELS, caption_strip
+from algorithms.reporting.videos import CAPTION_PIXELS, GAP, MAX_WIDTH, caption_strip, scaled, write_video_grid
 
 Frame = NDArray[np.uint8]
 FPS = 10
