@@ -12,6 +12,7 @@ cannot be read is left out with a line on standard error.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,7 +34,7 @@ from algorithms.runs.run_directory import Run
 if TYPE_CHECKING:
     from argparse import Namespace
 
-    from algorithms.reporting.explorer.explorable_front import ExplorableFront
+    from algorithms.reporting.explorer.data import ExplorableFront
 
 UNSET = (CHOICE_EPISODES, CHOICE_SPLIT, None, False)  # episodes, split, seed and trust without options
 
@@ -54,10 +55,10 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
 
+    from algorithms.reporting.explorer.data import BEST_KNOWN, explorable_best_known
     from algorithms.reporting.explorer.page import write_page
     from algorithms.reporting.run_records import LEFT_OUT
     from algorithms.runs.accessories import sole_purpose
-    from algorithms.runs.front_explorer import BEST_KNOWN, explorable_best_known
 
     with exit_on_error(ValueError, program=program), sole_purpose("the page could not be written"):
         check_file("--output", options.output, ".html")
@@ -90,24 +91,13 @@ def _explorable_run(name: str, options: Namespace, program: str) -> ExplorableFr
         ValueError: if it has no front, or its files do not fit this version.
     """
     from algorithms.runs.build import load_policy
-    from algorithms.runs.front_explorer import choose_command, explorable
-    from mo_deepdrive.evaluation.front import Front
+    from algorithms.runs.front_explorer import explorable
 
     run = Run.open(name, trust=options.trust)
     if run.experiment.known_utility:
         raise ValueError(f"{name!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
-    episodes, seed = evaluation_arguments(options, run.experiment)
+    episodes, _ = evaluation_arguments(options, run.experiment)
     warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors", "front.csv", "evaluation.json"))
-    front = Front.read(run.path)
-    command = choose_command(
-        run, name, episodes=options.episodes, split=options.split or CHOICE_SPLIT, seed=options.seed
-    )
-    return explorable(
-        load_policy(run),
-        front,
-        run.experiment,
-        episodes=episodes,
-        seed=seed,
-        title=name,
-        command=as_called(command, program),
-    )
+    split = options.split or CHOICE_SPLIT
+    front = explorable(run, load_policy(run), name, episodes=episodes, split=split, seed=options.seed)
+    return replace(front, command=as_called(front.command, program))

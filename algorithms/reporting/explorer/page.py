@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from algorithms.reporting.explorer.explorable_front import ExplorableFront
+    from algorithms.reporting.explorer.data import ExplorableFront
 
 EXPLORER_FILE = "explore.html"
 FORMAT = 3  # of the data, which the page checks

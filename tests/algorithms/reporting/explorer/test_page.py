@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from algorithms.reporting.explorer.explorable_front import ExplorableFront
+from algorithms.reporting.explorer.data import ExplorableFront
 from algorithms.reporting.explorer.page import FORMAT, SCRIPTS, SOURCES, as_json, explorer_page, write_page
 from algorithms.reporting.style import COLOURS
 
