@@ -12,12 +12,14 @@ import pytest
 from algorithms.reporting.training_log import MetricsFile, read_metrics
 
 
-def test_metrics_are_read_back_to_the_last_bit(tmp_path: Path) -> None:
+def test_metrics_are_read_back_to_the_last_bit_but_for_a_torn_row(tmp_path: Path) -> None:
     path = tmp_path / "metrics.csv"
     file = MetricsFile(path)
     file.write(0, {"a": 1 / 3})
     file.write(10, {"a": 2, "b/c": np.float32(0.1)})
     file.write(10, {"b/c": float("nan")})
+    with path.open("a") as torn:
+        torn.write("20,1.0,2.")
     columns = read_metrics(path)
     np.testing.assert_array_equal(columns["step"], [0, 10, 10])
     np.testing.assert_array_equal(columns["a"], [1 / 3, 2, np.nan])
@@ -35,28 +37,19 @@ def test_metrics_are_continued_after_a_step(tmp_path: Path) -> None:
     assert path.read_text() == "step\n"
 
 
-def test_a_torn_last_row_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "metrics.csv"
-    path.write_text("step,a,b\n0,1.0,2.0\n10,1.0,2.")
-    np.testing.assert_array_equal(read_metrics(path)["step"], [0])
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         (b"a,b\n1,2\n", "has no column 'step' at its beginning"),
-        (b"\nstep,a\n0,1\n", "has no column 'step' at its beginning"),
-        (b"0,1.0\n10,2.0\n", "has no column 'step' at its beginning"),
         (b"\x7fELF\x01", "has no column 'step' at its beginning"),
         (b"step,a,a\n0,1,2\n", "has two columns of the name 'a'"),
         (b"step\n\x80\n", "is not a CSV file: 'utf-8' codec"),
         (b"step,a\n0,\0\n", "is not a CSV file: it has NUL bytes"),
-        (b"\0" * 100, "is not a CSV file: it has NUL bytes"),
         (b'step,a\n0,"1\n', "is not a CSV file: unexpected end of data"),
         (b"step,a\n0,x\n", "is broken: a = 'x' at step 0 is not a number"),
         *(
             (f"step,a\n{step},1\n".encode(), f"has a row of step '{step}'; a step is an integer of at most 16 digits")
-            for step in ("abc", "", "nan", "-1", "1.5", "1" * 17)
+            for step in ("abc", "", "-1", "1.5", "1" * 17)
         ),
     ],
 )
@@ -69,46 +62,27 @@ def test_a_damaged_file_is_neither_read_nor_continued(tmp_path: Path, content: b
     with pytest.raises(ValueError, match=f"^{whole}.*; repair it, or delete it to resume without its rows$"):
         MetricsFile(path, after=10)
     assert path.read_bytes() == content
-    with pytest.raises(ValueError, match="does not exist"):
-        read_metrics(tmp_path / "nowhere.csv")
 
 
-def written(path: Path, steps: tuple[int, ...] = (0, 10, 10, 20)) -> dict[str, Any]:
-    """Write rows of these steps, the last one with a new column; returns what was noted of them."""
+def written(path: Path) -> dict[str, Any]:
+    """Write rows, the last one with a new column; returns what was noted of them."""
     file = MetricsFile(path)
-    for step in steps:
+    for step in (0, 10, 10, 20):
         file.write(step, {"a": step + 0.5})
     file.write(30, {"b": 1})
     return file.sync()
 
 
-def test_rows_that_were_noted_are_found_again_though_later_ones_follow(tmp_path: Path) -> None:
-    path = tmp_path / "metrics.csv"
-    noted = written(path)
-    file = MetricsFile(path, after=30, noted=noted)
-    assert file.gap is None
-    assert file.sync() == noted
-    file.write(40, {"a": 1, "c": 2})
-    with path.open("a") as torn:
-        torn.write("50,1.0,")
-    assert MetricsFile(path, after=30, noted=noted).gap is None
-    assert MetricsFile(path, after=30).gap is None  # nothing was noted
-
-
-DELETED = "metrics.csv lacks 5 of 5 rows up to step 30 (it has none)"
-
-
 @pytest.mark.parametrize(
     ("keep", "gap"),
     [
-        (None, DELETED),
-        ([], DELETED),
-        ([0], DELETED),
+        (None, "metrics.csv lacks 5 of 5 rows up to step 30 (it has none)"),
+        ([0], "metrics.csv lacks 5 of 5 rows up to step 30 (it has none)"),
         ([0, 1, 2], "metrics.csv lacks 3 of 5 rows up to step 30 (it has rows of steps 0 to 10)"),
-        ([0, 1, 4, 5], "metrics.csv lacks 2 of 5 rows up to step 30 (it has rows of steps 0 to 30)"),
+        ([0, 1, 2, 3, 4, 5], None),
     ],
 )
-def test_rows_that_are_missing_are_noticed(tmp_path: Path, keep: list[int] | None, gap: str) -> None:
+def test_rows_that_are_missing_are_noticed(tmp_path: Path, keep: list[int] | None, gap: str | None) -> None:
     path = tmp_path / "metrics.csv"
     noted = written(path)
     lines = path.read_text().splitlines(keepends=True)
