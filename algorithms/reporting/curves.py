@@ -7,7 +7,6 @@ Everything has the colour of its algorithm. Curves are means over the runs that 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -107,14 +106,10 @@ KINDS = (
 INDICATORS = (HYPERVOLUME, CARDINALITY, EXPECTED_UTILITY, IGD_PLUS)  # of fronts, a panel each
 
 
-@dataclass(frozen=True)
-class CurveGroup:
-    """The metrics of runs that differ in their seed alone.
+class CurveGroup(NamedTuple):
+    """The columns of metrics.csv of runs that differ in their seed alone, and the experiment of one of them.
 
-    Attributes:
-        label: what distinguishes the group from the others.
-        experiment: that of one of the runs.
-        runs: the columns of every run's metrics.csv.
+    The label is what distinguishes the group from the others.
     """
 
     label: str
@@ -129,8 +124,7 @@ def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] |
 
     Args:
         directories: of the runs.
-        warn: called with a line about every run that is left out because it cannot be read or has no metrics yet; None
-            to refuse it.
+        warn: called with a line about every run that cannot be read or has no metrics yet; None to refuse it.
 
     Raises:
         ValueError: if a run is refused, none is left, or two runs of a group have the same seed.
@@ -175,9 +169,7 @@ def _labels(experiments: Sequence[ExperimentRecord]) -> list[str]:
 def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]] | None:
     """The mean over runs of a metric, at the steps of the first run up to the last step that all of them have reached.
 
-    Args:
-        runs: columns of metrics.csv; those without the metric are ignored, as are values above 1e100.
-        name: of the metric.
+    Runs without the metric are ignored, as are values above 1e100.
 
     Returns:
         Steps, mean, and lower and upper end of the interval (NaN for fewer than three runs), each (points,); None if no
@@ -209,10 +201,7 @@ def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any
 def plot(groups: Sequence[CurveGroup], path: str | Path, remark: str = "") -> None:
     """Draw utility, arrival rate and the return of every objective against environment steps, into an image file.
 
-    Args:
-        groups: one curve each.
-        path: the image file.
-        remark: an additional line below the title.
+    There is one curve per group; the remark is an additional line below the title.
 
     Raises:
         ValueError: if there is nothing to draw, or the file's suffix is not an image format.
@@ -373,11 +362,7 @@ def _limit_y_axis(
     bands: Sequence[NDArray[Any]],
     name: str,
 ) -> str:
-    """Limit the axis to the settled values if the first steps would flatten them, and never to noise.
-
-    Returns:
-        A suffix for the title.
-    """
+    """Limit the axis to settled values if the first steps would flatten them, never to noise; what its title adds."""
     if not whole:
         return ""
     values, settled = np.concatenate(whole), np.concatenate(late)
@@ -467,13 +452,7 @@ class VariedScores(NamedTuple):
 def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, remark: str = "") -> None:
     """Draw final scores against every key that varies: a panel per key, a dot per run, the mean per value.
 
-    Scores that cannot be compared are drawn in separate rows.
-
-    Args:
-        scores: at least one, each with at least one key.
-        path: the image file.
-        title: of the figure.
-        remark: an additional line below the title.
+    Scores that cannot be compared, of which each has at least one key, are drawn in separate rows.
 
     Raises:
         ValueError: if the file's suffix is not an image format.

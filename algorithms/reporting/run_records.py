@@ -172,13 +172,9 @@ class FinalEvaluation(Recorded):
 
 @dataclass(frozen=True)
 class RunRecord:
-    """A run, as read from its directory.
+    """A run, as read from its directory: its config.yaml, and what was asked for of its results.
 
-    Attributes:
-        path: the directory.
-        experiment: its config.yaml.
-        scores: of the final evaluation, by metric; empty if there is none, or it was not asked for.
-        metrics: the columns of metrics.csv; empty if they were not asked for.
+    These are the scores of the final evaluation by metric, and the columns of metrics.csv.
     """
 
     path: Path
@@ -233,13 +229,9 @@ def _runs_below(path: Path) -> Iterator[Path]:
 def read_runs(
     paths: Iterable[Path], warn: Callable[[str], None], *, scores: bool = False, metrics: bool = False
 ) -> list[RunRecord]:
-    """Read runs, and leave out those that cannot be read.
+    """Read runs, with their final evaluations and their metrics if asked to.
 
-    Args:
-        paths: of the runs.
-        warn: called with a line about every run that is left out, which names the file and the fault.
-        scores: whether to read the final evaluation.
-        metrics: whether to read metrics.csv.
+    Those that cannot be read are left out: ``warn`` is called with a line that names the file and the fault.
     """
     records = []
     for path in paths:
@@ -322,12 +314,7 @@ def identifying_settings(experiment: ExperimentRecord) -> dict[str, Any]:
 
 
 def distinct_labels(labels: Sequence[str], sections: Sequence[Recorded | Mapping[str, Any] | None]) -> list[str]:
-    """The labels of some sections of configs; sections that share one also get the settings that differ between them.
-
-    Args:
-        labels: one per section.
-        sections: such as the utilities of some experiments; None for none.
-    """
+    """The labels of some sections of configs; those that share one also get the settings that differ between them."""
     flat = [flatten(section.model_dump() if isinstance(section, Recorded) else section or {}) for section in sections]
     distinct = []
     for label, settings in zip(labels, flat, strict=True):

@@ -72,11 +72,7 @@ STYLE: dict[Any, Any] = {
 
 
 def figure_style(changes: Mapping[Any, Any] = MappingProxyType({})) -> AbstractContextManager[None]:
-    """A context in which figures look like ours, whatever a user's matplotlibrc says.
-
-    Args:
-        changes: settings of Matplotlib that differ from STYLE.
-    """
+    """A context in which figures look like ours, but for some changes, whatever a user's matplotlibrc says."""
     from matplotlib import style  # not at the top: tables, which need the order of algorithms, go without Matplotlib
 
     return style.context({**STYLE, **changes}, after_reset=True)
@@ -165,11 +161,7 @@ def grid_shape(count: int) -> tuple[int, int]:
 def surround(figure: Figure, heading: str, notes: Sequence[str] = (), handles: Sequence[Line2D] = ()) -> None:
     """Put title and notes above the panels and the legend below them, by which the figure grows.
 
-    Args:
-        figure: of the size of its panels; its layout becomes a constrained one.
-        heading: the title.
-        notes: below it, each on lines of its own; empty ones are left out.
-        handles: of the legend.
+    The figure has the size of its panels; its layout becomes a constrained one. Empty notes are left out.
     """
     from matplotlib.text import Annotation  # not at the top: tables need no matplotlib
 

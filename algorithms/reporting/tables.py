@@ -249,18 +249,14 @@ def _remove_impossible_collisions(group: ScoreGroup, scores: Mapping[str, Estima
 def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> list[ScoreEstimate]:
     """The means over seeds with their intervals, and the interquartile means of the utilities, which have none.
 
-    Args:
-        groups: in the order of the result.
-        metrics: in the order of the result; None for :data:`TABLE_METRICS` and all other metrics of the groups.
+    They are in the order of the groups and of the metrics, None for :data:`TABLE_METRICS` and all others of the groups.
     """
-    wanted = metrics
-    if metrics is None:
-        metrics = list(dict.fromkeys([*TABLE_METRICS, *(place.metric for group in groups for place in group.scores)]))
-    metrics = list(dict.fromkeys(UTILITY_ESR if name == UTILITY_IQM else name for name in metrics))
+    wanted = metrics or [*TABLE_METRICS, UTILITY_IQM, *(place.metric for group in groups for place in group.scores)]
+    measured = dict.fromkeys(UTILITY_ESR if name == UTILITY_IQM else name for name in wanted)
     places = [
         (group, MetricName(*row, metric))
         for group in groups
-        for row, metric in product(group.rows, metrics)
+        for row, metric in product(group.rows, measured)
         if (*row, metric) in group.scores
     ]
     samples = [group.values(place) for group, place in places]
@@ -272,18 +268,15 @@ def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None 
             middle = interquartile_mean(np.array(values))
             name = place._replace(metric=UTILITY_IQM)
             estimates.append(ScoreEstimate(group, name, Estimate(middle), len(values), f"{middle:.3f}"))
-    return [estimate for estimate in estimates if wanted is None or estimate.place.metric in wanted]
+    return [estimate for estimate in estimates if estimate.place.metric in wanted]
 
 
 def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Rows:
     """One row per group, policy and vehicle, one column per metric: the means over seeds with their intervals.
 
     The digits are also no more than one run's interval over evaluation episodes supports, where it is known. Where
-    two groups were measured alike, and no more, there are rows of their differences, second minus first.
-
-    Args:
-        groups: the rows.
-        metrics: the columns; None for those of :func:`score_estimates`, the interquartile mean of the utility last.
+    two groups were measured alike, and no more, there are rows of their differences, second minus first. Without
+    ``metrics`` the columns are those of :func:`score_estimates`, the interquartile mean of the utility last.
     """
     estimates = score_estimates(groups, metrics)
     about = _about(groups)
@@ -417,16 +410,13 @@ def interval_note(groups: Sequence[ScoreGroup]) -> str:
 def print_runs(
     paths: Sequence[Path], console: Console, warn: Callable[[str], None], columns: Sequence[str] | None = None
 ) -> list[ScoreGroup]:
-    """Print the scores of runs over seeds and the comparisons of their algorithms, task by task.
+    """Print the scores of runs over seeds and the comparisons of their algorithms, task by task; returns the scores.
 
     Args:
         paths: run directories, or folders that hold some.
         console: where to print.
         warn: called with a message about every run that is left out.
         columns: of the scores; None for :data:`TABLE_COLUMNS`.
-
-    Returns:
-        The scores.
 
     Raises:
         ValueError: as :func:`group_runs`, or if no run has a final evaluation, or such a column.
@@ -555,15 +545,7 @@ def split_columns(rows: Rows, labels: int, width: int) -> tuple[list[Rows], int]
     """Split a table that is too wide into parts, each of which begins with the labels.
 
     Labels that take too much of the width are joined in one column ("name=value, name=value"), which may be wrapped.
-    Rows without any value in a part are left out of it.
-
-    Args:
-        rows: of equal length.
-        labels: number of the first columns, which say what a row is.
-        width: of the terminal.
-
-    Returns:
-        The parts in the order of the columns, and the number of labels in each.
+    Rows without any value in a part are left out of it. Returns the parts and the number of labels in each.
     """
     widths = _widths(rows)
     if sum(widths) + MARGIN <= width:
@@ -620,13 +602,10 @@ def write_tables(
     with names as people write them.
 
     Args:
-        path: the file, whose ending is one of :data:`FORMATS`.
+        path: the first file, whose ending is one of :data:`FORMATS`; both are returned.
         scores: the rows of the first table.
         compared: the groups of the second table.
         columns: metrics of the first table; None for all of a CSV, and :data:`TABLE_COLUMNS` of the others.
-
-    Returns:
-        The files.
 
     Raises:
         OSError: if a file cannot be written; it is then unchanged.
@@ -668,13 +647,9 @@ def _title(metric: str) -> str:
 
 
 def write_table(path: Path, rows: Cells, labels: int, note: str) -> None:
-    """Write one table, whose first columns are ``labels``, in the format that the ending of its path names.
+    """Write one table in the format that the ending of its path names, one of :data:`FORMATS`.
 
-    Args:
-        path: the file, whose ending is one of :data:`FORMATS`.
-        rows: header first; as text for LaTeX and Markdown.
-        labels: number of the first columns, which say what a row is.
-        note: below the table; a CSV has none.
+    The first ``labels`` columns say what a row is; the note is below the table, but not in a CSV.
 
     Raises:
         OSError: if the file cannot be written; it is then unchanged.

@@ -90,10 +90,6 @@ def record(
 def make_render_env(env_id: str, env_arguments: Mapping[str, Any] | None = None) -> VectorEnv:
     """A vector environment with one environment that renders RGB arrays and, if it is ours, does not reset itself.
 
-    Args:
-        env_id: a registered id, or ``module:id`` to import the module that registers it first.
-        env_arguments: keyword arguments of the environment.
-
     Raises:
         ValueError: if the environment cannot be rendered.
     """
@@ -105,7 +101,7 @@ def make_render_env(env_id: str, env_arguments: Mapping[str, Any] | None = None)
 
 
 def check_renderable(env_id: str, env_arguments: Mapping[str, Any] | None = None) -> None:
-    """Refuse an environment that does not declare the render mode "rgb_array"; arguments as :func:`make_render_env`.
+    """Refuse an environment that does not declare the render mode "rgb_array".
 
     Raises:
         ValueError: with the render modes that it has.
@@ -126,14 +122,7 @@ def _is_ours(env_id: str) -> bool:
 
 
 def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -> Iterator[Frame]:
-    """The frames (height, width, 3) of one episode, with even sides.
-
-    Args:
-        policy: what acts.
-        env: from :func:`make_render_env`.
-        seed: of the episode.
-        greedy: take the most likely (or mean) action instead of sampling.
-    """
+    """The frames (height, width, 3) of one episode in an environment of :func:`make_render_env`, with even sides."""
     trained_on = policy.env
     vehicles, d = trained_on.vehicles, len(trained_on.objectives)
     generator = None if greedy else torch.Generator(policy.device).manual_seed(seed)
@@ -331,11 +320,7 @@ def _sheets(
 ) -> Iterator[Frame]:
     """The frames of all ``tracks`` at once, each below its caption; the same array each time.
 
-    Args:
-        tracks: captions, and frames (height, width, 3) of uint8; one that ends early keeps its last frame.
-        tile: what is shown of a frame, of the same size for all.
-        columns: tiles in a row.
-        background: red, green and blue of the gaps and of empty places.
+    ``tile`` is what is shown of a frame, of the same size for all; a track that ends early keeps its last frame.
     """
     if not tracks:
         raise ValueError("there is no track; at least one is needed")
