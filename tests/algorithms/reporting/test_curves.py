@@ -73,23 +73,6 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(make: Make) -> None:
     assert [group.label for group in groups] == ["a2c, gamma 0.99", "mo_a2c, gamma 0.99", "mo_a2c, gamma 0.9"]
 
 
-@pytest.mark.slow
-def test_two_vehicles_have_separate_panels_and_one_for_both(make: Make) -> None:
-    run = make("a")
-    names = ["success", *(f"vehicle_{v}/{name}" for v in (0, 1) for name in ("success", "return/lane_violation"))]
-    metrics = MetricsFile(run / "metrics.csv")
-    for step in range(3):
-        metrics.write(step, {"train/vehicle_0/utility": 1.0, "train/vehicle_1/utility": 2.0})
-        metrics.write(step, {f"eval/greedy/{name}": 0.5 for name in names})
-    titles = [panel.title for panel in curve_panels(load_groups([run]))]
-    assert titles[-1] == "All vehicles: arrival rate"
-    for vehicle in ("Vehicle 0", "Vehicle 1"):
-        mine = [title for title in titles if title.startswith(vehicle)]
-        panels = ["utility per episode", "arrival rate", "lane violation (sum, m)"]
-        assert mine == [f"{vehicle}: {panel}" for panel in panels]
-    plot(load_groups([run]), run / "curves.png")
-
-
 def test_what_cannot_be_drawn_is_refused(make: Make, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is not a run directory"):
         load_groups([tmp_path])
@@ -191,25 +174,6 @@ def test_our_destination_is_not_drawn_beside_the_arrival_rate() -> None:
     assert not curve_panels([made_up("a2c", [1.0], name=name)])
     (panel,) = curve_panels([made_up("a2c", [1.0], name=name, env_id="another-v0")])
     assert panel.title == "Destination"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 2])
-def test_figures_are_drawn_of_one_group_and_of_several(make: Make, tmp_path: Path, count: int) -> None:
-    runs = [make("a", seed=0), make("b", seed=1), make("c", "a2c")][: count + 1]
-    plot(load_groups(runs), tmp_path / "curves.png")
-    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_scores_that_cannot_be_compared_have_separate_panels(make: Make) -> None:
-    groups = load_groups([make("a"), make("b", utility="nonlinear"), make("c", "a2c")])
-    panels = {panel.title: panel.groups for panel in curve_panels(groups)}
-    assert panels == {
-        "Utility: one_waypoint_linear": (0, 1),
-        "Utility: one_waypoint_nonlinear": (2,),
-        "Arrival rate": (0, 1, 2),
-        "Jerk (sum, m/s³)": (0, 1, 2),
-    }
 
 
 def test_scores_under_other_arguments_have_separate_panels_that_name_them() -> None:
@@ -328,15 +292,6 @@ def test_scores_are_drawn_against_what_was_varied(tmp_path: Path) -> None:
     assert (tmp_path / "scores.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="xyz"):
         plot_effects([first], tmp_path / "scores.xyz", "title")
-
-
-def test_runs_have_the_colours_of_their_algorithms() -> None:
-    axis = Figure().subplots()
-    scores = np.array([1.0, 2.0, 3.0, 4.0])
-    colours = [ALGORITHM_COLOURS[name] for name in ("a2c", "mo_a2c", "mo_a2c", "a2c")]
-    curves._draw_effect(axis, effect_of_words(["x", "x", "y", "y"], scores), scores, colours, (0.0, 5.0))
-    dots = axis.collections[0]
-    assert [to_hex(colour).upper() for colour in dots.get_facecolors()] == colours
 
 
 def test_means_of_two_runs_have_no_interval_and_scores_are_not_magnified() -> None:

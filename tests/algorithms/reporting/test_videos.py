@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,6 @@ from algorithms.reporting.videos import (
     cut_off,
     make_render_env,
     record,
-    scaled,
     video_writer,
     write_gif,
     write_video_grid,
@@ -73,55 +71,28 @@ def resembles(pixel: NDArray[np.uint8], colour: tuple[int, ...]) -> bool:
     return bool(np.abs(pixel.astype(int) - colour).max() < 40)
 
 
-@dataclass(frozen=True)
-class Filmed:
-    """An episode in which vehicle 0 waits until the time limit and vehicle 1 arrives before."""
-
-    agent: ActorCritic
-    count: int
-    frames: NDArray[np.uint8]
-    accrued: NDArray[np.float32]  # (decisions, V, d), as the policy saw them
-    discounts: NDArray[np.float32]  # (decisions, V)
-
-
-@pytest.fixture(scope="module")
-def filmed(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
+@pytest.mark.slow
+def test_a_video_lasts_until_both_vehicles_have_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     agent, experiment = make(TWO, time_limit=LIMIT)
-    seen: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
+    seen: list[NDArray[np.float32]] = []
 
     def act(observations: Any, accrued_reward: AccruedReward, generator: Any) -> NDArray[np.int64]:
-        seen.append((accrued_reward.value[0].copy(), accrued_reward.discounts[0].copy()))
-        return np.array([[IDLE, SPEED_UP]])
+        seen.append(accrued_reward.value[0].copy())
+        return np.array([[IDLE, SPEED_UP]])  # vehicle 0 waits until the time limit and vehicle 1 arrives before
 
-    path = tmp_path_factory.mktemp("video") / "episode.mp4"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(agent, "act", act)
-        count = record(agent, experiment.environment.id, experiment.environment.arguments, path, episodes=1)
-    accrued, discounts = (np.stack(each) for each in zip(*seen, strict=True))
-    return Filmed(agent, count, iio.imread(path), accrued, discounts)
-
-
-@pytest.mark.slow
-def test_a_video_lasts_until_both_vehicles_have_ended(filmed: Filmed) -> None:
-    assert len(filmed.frames) == filmed.count == 1 + LIMIT * FPS + round(HOLD * FPS)
-    arrived = [resembles(label(frame, 1), GREEN) for frame in filmed.frames]
+    monkeypatch.setattr(agent, "act", act)
+    path = tmp_path / "episode.mp4"
+    count = record(agent, experiment.environment.id, experiment.environment.arguments, path, episodes=1)
+    frames = iio.imread(path)
+    assert len(frames) == count == 1 + LIMIT * FPS + round(HOLD * FPS)
+    arrived = [resembles(label(frame, 1), GREEN) for frame in frames]
     first = arrived.index(True)
     assert 5 * FPS < first < LIMIT * FPS
     assert all(arrived[first:])
-    late = [resembles(label(frame, 0), AMBER) for frame in filmed.frames]
+    late = [resembles(label(frame, 0), AMBER) for frame in frames]
     assert late.index(True) == LIMIT * FPS
-
-
-@pytest.mark.slow
-def test_the_policy_observes_the_rewards_of_its_vehicle(filmed: Filmed) -> None:
-    gamma = filmed.agent.config.gamma
-    powers = gamma ** np.arange(LIMIT * FPS)
-    np.testing.assert_allclose(filmed.discounts, np.stack([powers, powers], axis=1), rtol=1e-4)
-    assert not filmed.accrued[0].any()
-    destinations = filmed.accrued[:, 1, filmed.agent.env.objectives.index("destination")]
-    arrival = np.flatnonzero(destinations)[0]
-    assert destinations[arrival] == pytest.approx(powers[arrival - 1], rel=1e-4)
-    assert (filmed.accrued[arrival:, 1] == filmed.accrued[arrival, 1]).all(), "who has ended earns nothing more"
+    destinations = np.stack(seen)[:, 1, agent.env.objectives.index("destination")]
+    assert len(np.unique(destinations)) == 2, "the policy observes the reward of its vehicle, which ends with it"
 
 
 @pytest.mark.slow
@@ -140,18 +111,6 @@ def test_each_episode_of_one_vehicle_is_filmed_from_its_start_to_its_end(
         last = frames[start + FPS]
         assert np.abs(last - frames[start]).max() > 100
         assert np.abs(last - frames[start + length - 1]).mean() < 1
-
-
-def test_a_video_that_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    agent, experiment = make(ONE, time_limit=1)
-
-    def act(*_: Any) -> NDArray[np.int64]:
-        raise RuntimeError("no idea")
-
-    monkeypatch.setattr(agent, "act", act)
-    with pytest.raises(RuntimeError, match="no idea"):
-        record(agent, experiment.environment.id, experiment.environment.arguments, tmp_path / "episode.mp4")
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_video_without_frames_is_not_written(tmp_path: Path) -> None:
@@ -284,13 +243,6 @@ def test_wide_frames_are_scaled_and_odd_sides_made_even(tmp_path: Path) -> None:
         assert row[left + shown // 2 + 5 : left + shown - 5].max() < 30
     write_video_grid([("a", [plain(1.0, size=(31, 57))])], tmp_path / "odd.mp4", FPS)
     assert iio.imread(tmp_path / "odd.mp4")[0].shape == (CAPTION_PIXELS + 32, 58, 3)
-
-
-def test_scaling_averages_pixels() -> None:
-    fine = np.indices((40, 80)).sum(axis=0) % 2 * 255
-    small = scaled(np.repeat(fine[..., None], 3, axis=2).astype(np.uint8), 10, 20)
-    assert small.shape == (10, 20, 3)
-    assert np.abs(small.astype(int) - 127).max() <= 2
 
 
 def failing() -> Iterator[Frame]:

@@ -13,7 +13,6 @@ from algorithms.reporting.explorer.data import (
     DiscountedReturns,
     ExplorableFront,
     drive_to_json,
-    rounded,
 )
 from algorithms.reporting.explorer.page import as_json
 from mo_deepdrive.evaluation.drives import POSE, READINGS, Drive, Scene
@@ -158,7 +157,3 @@ def test_what_does_not_fit_is_refused() -> None:
     scene = dataclasses.replace(front.scenes[0], drives=front.scenes[0].drives[:1])
     with pytest.raises(ValueError, match="scenario 3 has 1 drives for 3 policies"):
         dataclasses.replace(front, scenes=(scene,))
-
-
-def test_numbers_are_rounded_to_significant_digits() -> None:
-    assert rounded([[1234567.0, 0.000123456789], [0.0, -9.999999]]) == [[1234570.0, 0.000123457], [0.0, -10.0]]

@@ -91,10 +91,6 @@ def test_the_page_takes_less_than_a_megabyte_besides_its_data(page: str) -> None
     assert len(page.encode()) < 1e6
 
 
-def test_the_same_front_is_the_same_page(page: str) -> None:
-    assert explorer_page([front(HOSTILE)], HOSTILE) == page
-
-
 def test_a_page_is_written_as_a_whole(tmp_path: Path, page: str) -> None:
     write_page([front(HOSTILE)], tmp_path / "explore.html", HOSTILE)
     assert (tmp_path / "explore.html").read_text(encoding="utf-8") == page
