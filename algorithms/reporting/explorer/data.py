@@ -90,18 +90,6 @@ class ExplorableFront:
     budget_name: str = ""
     budget: ComfortBudget | None = None
 
-    def __post_init__(self) -> None:
-        k, d = len(self.success), len(self.objectives)
-        if self.returns.ndim != 3 or self.returns.shape[::2] != (k, d) or len(self.lengths) != k:
-            raise ValueError(f"returns have shape {self.returns.shape}; expected ({k}, episodes, {d})")
-        if self.discounted is not None and self.discounted.returns.shape != self.returns.shape:
-            raise ValueError(f"discounted returns have shape {self.discounted.returns.shape}, not {self.returns.shape}")
-        if not all(np.isfinite(kind.returns).all() for kind in self._kinds_of_returns()):
-            raise ValueError("returns must be finite")
-        for scene in self.scenes:
-            if len(scene.drives) != k:
-                raise ValueError(f"scenario {scene.seed} has {len(scene.drives)} drives for {k} policies")
-
     def _kinds_of_returns(self) -> list[DiscountedReturns]:
         """The undiscounted returns, and after them the discounted ones where they are known."""
         undiscounted = DiscountedReturns(1.0, self.returns, self.best_known)
@@ -179,17 +167,10 @@ def explorable_front(
     title: str,
     command: str,
 ) -> ExplorableFront:
-    """The front of a trained agent with new episodes of all its policies.
+    """The front of a trained agent with new episodes of all its policies, and drives in the first scenarios.
 
-    Args:
-        agent: has learnt the front.
-        front: its policies.
-        evaluations: of the policies, on the same scenarios.
-        environment: in which they were evaluated.
-        gamma: discount factor of the evaluations.
-        seed: of the first episode, and of the first scenario that is shown.
-        title: of the front.
-        command: as of :class:`ExplorableFront`.
+    The evaluations are of the policies of the front, in ``environment``, from ``seed`` on and with the discount factor
+    ``gamma``; title and command are those of :class:`ExplorableFront`.
     """
     returns = np.stack([evaluation.joint_returns for evaluation in evaluations])
     discounted = np.stack([evaluation.joint_discounted for evaluation in evaluations])

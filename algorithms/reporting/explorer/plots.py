@@ -62,8 +62,8 @@ def draw_front(
     """Draw a front into ``directory``: importance, reduction, parallel, scatter and bars, all ``.png``.
 
     Of more than MOST_PAIRED objectives there is no scatter; of more than MOST_DRAWN, those of several vehicles, there
-    is importance alone; the explorer shows them vehicle by vehicle. A policy's number is its row in ``front.csv``.
-    Returns are discounted, as they determine dominance, except in bars.png.
+    is importance alone. A policy's number is its row in ``front.csv``. Returns are discounted, as they determine
+    dominance, except in bars.png.
 
     Args:
         front: K policies with at least two objectives, as written to ``front.csv``.
