@@ -29,7 +29,7 @@ from rich.console import Console
 
 from algorithms import ConditionedMOPPO
 from algorithms.reporting.cross_play_report import matrix_rows, plot_encounters, summary_rows, write_encounters
-from algorithms.reporting.wide_tables import print_rows
+from algorithms.reporting.tables import print_rows
 from algorithms.runs.build import load_policy, open_driver
 from algorithms.runs.cli import TRUST, check_directory, make_parser, named_numbers
 from algorithms.runs.config import find_environment, is_ours

@@ -21,8 +21,7 @@ sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 from typing import TYPE_CHECKING
 
 from algorithms.driving.named_rules import is_rule, scripted_policy
-from algorithms.reporting.animated_gif import write_gif
-from algorithms.reporting.videos import Frame, episode_frames, make_render_env
+from algorithms.reporting.videos import Frame, episode_frames, make_render_env, write_gif
 from algorithms.runs.build import load_policy
 from algorithms.runs.cli import TRUST, check_file, make_parser
 from algorithms.runs.config import find_environment

@@ -60,23 +60,6 @@ class InterquartileMean:
         return float(interquartile_mean(np.array(self.values))) if self.values else None
 
 
-def decimals(value: float | None, places: int) -> str | None:
-    """A number as text; None for none."""
-    return None if value is None else f"{value:.{places}f}"
-
-
-def typed(text: Any) -> Any:
-    """A cell as a number, if it is one."""
-    if not isinstance(text, str):
-        return text
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
-
-
 def open_results() -> sqlite3.Connection:
     """A database with the CSV files of docs/results and the functions of the queries."""
     database = sqlite3.connect(":memory:")
@@ -93,7 +76,9 @@ def open_results() -> sqlite3.Connection:
     fill(database, "result_files", ["name", "file"], [*(files | dict.fromkeys(FROM_SUITE, files["suite"])).items()])
     about = [json.loads(path.read_bytes()) | {"policy": path.parent.name} for path in sorted(ZOO.glob("*/about.json"))]
     fill(database, "zoo", ["policy", "commit"], [[each["policy"], each["commit"]] for each in about])
-    database.create_function("decimals", 2, decimals, deterministic=True)
+    database.create_function(
+        "decimals", 2, lambda value, places: None if value is None else f"{value:.{places}f}", deterministic=True
+    )
     aggregate: Any = InterquartileMean
     database.create_aggregate("interquartile_mean", 1, aggregate)
     database.executescript((folder / "views.sql").read_text(encoding="utf-8"))
@@ -124,12 +109,10 @@ def fill_suite(database: sqlite3.Connection, results: list[suite.Row]) -> None:
 def fill(database: sqlite3.Connection, table: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     """Make a table of a database, in place of one with this name."""
     database.execute(f'DROP TABLE IF EXISTS "{table}"')
-    columns = ", ".join(f'"{name}"' for name in header)
+    # Text that is a number becomes one, but for a hash such as 414765e9.
+    columns = ", ".join(f'"{name}" {"TEXT" if name == "commit" else "NUMERIC"}' for name in header)
     database.execute(f'CREATE TABLE "{table}" ({columns})')
-    marks = ", ".join("?" * len(header))
-    kinds = [str if name == "commit" else typed for name in header]  # a hash such as 414765e9 is no number
-    cells = [[kind(cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows]
-    database.executemany(f'INSERT INTO "{table}" VALUES ({marks})', cells)
+    database.executemany(f'INSERT INTO "{table}" VALUES ({", ".join("?" * len(header))})', rows)
 
 
 def made_by(tables: set[str], database: sqlite3.Connection, folder: Path) -> str:

@@ -20,17 +20,17 @@ from algorithms.runs.run_directory import Run
 if TYPE_CHECKING:
     from argparse import Namespace
 
-    from algorithms.reporting.explorer.explorable_front import ExplorableFront
+    from algorithms.reporting.explorer.data import ExplorableFront
 
 UNSET = (cli.CHOICE_EPISODES, cli.CHOICE_SPLIT, None, False)  # episodes, split, seed and trust without options
 
 
 def explore(options: Namespace) -> int:
     """Write the page."""
+    from algorithms.reporting.explorer.data import BEST_KNOWN, explorable_best_known
     from algorithms.reporting.explorer.page import write_page
     from algorithms.reporting.run_records import LEFT_OUT
     from algorithms.runs.accessories import sole_purpose
-    from algorithms.runs.front_explorer import BEST_KNOWN, explorable_best_known
 
     with sole_purpose("the page could not be written"):
         cli.check_file("--output", options.output, ".html")
@@ -63,22 +63,13 @@ def _explorable_run(name: str, options: Namespace) -> ExplorableFront:
         ValueError: if it has no front, or its files do not fit this version.
     """
     from algorithms.runs.build import load_policy
-    from algorithms.runs.front_explorer import choose_command, explorable
-    from mo_deepdrive.evaluation.front import Front
+    from algorithms.runs.front_explorer import explorable
 
     run = Run.open(name, trust=options.trust)
     cli.check_front(run, name)
-    episodes, seed = cli.evaluation_arguments(options, run.experiment)
+    episodes, _ = cli.evaluation_arguments(options, run.experiment)
     split = options.split or cli.CHOICE_SPLIT
-    return explorable(
-        load_policy(run),
-        Front.read(run.path),
-        run.experiment,
-        episodes=episodes,
-        seed=seed,
-        title=name,
-        command=choose_command(run, name, episodes=options.episodes, split=split, seed=options.seed),
-    )
+    return explorable(run, load_policy(run), name, episodes=episodes, split=split, seed=options.seed)
 
 
 OPTIONS = (

@@ -46,8 +46,8 @@ def main(arguments: list[str]) -> int:
 
     say = partial(print_line, make_console())
     with exit_on_error(ValueError), sole_purpose("the curves could not be drawn"):
-        from algorithms.reporting.learning_curves import FORMATS, describe, load_groups, plot
-        from algorithms.reporting.seed_tables import find_runs
+        from algorithms.reporting.curves import FORMATS, describe, load_groups, plot
+        from algorithms.reporting.run_records import find_runs
         from algorithms.studies.sweep_plots import plot_sweep
 
         check_file("--output", options.output, *FORMATS)

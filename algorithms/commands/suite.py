@@ -270,8 +270,7 @@ def suite_run(options: Namespace) -> int:
 
 def suite_table(options: Namespace) -> int:
     """Print the tables of the suite, and write them if asked to; returns the exit code."""
-    from algorithms.reporting.table_files import FORMATS, markdown, write_table
-    from algorithms.reporting.wide_tables import print_rows
+    from algorithms.reporting.tables import FORMATS, markdown, print_rows, write_table
     from algorithms.runs.console import make_console, print_line
     from algorithms.studies.settings import load_study
     from algorithms.studies.suite_tables import MEANS_NOTE, NOTE, Scoreboard

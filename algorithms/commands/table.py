@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable, Sequence
 
-    from algorithms.reporting.seed_tables import ScoreGroup
+    from algorithms.reporting.tables import ScoreGroup
 
 TOP = 20
 
@@ -68,10 +68,9 @@ def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
     """The runs among and below ``paths``; with a warning instead of those that have changed or are not finished.
 
     Raises:
-        ValueError: as :func:`algorithms.reporting.seed_tables.find_runs`.
+        ValueError: as :func:`algorithms.reporting.run_records.find_runs`.
     """
-    from algorithms.reporting.run_records import LEFT_OUT
-    from algorithms.reporting.seed_tables import find_runs
+    from algorithms.reporting.run_records import LEFT_OUT, find_runs
     from algorithms.runs.run_directory import read_status
     from mo_deepdrive.evaluation.front import EVALUATION_FILE
 
@@ -93,7 +92,7 @@ def print_tables(options: Namespace, warn: Callable[[str], None]) -> tuple[Seque
     Raises:
         ValueError: for options that do not fit together, or if there is nothing to show.
     """
-    from algorithms.reporting.seed_tables import print_runs
+    from algorithms.reporting.tables import print_runs
     from algorithms.runs.console import make_console
     from algorithms.studies.sweep_tables import print_sweep
 
@@ -115,7 +114,7 @@ def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; the exit code."""
     options = parse_arguments(arguments)
 
-    from algorithms.reporting.table_files import FORMATS, write_tables
+    from algorithms.reporting.tables import FORMATS, write_tables
 
     try:
         check_file("--output", options.output, *FORMATS)

@@ -171,7 +171,7 @@ def _finish_front(
 ) -> dict[str, float]:
     """Evaluate all policies, write a report and a video of the non-dominated ones; returns the metrics by name."""
     front = evaluate_front(policies, run.experiment)
-    FrontsFile(run.path / "fronts.csv").write(steps, front)
+    FrontsFile(run.path / "fronts.csv").write_front(steps, front)
     settings = run.experiment.evaluation
     about = {"step": steps, **about, "evaluated_policies": len(policies)}
     measured, _ = report_front(front, run.experiment, console, run.path, about)

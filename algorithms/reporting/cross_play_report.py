@@ -28,15 +28,16 @@ COLLISIONS = end_by(COLLISION)
 
 def drivers_of(encounters: Sequence[Encounter], role: int) -> list[str]:
     """The drivers of vehicle 0 (role 0) or of the others (1), in the order of the encounters."""
-    return list(dict.fromkeys(each.drivers[role] for each in encounters))
+    return list(dict.fromkeys(encounter.drivers[role] for encounter in encounters))
 
 
 def matrix(encounters: Sequence[Encounter], score: str) -> NDArray[np.float64]:
     """(K, L) values of a score, of K drivers of vehicle 0 with L drivers of the others."""
     rows, columns = drivers_of(encounters, 0), drivers_of(encounters, 1)
     values = np.full((len(rows), len(columns)), np.nan)
-    for each in encounters:
-        values[rows.index(each.drivers[0]), columns.index(each.drivers[1])] = each.estimates[score].value
+    for encounter in encounters:
+        first, second = encounter.drivers
+        values[rows.index(first), columns.index(second)] = encounter.estimates[score].value
     return values
 
 
@@ -47,19 +48,15 @@ def write_encounters(path: Path, encounters: Sequence[Encounter]) -> None:
         OSError: if the file cannot be written.
     """
     names = list(encounters[0].estimates)
-    header = [*encounters[0].roles, *(name + end for name in names for end in ("", "/low", "/high"))]
-    body = [
-        [
-            *each.drivers,
-            *(
-                "" if number is None else f"{number:.5g}"
-                for name in names
-                for number in (each.estimates[name].value, each.estimates[name].low, each.estimates[name].high)
-            ),
+    rows = [[*encounters[0].roles, *(name + end for name in names for end in ("", "/low", "/high"))]]
+    for encounter in encounters:
+        numbers = [
+            number
+            for estimate in encounter.estimates.values()
+            for number in (estimate.value, estimate.low, estimate.high)
         ]
-        for each in encounters
-    ]
-    atomic_write(path, csv_bytes([header, *body]))
+        rows.append([*encounter.drivers, *("" if number is None else f"{number:.5g}" for number in numbers)])
+    atomic_write(path, csv_bytes(rows))
 
 
 def summary_rows(encounters: Sequence[Encounter], role: int) -> list[list[str]]:
@@ -69,22 +66,18 @@ def summary_rows(encounters: Sequence[Encounter], role: int) -> list[list[str]]:
     arrives least.
     """
     name_of_role = encounters[0].roles[role]
-    own, utility = f"{name_of_role}/{SUCCESS}", f"{name_of_role}/{UTILITY_ESR}"
+    arrivals, utility = f"{name_of_role}/{SUCCESS}", f"{name_of_role}/{UTILITY_ESR}"
     rows = [[name_of_role, "met", "arrives (%)", "collisions (%)", "utility", "least with", "arrives (%)"]]
     for name in drivers_of(encounters, role):
-        met = [each for each in encounters if each.drivers[role] == name]
-        means = {s: float(np.mean([each.estimates[s].value for each in met])) for s in (own, COLLISIONS, utility)}
-        worst = min(met, key=lambda each: each.estimates[own].value)
-        rows.append(
-            [
-                name,
-                str(len(met)),
-                *(f"{100 * means[s]:.1f}" for s in (own, COLLISIONS)),
-                f"{means[utility]:.2f}",
-                worst.drivers[1 - role],
-                f"{100 * worst.estimates[own].value:.1f}",
-            ]
-        )
+        met = [encounter for encounter in encounters if encounter.drivers[role] == name]
+        means = {
+            score: float(np.mean([encounter.estimates[score].value for encounter in met]))
+            for score in (arrivals, COLLISIONS, utility)
+        }
+        worst = min(met, key=lambda encounter: encounter.estimates[arrivals].value)
+        percentages = [f"{100 * means[score]:.1f}" for score in (arrivals, COLLISIONS)]
+        least = [worst.drivers[1 - role], f"{100 * worst.estimates[arrivals].value:.1f}"]
+        rows.append([name, str(len(met)), *percentages, f"{means[utility]:.2f}", *least])
     return rows
 
 
@@ -97,45 +90,36 @@ def matrix_rows(encounters: Sequence[Encounter], score: str) -> list[list[str]]:
 
 
 def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> None:
-    """Draw the matrices of joint arrivals, collisions and utilities.
-
-    Args:
-        path: the image.
-        encounters: all pairs.
-        note: what was evaluated.
+    """Draw the matrices of joint arrivals, collisions and utilities; the note says what was evaluated.
 
     Raises:
         OSError: if the file cannot be written.
     """
     rows, columns, roles = drivers_of(encounters, 0), drivers_of(encounters, 1), encounters[0].roles
+    names = ["the others" if role == OTHERS else role.replace("_", " ") for role in roles]
+    panels = [  # score, title, colour map, and whether the cells are percentages
+        (SUCCESS, f"{'all' if OTHERS in roles else 'both'} arrive (%)", "Blues", True),
+        (COLLISIONS, "collisions (%)", "OrRd", True),
+        *(
+            (f"{role}/{UTILITY_ESR}", f"utility of {name}", "Purples", False)
+            for role, name in zip(roles, names, strict=True)
+        ),
+    ]
     longest = max(map(len, [*rows, *columns]))
     width = 2 * (CELL * len(columns) + 0.085 * longest + 1.1)
     height = 2 * (CELL * len(rows) + 0.085 * longest + 0.7) + 0.6
     with figure_style():
         figure = Figure(figsize=(max(width, 8.0), max(height, 5.0)), layout="constrained")
         figure.suptitle(f"Cross-play\n{note}", fontsize=11, ha="left", x=0.02, parse_math=False)
-        for axis, (score, title, colours, percent) in zip(figure.subplots(2, 2).flat, _panels(roles), strict=True):
+        for axis, (score, title, colours, percent) in zip(figure.subplots(2, 2).flat, panels, strict=True):
             values = matrix(encounters, score) * (100.0 if percent else 1.0)
             _draw(axis, values, colours, (0.0, 100.0) if percent else (float(values.min()), float(values.max())))
             axis.set_title(title)
             axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8, parse_math=False)
             axis.set_yticks(range(len(rows)), rows, fontsize=8, parse_math=False)
-            axis.set_xlabel(f"driver of {_plain(roles[1])}")
-            axis.set_ylabel(f"driver of {_plain(roles[0])}")
+            axis.set_xlabel(f"driver of {names[1]}")
+            axis.set_ylabel(f"driver of {names[0]}")
         save_figure(figure, path, LARGE_DPI)
-
-
-def _panels(roles: Sequence[str]) -> list[tuple[str, str, str, bool]]:
-    """What is drawn: score, title, colour map, and whether its cells are percentages."""
-    return [
-        (SUCCESS, f"{'all' if OTHERS in roles else 'both'} arrive (%)", "Blues", True),
-        (COLLISIONS, "collisions (%)", "OrRd", True),
-        *((f"{role}/{UTILITY_ESR}", f"utility of {_plain(role)}", "Purples", False) for role in roles),
-    ]
-
-
-def _plain(role: str) -> str:
-    return "the others" if role == OTHERS else role.replace("_", " ")
 
 
 def _draw(axis: Axes, values: NDArray[np.float64], colours: str, limits: tuple[float, float]) -> None:

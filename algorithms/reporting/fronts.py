@@ -1,59 +1,95 @@
-"""The CSV file of the fronts that are evaluated during training."""
+"""Fronts in files and in words: those evaluated during training, and what is said of the policies of a final one."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.reporting.training_log import append, csv_line, format_number, rows_until, sync
-from mo_deepdrive.evaluation.metrics import STEP, discounted_return_of
-from mo_deepdrive.support.atomic_io import atomic_write
+import numpy as np
+from rich.console import Group
+from rich.text import Text
+
+from algorithms.reporting.tables import fitted_tables
+from algorithms.reporting.training_log import MetricsFile, format_number
+from mo_deepdrive.evaluation.metrics import STEP, discounted_return_of, name_and_unit
+from mo_deepdrive.evaluation.pareto import farthest_point_subset
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, of_three
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
 
     from mo_deepdrive.evaluation.front import Front
 
+FILMED_POLICIES = 4
+MAX_FRAMES = 1000  # of every policy that is filmed; an episode of ours has 601 unless its time limit is changed
+TABLE_ROWS = 12  # policies in the table; front.csv has all
 
-class FrontsFile:
-    """A CSV file of every front evaluated during training: one row per policy, with step and discounted returns.
 
-    Args:
-        path: the file.
-        after: as for :class:`algorithms.reporting.training_log.MetricsFile`.
+class FrontsFile(MetricsFile):
+    """A CSV file of every front evaluated during training: one row per policy, with step and discounted returns."""
 
-    Raises:
-        ValueError: if there is a file to continue that is not one of fronts.
-        OSError: if it cannot be written.
-    """
-
-    def __init__(self, path: Path, after: int | None = None):
-        self.path = path
-        header, rows = rows_until(path, after) if after is not None else ([STEP], [])
-        self._has_header = len(header) > 1
-        if after is not None and self._has_header:
-            atomic_write(path, "".join(map(csv_line, [header, *rows])).encode())
-
-    def write(self, step: int, front: Front) -> None:
+    def write_front(self, step: int, front: Front) -> None:
         """Append a front.
 
         Raises:
             OSError: if it cannot be written.
         """
-        rows = [
-            [str(step), str(policy), *map(format_number, returns)] for policy, returns in enumerate(front.discounted)
+        names = [discounted_return_of(name) for name in front.objectives]
+        self._append(
+            [
+                {STEP: str(step), "policy": str(k), **dict(zip(names, map(format_number, returns), strict=True))}
+                for k, returns in enumerate(front.discounted)
+            ]
+        )
+
+
+def covering_policies(front: Front, count: int) -> NDArray[np.intp]:
+    """``count`` policies that cover a front (all if it has fewer), judged and ordered by discounted returns."""
+    extent = np.ptp(front.discounted, axis=0)
+    chosen = farthest_point_subset(front.discounted, count, np.where(extent > 0.0, extent, 1.0))
+    return chosen[np.argsort(front.discounted[chosen, 0], kind="stable")]
+
+
+def front_table(front: Front, measured: Mapping[str, float], title: str, width: int, whole: str = "") -> Group:
+    """A table of some policies of a front with the intervals of their returns, and the front's indicators below it.
+
+    Args:
+        front: evaluated policies; of more than TABLE_ROWS those are shown that cover it.
+        measured: the indicators.
+        title: what the front belongs to.
+        width: columns of the terminal: objectives that do not fit are in a further table.
+        whole: where all policies are, for a front that is not shown as a whole.
+    """
+    indicators = [
+        f"{name.replace('_', ' ')} {f'{value:,.0f}' if value >= 1e4 else f'{value:.4g}'}"
+        for name, value in measured.items()
+    ]
+    arrivals = bool(np.isfinite(front.success).all())
+    shown = [i for i in range(len(front.objectives)) if not front.is_arrival_rate(i)]
+    rows = [["policy", *(front.objectives[i] for i in shown), *(["arrivals"] if arrivals else []), "decisions"]]
+    chosen = covering_policies(front, TABLE_ROWS).tolist()
+    for k in chosen:
+        cells = [
+            Estimate(*(float(array[k, i]) for array in (front.returns, front.low, front.high))).text()
+            if front.episodes >= MIN_SAMPLES
+            else f"{front.returns[k, i]:.4g}"
+            for i in shown
         ]
-        if self._has_header:
-            append(self.path, "".join(map(csv_line, rows)))
-        else:
-            header = [STEP, "policy", *(discounted_return_of(name) for name in front.objectives)]
-            atomic_write(self.path, "".join(map(csv_line, [header, *rows])).encode())
-            self._has_header = True
+        share = [f"{front.success[k]:.0%}"] if arrivals else []
+        rows.append([str(k), *cells, *share, f"{front.length[k]:.0f}"])
+    how = f"{front.episodes} episode{'' if front.episodes == 1 else 's'} each"
+    how += f", 95% intervals{of_three([front.episodes], 'episodes')}" if front.episodes >= MIN_SAMPLES else ""
+    count = f"{len(front)} policies"
+    if len(chosen) < len(front):
+        count = f"{len(chosen)} of {count}, which cover the front" + (f" ({whole})" if whole else "")
+    heading = Text(f"{title}: {count}; undiscounted returns, {how}", style="bold")
+    return Group(heading, *fitted_tables(rows, 1, width), Text(", ".join(indicators)))
 
-    def sync(self) -> None:
-        """As of :class:`algorithms.reporting.training_log.MetricsFile`.
 
-        Raises:
-            OSError: if it cannot be written.
-        """
-        if self._has_header:
-            sync(self.path)
+def caption(front: Front, k: int) -> str:
+    """The returns of policy ``k`` in words: ``policy 3, mean of 100 episodes: distance 14.5 m, g-force -5.8 g``."""
+    named = [name_and_unit(objective) for objective in front.objectives]
+    parts = [f"{name} {value:.3g} {unit}".rstrip() for (name, unit), value in zip(named, front.returns[k], strict=True)]
+    episodes = f", mean of {front.episodes} episodes" if front.episodes > 1 else ""
+    return f"policy {k}{episodes}: {', '.join(parts)}"

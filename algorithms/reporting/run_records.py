@@ -1,11 +1,15 @@
-"""A finished run as tables and figures read it: its directory is parsed and checked here, once and nowhere else.
+"""Finished runs as tables and figures read them: found, parsed and checked here, and grouped by what differs.
 
-A directory with a config.yaml and an evaluation.json is enough: nothing else of a run need be there.
+A directory with a config.yaml and an evaluation.json is enough: nothing else of a run need be there. Two runs belong
+together if their resolved experiments are the same apart from the seed, from where they ran (device, threads, beside
+which seeds) and from what they logged; these change neither what is learnt, but for last bits, nor how it is measured.
 """
 
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,10 +24,13 @@ from mo_deepdrive.support.yaml import read_mapping
 from mo_deepdrive.world.config import EnvConfig, Settings, parse
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator
 
 LEFT_OUT = "left out: "  # at the beginning of a line about a run
 INTEGER = 2**63 - 1  # the largest of a Parquet file
+SEED = "training.seed"
+# Keys of a config, and one section, that change neither what is learnt nor how it is measured.
+INCIDENTAL = ("training.device", "training.seeds", "training.threads", "logging")
 
 
 def _score(value: float) -> float:
@@ -157,21 +164,17 @@ class FinalEvaluation(Recorded):
     def scores(self) -> dict[str, Estimate]:
         """The estimates by name, as ``greedy/utility_esr``."""
         return {
-            f"{policy}/{name}": Estimate(each.value, each.low, each.high)
+            f"{policy}/{name}": Estimate(score.value, score.low, score.high)
             for policy, estimates in self.policies.items()
-            for name, each in estimates.items()
+            for name, score in estimates.items()
         }
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """A run, as read from its directory.
+    """A run, as read from its directory: its config.yaml, and what was asked for of its results.
 
-    Attributes:
-        path: the directory.
-        experiment: its config.yaml.
-        scores: of the final evaluation, by metric; empty if there is none, or it was not asked for.
-        metrics: the columns of metrics.csv; empty if they were not asked for.
+    These are the scores of the final evaluation by metric, and the columns of metrics.csv.
     """
 
     path: Path
@@ -180,44 +183,74 @@ class RunRecord:
     metrics: Columns
 
 
-def read_run(path: str | Path, *, scores: bool = False, metrics: bool = False) -> RunRecord:
-    """Read a run: what it was, and what is asked for of its results.
+def find_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
+    """The run directories among and below ``paths``, each once; links to runs and folders are followed.
+
+    Args:
+        paths: run directories, or folders that hold some.
+        warn: called with a line about every folder that holds none, if another one does.
 
     Raises:
-        ValueError: naming the file that is missing or damaged, and the fault.
+        ValueError: if a path is not a folder, or none holds a run.
     """
-    path = Path(path)
-    file = path / "config.yaml"
-    if not file.is_file():
-        raise ValueError(
-            f"{str(path)!r} is not a run directory, which has a config.yaml, nor a sweep, which has a manifest.jsonl"
-        )
-    return RunRecord(
-        path,
-        parse(ExperimentRecord, read_mapping(file), f"config file {str(file)!r}"),
-        final_scores(path) if scores else {},
-        read_metrics(path / "metrics.csv") if metrics else {},
-    )
+    runs: dict[Path, Path] = {}
+    without: list[str] = []
+    for path in paths:
+        below = sorted(_runs_below(path))
+        if not below:
+            without.append(
+                f"{str(path)!r} holds no run: there is no config.yaml in it or below it; nor is it a sweep, which has "
+                "a manifest.jsonl"
+            )
+            if not path.is_dir():
+                raise ValueError(without[-1])
+        for run in below:
+            runs.setdefault(run.resolve(), run)
+    if without and not runs:
+        raise ValueError(without[0])
+    for problem in without:
+        warn(f"{LEFT_OUT}{problem}")
+    return list(runs.values())
+
+
+def _runs_below(path: Path) -> Iterator[Path]:
+    top, seen = path.resolve(), set()
+    for folder, folders, files in os.walk(path, followlinks=True):
+        place = Path(folder).resolve()
+        if place in seen or place in top.parents:  # a link to what is walked anyway, or back to a folder around it
+            folders.clear()
+            continue
+        seen.add(place)
+        if "config.yaml" in files:
+            folders.clear()  # W&B writes a config.yaml of its own below a run
+            yield Path(folder)
 
 
 def read_runs(
     paths: Iterable[Path], warn: Callable[[str], None], *, scores: bool = False, metrics: bool = False
 ) -> list[RunRecord]:
-    """Read runs, and leave out those that cannot be read.
+    """Read runs, with their final evaluations and their metrics if asked to.
 
-    Args:
-        paths: of the runs.
-        warn: called with a line about every run that is left out, which names the file and the fault.
-        scores: whether to read the final evaluation.
-        metrics: whether to read metrics.csv.
+    Those that cannot be read are left out: ``warn`` is called with a line that names the file and the fault.
     """
     records = []
     for path in paths:
         try:
-            records.append(read_run(path, scores=scores, metrics=metrics))
+            records.append(_read_run(path, scores, metrics))
         except ValueError as error:
             warn(f"{LEFT_OUT}{error}")
     return records
+
+
+def _read_run(path: Path, scores: bool, metrics: bool) -> RunRecord:
+    file = path / "config.yaml"
+    if not file.is_file():
+        raise ValueError(
+            f"{str(path)!r} is not a run directory, which has a config.yaml, nor a sweep, which has a manifest.jsonl"
+        )
+    experiment = experiment_record(read_mapping(file), f"config file {str(file)!r}")
+    columns = read_metrics(path / "metrics.csv") if metrics else {}
+    return RunRecord(path, experiment, final_scores(path) if scores else {}, columns)
 
 
 def read_evaluation(run: Path) -> FinalEvaluation | None:
@@ -263,3 +296,52 @@ def experiment_record(values: Mapping[str, Any], what: str = "experiment") -> Ex
         ValueError: naming what is missing or of another type.
     """
     return parse(ExperimentRecord, values, what)
+
+
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings by dotted keys: ``{"training": {"seed": 0}}`` as ``{"training.seed": 0}``."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= flatten(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {prefix + key: value}
+    return flat
+
+
+def identifying_settings(experiment: ExperimentRecord) -> dict[str, Any]:
+    """The settings that runs must share to differ in their seed alone, by dotted keys in alphabetical order."""
+    flat = flatten(experiment.model_dump())
+    left_out = {SEED, *INCIDENTAL}
+    return {key: flat[key] for key in sorted(flat) if key not in left_out and key.partition(".")[0] not in left_out}
+
+
+def distinct_labels(labels: Sequence[str], sections: Sequence[Recorded | Mapping[str, Any] | None]) -> list[str]:
+    """The labels of some sections of configs; those that share one also get the settings that differ between them."""
+    flat = [flatten(section.model_dump() if isinstance(section, Recorded) else section or {}) for section in sections]
+    distinct = []
+    for label, settings in zip(labels, flat, strict=True):
+        namesakes = [other for name, other in zip(labels, flat, strict=True) if name == label]
+        differing = [
+            f"{key.removeprefix('arguments.')}={value}"
+            for key, value in settings.items()
+            if any(key not in other or other[key] != value for other in namesakes)
+        ]
+        distinct.append(" ".join(filter(None, (label, *differing))))
+    return distinct
+
+
+def group_by_experiment(runs: Sequence[RunRecord]) -> list[list[RunRecord]]:
+    """Group runs that differ in their seed alone, groups and runs in the order given.
+
+    Raises:
+        ValueError: if two runs of a group have the same seed.
+    """
+    groups: dict[str, dict[int, RunRecord]] = {}
+    for run in runs:
+        key = json.dumps(identifying_settings(run.experiment), sort_keys=True, default=str)
+        seed = run.experiment.training.seed
+        other = groups.setdefault(key, {}).setdefault(seed, run)
+        if other is not run:
+            raise ValueError(
+                f"runs {str(other.path)!r} and {str(run.path)!r} are the same experiment with the same seed, {seed}; "
+                "give one of them"
+            )
+    return [list(members.values()) for members in groups.values()]

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from matplotlib.text import Text
 
-# The colours of Okabe and Ito, which are safe for colour-blind readers.
+# Of objectives, in their order, and of policies in the explorer; by Okabe and Ito, safe for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
-# The colour of each algorithm in every figure; tables and legends have the same order.
+# Tables and legends have the algorithms in this order.
 ALGORITHM_COLOURS = {
     "a2c": "#D55E00",
     "mo_a2c": "#0072B2",
@@ -33,7 +33,7 @@ ALGORITHM_COLOURS = {
     "pcn": "#009E73",
     "conditioned_mo_ppo": "#332288",
 }
-# Of all other algorithms, chosen by their names; from the muted scheme of Paul Tol.
+# Of other algorithms, chosen by their names; from the muted scheme of Paul Tol.
 OTHER_COLOURS = ("#CC79A7", "#882255", "#999933", "#44AA99", "#000000", "#661100", "#AA4499")
 TRAINING_COLOUR = "#9AA3AD"
 MARKERS = ("", "o", "s", "^", "D", "v", "P", "X")  # of several curves of one algorithm
@@ -72,11 +72,7 @@ STYLE: dict[Any, Any] = {
 
 
 def figure_style(changes: Mapping[Any, Any] = MappingProxyType({})) -> AbstractContextManager[None]:
-    """A context in which figures look like ours, whatever a user's matplotlibrc says.
-
-    Args:
-        changes: settings of Matplotlib that differ from STYLE.
-    """
+    """A context in which figures look like ours, but for some changes, whatever a user's matplotlibrc says."""
     from matplotlib import style  # not at the top: tables, which need the order of algorithms, go without Matplotlib
 
     return style.context({**STYLE, **changes}, after_reset=True)
@@ -92,6 +88,11 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> None:
     buffer = BytesIO()
     figure.savefig(buffer, format=Path(path).suffix[1:] or "png", dpi=dpi)
     atomic_write(path, buffer.getvalue())
+
+
+def objective_colour(place: int) -> str:
+    """The colour of an objective in every figure, by its place among those of its environment."""
+    return COLOURS[place % len(COLOURS)]
 
 
 def algorithm_order(name: str) -> tuple[int, str]:
@@ -116,13 +117,13 @@ def algorithm_colours(names: Iterable[str]) -> dict[str, str]:
     Algorithms that are not in ALGORITHM_COLOURS have one of OTHER_COLOURS that depends on the name alone, unless
     another algorithm of the figure has taken it.
     """
-    found: dict[str, str] = {}
+    colours: dict[str, str] = {}
     for name in sorted(set(names), key=algorithm_order):
         start = zlib.crc32(name.encode()) % len(OTHER_COLOURS)
         wanted = [*OTHER_COLOURS[start:], *OTHER_COLOURS[:start]]
-        free = [colour for colour in wanted if colour not in found.values()]
-        found[name] = ALGORITHM_COLOURS.get(name) or (free or wanted)[0]
-    return found
+        free = [colour for colour in wanted if colour not in colours.values()]
+        colours[name] = ALGORITHM_COLOURS.get(name) or (free or wanted)[0]
+    return colours
 
 
 def curve_styles(algorithms: Sequence[str]) -> list[tuple[str, str]]:
@@ -143,25 +144,24 @@ def curve_styles(algorithms: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def widened(low: float, high: float, scale: float) -> tuple[float, float]:
-    """Limits of an axis around ``low`` and ``high`` that span at least MINIMUM_SPAN of ``scale``.
+    """Limits of an axis around the values from ``low`` to ``high`` that span at least MINIMUM_SPAN of ``scale``.
 
-    Args:
-        low: the least value that is drawn.
-        high: the greatest one.
-        scale: magnitude of the quantity, such as the largest value or the nominal scale of a return.
+    The scale is the magnitude of the quantity, such as the largest value or the nominal scale of a return.
     """
     missing = max(MINIMUM_SPAN * scale - (high - low), 0.0)
     return low - missing / 2, high + missing / 2
 
 
+def grid_shape(count: int) -> tuple[int, int]:
+    """Rows and columns of ``count`` panels: at most four side by side, three where that fills the rows."""
+    columns = min(count, 3 if count in (3, 5, 6, 9) else 4)
+    return -(-count // columns), columns
+
+
 def surround(figure: Figure, heading: str, notes: Sequence[str] = (), handles: Sequence[Line2D] = ()) -> None:
     """Put title and notes above the panels and the legend below them, by which the figure grows.
 
-    Args:
-        figure: of the size of its panels; its layout becomes a constrained one.
-        heading: the title.
-        notes: below it, each on lines of its own; empty ones are left out.
-        handles: of the legend.
+    The figure has the size of its panels; its layout becomes a constrained one. Empty notes are left out.
     """
     from matplotlib.text import Annotation  # not at the top: tables need no matplotlib
 

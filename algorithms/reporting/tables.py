@@ -1,42 +1,455 @@
-"""The final evaluation of a run as numbers with 95% intervals over its episodes, as a table."""
+"""All tables: final scores over seeds and their comparisons, evaluations of a run; on a terminal and in files.
+
+A table is a list of rows of cells, its header first, of which the first columns, the labels, say what a row is. Files
+are CSV, tidy, for programs, or LaTeX and Markdown, for papers and pages.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+import re
+from collections import defaultdict
+from dataclasses import dataclass, field
+from itertools import combinations, product
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.table import Table
+from rich.text import Text
 
+from algorithms.reporting.run_records import (
+    LEFT_OUT,
+    EvaluationRecord,
+    distinct_labels,
+    find_runs,
+    group_by_experiment,
+    identifying_settings,
+    label_of,
+    read_runs,
+)
+from algorithms.reporting.style import algorithm_label, algorithm_order
 from mo_deepdrive.evaluation.evaluation import estimate_metrics
 from mo_deepdrive.evaluation.metrics import (
+    ADDITIVE_EPSILON,
+    CARDINALITY,
+    COLLISION,
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
     END,
+    EXPECTED_UTILITY,
+    FRONT,
+    HYPERVOLUME,
+    IGD_PLUS,
+    LENGTH,
+    POLICIES,
+    RETURN,
     SUCCESS,
+    SUITE_SCORE,
     UTILITY_ESR,
     UTILITY_SER,
+    MetricName,
+    end_by,
+    mean_of,
     return_of,
     split_name,
+    title_of,
 )
-from mo_deepdrive.evaluation.statistics import Estimate, of_three, rate
+from mo_deepdrive.evaluation.statistics import (
+    MIN_SAMPLES,
+    Estimate,
+    interquartile_mean,
+    iqm_difference,
+    mann_whitney_p,
+    mean_difference,
+    means,
+    of_three,
+    rate,
+)
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.support.names import nearest_few
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from rich.console import Console
 
     from mo_deepdrive.evaluation.evaluation import Evaluation
 
-# Metrics that may have the values of another one.
+Rows = list[list[str]]
+Cells = list[list[Any]]  # with one number per cell
+
+# The columns of tables that are read; CSV files also have the returns of all objectives.
+TABLE_METRICS = (
+    *(UTILITY_ESR, UTILITY_SER, SUCCESS, end_by(COLLISION), return_of("lane_violation")),
+    *(LENGTH, mean_of("g_force"), mean_of("jerk")),
+    *(HYPERVOLUME, CARDINALITY, EXPECTED_UTILITY, IGD_PLUS, ADDITIVE_EPSILON),
+)
+UTILITY_IQM = f"{UTILITY_ESR}_iqm"  # the interquartile mean over seeds
+TABLE_COLUMNS = (*TABLE_METRICS, UTILITY_IQM)
+COMPARED = ("mean", "low", "high", "n", "n_other", "p")  # columns of a comparison
+
+FORMATS = (".csv", ".md", ".tex")
+DIFFERENCES = "-differences"  # after the name of a file
+PADDING, MARGIN = 3, 1  # of a column, and of a table, in SIMPLE_HEAD
+LABEL_SHARE = 0.6  # of the width of a terminal, the most that labels may take
+_LATEX = {
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "|": r"\textbar{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "²": "$^2$",
+    "³": "$^3$",
+}
+# Metrics of an evaluation that may have the values of another one.
 _REPEATED = {
     UTILITY_SER: UTILITY_ESR,
     DISCOUNTED_UTILITY_SER: DISCOUNTED_UTILITY_ESR,
     return_of("destination"): SUCCESS,
 }
 
+# ----------------------------------------------------------------------------------------------- scores over seeds
+
+
+@dataclass
+class ScoreGroup:
+    """The final scores of runs that differ in their seed alone.
+
+    Attributes:
+        about: the first cells of its rows, by column.
+        task: those of them that groups to be compared have in common.
+        algorithm: in which such groups differ.
+        measured: what else they must share, as text.
+        seeds: of the runs that have scores.
+        scores: one value per seed for every policy, vehicle and metric; the vehicle is "" for the scores of the only
+            vehicle, or of all together.
+        wanted: how many seeds there are to be; None if that is not known.
+        widths: the widths of the scores' own intervals, over evaluation episodes, where they are known.
+        evaluation: how the runs were evaluated.
+    """
+
+    about: dict[str, str]
+    task: dict[str, str]
+    algorithm: str
+    measured: str
+    seeds: list[int] = field(default_factory=list)
+    scores: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
+    wanted: int | None = None
+    widths: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
+    evaluation: EvaluationRecord = field(default_factory=EvaluationRecord)
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """The policy and the vehicle of each of its rows; of vehicles "" first."""
+        known = {policy for policy, _, _ in self.scores}
+        vehicles = sorted({vehicle for _, vehicle, _ in self.scores})
+        return [*product((policy for policy in POLICIES if policy in known), vehicles)]
+
+    @property
+    def seeds_text(self) -> str:
+        """The seeds; if it is known how many there are to be, their number."""
+        if self.wanted is None:
+            return " ".join(str(seed) for seed in sorted(self.seeds))
+        return str(self.wanted) if len(self.seeds) == self.wanted else f"{len(self.seeds)} of {self.wanted}"
+
+    def values(self, place: MetricName) -> list[float]:
+        """The scores of one policy, vehicle and metric.
+
+        Evaluations in another library's environment may have a success rate only if some episode succeeded
+        (:mod:`mo_deepdrive.evaluation.evaluation`): where one seed has it, it is 0 for those evaluated without.
+        """
+        known = self.scores[place]
+        if place.metric != SUCCESS:
+            return known
+        evaluated = self.scores.get(place._replace(metric=LENGTH), [])
+        return known + [0.0] * (len(evaluated) - len(known))
+
+
+@dataclass(frozen=True)
+class ScoreEstimate:
+    """A score of a group over its n seeds; ``text`` has the digits that the intervals support."""
+
+    group: ScoreGroup
+    place: MetricName
+    mean: Estimate
+    n: int
+    text: str
+
+
+def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything: bool = False) -> list[ScoreGroup]:
+    """Group the finished runs among and below ``paths`` by :mod:`algorithms.reporting.run_records`.
+
+    Args:
+        paths: run directories, or folders that hold some.
+        warn: called with a message about every run that is left out, because it has no final evaluation.
+        everything: also read metrics that are neither of :data:`TABLE_METRICS` nor returns.
+
+    Raises:
+        ValueError: if a path holds no run, or two runs of a group have the same seed.
+    """
+    records = read_runs(find_runs(paths, warn), warn, scores=True)
+    for run in records:
+        if not run.scores:
+            warn(f"{LEFT_OUT}{run.path} has no final evaluation")
+    members = group_by_experiment([run for run in records if run.scores])
+    experiments = [runs[0].experiment for runs in members]
+    labels = {
+        name: distinct_labels([label_of(section) for section in sections], sections)
+        for name, sections in (
+            ("environment", [experiment.environment for experiment in experiments]),
+            ("utility", [experiment.utility for experiment in experiments]),
+        )
+    }
+    groups = []
+    for e, (experiment, runs) in enumerate(zip(experiments, members, strict=True)):
+        task = {name: texts[e] for name, texts in labels.items()}
+        steps = experiment.training.total_timesteps
+        about = {**task, "algorithm": experiment.algorithm.name, "steps": "" if steps is None else str(steps)}
+        measured = f"{experiment.task_key} {experiment.evaluation.split}"
+        group = ScoreGroup(about, task, experiment.algorithm.name, measured, evaluation=experiment.evaluation)
+        for run in runs:
+            group.seeds.append(run.experiment.training.seed)
+            for name, score in run.scores.items():
+                place = split_name(name)
+                if everything or place.metric in TABLE_METRICS or place.metric.startswith(RETURN):
+                    group.scores[place].append(score.value)
+                    if score.low is not None and score.high is not None:
+                        group.widths[place].append(score.high - score.low)
+        _remove_impossible_collisions(group, runs[0].scores)
+        groups.append(group)
+    _tell_apart(groups, [identifying_settings(experiment) for experiment in experiments])
+    return sorted(groups, key=lambda group: (*group.task.values(), algorithm_order(group.algorithm)))
+
+
+def _tell_apart(groups: Sequence[ScoreGroup], settings: Sequence[Mapping[str, Any]]) -> None:
+    """Add the settings that differ to what is said about groups of the same task, algorithm and steps."""
+    namesakes: dict[tuple[str, ...], list[int]] = defaultdict(list)
+    for g, group in enumerate(groups):
+        namesakes[tuple(group.about.values())].append(g)
+    for members in namesakes.values():
+        labels = distinct_labels([""] * len(members), [settings[g] for g in members])
+        for g, label in zip(members, labels, strict=True):
+            groups[g].about["settings"] = label
+
+
+def _remove_impossible_collisions(group: ScoreGroup, scores: Mapping[str, Estimate]) -> None:
+    """Remove collision rates of 0 where collisions are no objective: there is nothing to collide with."""
+    if any(name.endswith(return_of(COLLISION)) for name in scores):
+        return
+    for place in [place for place in group.scores if place.metric == end_by(COLLISION)]:
+        if not any(group.scores[place]):
+            del group.scores[place]
+
+
+def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> list[ScoreEstimate]:
+    """The means over seeds with their intervals, and the interquartile means of the utilities, which have none.
+
+    They are in the order of the groups and of the metrics, None for :data:`TABLE_METRICS` and all others of the groups.
+    """
+    wanted = metrics or [*TABLE_METRICS, UTILITY_IQM, *(place.metric for group in groups for place in group.scores)]
+    measured = dict.fromkeys(UTILITY_ESR if name == UTILITY_IQM else name for name in wanted)
+    places = [
+        (group, place)
+        for group in groups
+        for (policy, vehicle), metric in product(group.rows, measured)
+        if (place := MetricName(policy, vehicle, metric)) in group.scores
+    ]
+    samples = [group.values(place) for group, place in places]
+    estimates = []
+    for (group, place), values, mean in zip(places, samples, means(samples), strict=True):
+        width = float(np.mean(group.widths.get(place, [0.0])))
+        estimates.append(ScoreEstimate(group, place, mean, len(values), mean.text(width)))
+        if place.metric == UTILITY_ESR:
+            middle = interquartile_mean(np.array(values))
+            name = place._replace(metric=UTILITY_IQM)
+            estimates.append(ScoreEstimate(group, name, Estimate(middle), len(values), f"{middle:.3f}"))
+    return [estimate for estimate in estimates if estimate.place.metric in wanted]
+
+
+def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Rows:
+    """One row per group, policy and vehicle, one column per metric: the means over seeds with their intervals.
+
+    The digits are also no more than one run's interval over evaluation episodes supports, where it is known. Where
+    two groups were measured alike, and no more, there are rows of their differences, second minus first. Without
+    ``metrics`` the columns are those of :func:`score_estimates`, the interquartile mean of the utility last.
+    """
+    estimates = score_estimates(groups, metrics)
+    about = _about(groups)
+    names = dict.fromkeys([*TABLE_METRICS, *(estimate.place.metric for estimate in estimates)])
+    columns = [*(name for name in names if name != UTILITY_IQM), UTILITY_IQM] if metrics is None else [*metrics]
+    rows: dict[tuple[int, str, str], list[str]] = {}
+    for estimate in estimates:
+        policy, vehicle, metric = estimate.place
+        group = estimate.group
+        labels = [*(group.about.get(name, "") for name in about), policy, vehicle, group.seeds_text]
+        row = rows.setdefault((id(group), policy, vehicle), [*labels, *[""] * len(columns)])
+        row[len(labels) + columns.index(metric)] = estimate.text
+    body = [*rows.values(), *_difference_rows(groups, about, columns)]
+    return without_empty_columns([[*about, "policy", "vehicle", "seeds", *columns], *body])
+
+
+def _about(groups: Sequence[ScoreGroup]) -> list[str]:
+    """The columns that say what the groups are."""
+    return list(dict.fromkeys(name for group in groups for name in group.about))
+
+
+def _difference_rows(groups: Sequence[ScoreGroup], about: Sequence[str], columns: Sequence[str]) -> Iterator[list[str]]:
+    """Rows of :func:`scores_table` for every two groups that alone were measured alike, if the seeds suffice."""
+    alike: dict[str, list[ScoreGroup]] = defaultdict(list)
+    for group in groups:
+        alike[group.measured].append(group)
+    for first, second in (members for members in alike.values() if len(members) == 2):
+        texts = [(first.about.get(name, ""), second.about.get(name, "")) for name in about]
+        labels = [old if old == new else f"{new or 'none'} minus {old or 'none'}" for old, new in texts]
+        seeds = first.seeds_text if first.seeds_text == second.seeds_text else ""
+        for policy, vehicle in first.rows:
+            row = [*labels, policy, vehicle, seeds]
+            for metric in columns:
+                place = MetricName(policy, vehicle, UTILITY_ESR if metric == UTILITY_IQM else metric)
+                samples = [np.array(group.values(place)) for group in (second, first) if place in group.scores]
+                enough = len(samples) == 2 and min(map(len, samples)) >= MIN_SAMPLES
+                difference = iqm_difference if metric == UTILITY_IQM else mean_difference
+                row.append(difference(*samples).text() if enough else "")
+            if any(row[-len(columns) :]):
+                yield row
+
+
+def check_columns(groups: Sequence[ScoreGroup], columns: Sequence[str] | None) -> None:
+    """Refuse columns of which no group has a score.
+
+    Raises:
+        ValueError: naming the column and the nearest ones that there are.
+    """
+    known = {place.metric for group in groups for place in group.scores}
+    known |= {UTILITY_IQM} if UTILITY_ESR in known else set()
+    for name in columns or ():
+        if name not in known:
+            raise ValueError(f"--columns {name}: no run has such a score; the nearest: {nearest_few(name, known)}")
+
+
+def tidy_scores(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Cells:
+    """One row per group, policy, vehicle and metric: mean, low and high end of its interval, and n, how many seeds."""
+    about = _about(groups)
+    rows: Cells = [[*about, "seeds", "policy", "vehicle", "metric", "mean", "low", "high", "n"]]
+    for estimate in score_estimates(groups, metrics):
+        labels = [estimate.group.about.get(name, "") for name in about]
+        seeds = " ".join(map(str, sorted(estimate.group.seeds)))
+        mean = estimate.mean
+        rows.append([*labels, seeds, *estimate.place, mean.value, mean.low, mean.high, estimate.n])
+    return rows
+
+
+def tidy_comparisons(groups: Sequence[ScoreGroup]) -> Cells:
+    """One row per policy and vehicle of two groups that differ in the algorithm: how their means differ.
+
+    Each has the difference of the means with its interval, n, the seeds of the first, n_other, those of the other, and
+    p of a two-sided Mann-Whitney test. If not all groups were trained for the same number of steps, rows have those of
+    the pair.
+    """
+    shared = list(groups[0].task) if groups else []
+    rows: Cells = [[*shared, "policy", "vehicle", "difference", "steps", "metric", *COMPARED]]
+    same_steps = len({group.about.get("steps", "") for group in groups}) == 1
+    comparable: dict[tuple[str, ...], list[ScoreGroup]] = defaultdict(list)
+    for group in groups:
+        comparable[(*group.task.values(), group.measured)].append(group)
+    in_order = (sorted(members, key=lambda group: algorithm_order(group.algorithm)) for members in comparable.values())
+    for first, second in (pair for members in in_order for pair in combinations(members, 2)):
+        if first.algorithm == second.algorithm:
+            continue
+        for policy, vehicle in first.rows:
+            metric = HYPERVOLUME if policy == FRONT else UTILITY_ESR
+            place = MetricName(policy, vehicle, metric)
+            later, earlier = (np.array(group.scores.get(place, [])) for group in (second, first))
+            if min(len(later), len(earlier)) < 2:
+                continue
+            mean = mean_difference(later, earlier)
+            pairing = f"{second.algorithm} - {first.algorithm}"
+            taken = dict.fromkeys(group.about.get("steps", "") for group in (second, first))
+            steps = "" if same_steps else " against ".join(taken)
+            numbers = [mean.value, mean.low, mean.high, len(later), len(earlier), mann_whitney_p(later, earlier)]
+            rows.append([*first.task.values(), policy, vehicle, pairing, steps, metric, *numbers])
+    return rows
+
+
+def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
+    """The rows of :func:`tidy_comparisons` as text, without columns that are empty."""
+
+    def text(cell: str | float | None) -> str:
+        return "" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell)
+
+    return without_empty_columns([[text(cell) for cell in row] for row in tidy_comparisons(groups)])
+
+
+def without_empty_columns(rows: Rows) -> Rows:
+    """The rows without the columns that only the header fills."""
+    kept = [i for i in range(len(rows[0])) if any(row[i] for row in rows[1:])]
+    return [[row[i] for i in kept] for row in rows]
+
+
+def interval_note(groups: Sequence[ScoreGroup]) -> str:
+    """What the numbers of a table and their intervals are, and which number to cite of a task of the suite."""
+    sizes = {len(group.seeds) for group in groups}
+    note = f"Means over seeds with 95% bootstrap intervals over seeds{of_three(sizes)}."
+    if any(1 < size < MIN_SAMPLES for size in sizes):
+        note += f" Fewer than {MIN_SAMPLES} seeds have no interval."
+    if episodes := sorted({group.evaluation.label for group in groups} - {""}):
+        note += f" Every run was evaluated at its end in {' or '.join(episodes)}."
+    if tasks := sorted({group.evaluation.task for group in groups if group.evaluation.task}):
+        note += (
+            f" For {', '.join(tasks)} of the suite cite the score on the scenarios of the task, as the scoreboard does "
+            f"(suite table, or --columns {SUITE_SCORE})."
+        )
+    return note
+
+
+def print_runs(
+    paths: Sequence[Path], console: Console, warn: Callable[[str], None], columns: Sequence[str] | None = None
+) -> list[ScoreGroup]:
+    """Print the scores of runs over seeds and the comparisons of their algorithms, task by task; returns the scores.
+
+    Args:
+        paths: run directories, or folders that hold some.
+        console: where to print.
+        warn: called with a message about every run that is left out.
+        columns: of the scores; None for :data:`TABLE_COLUMNS`.
+
+    Raises:
+        ValueError: as :func:`group_runs`, or if no run has a final evaluation, or such a column.
+    """
+    groups = group_runs(paths, warn, everything=columns is not None)
+    if not groups:
+        raise ValueError("no run has a final evaluation that can be read")
+    check_columns(groups, columns)
+    task = groups[0].task
+    for title, rows in _by_task(scores_table(groups, columns or TABLE_COLUMNS), task).items():
+        print_rows(console, rows, title, rows[0].index("seeds") + 1)
+    for title, rows in _by_task(comparison_table(groups), task).items():
+        print_rows(console, rows, f"{title}: differences of the algorithms", rows[0].index("mean"))
+    console.print(interval_note(groups), highlight=False)
+    return groups
+
+
+def _by_task(rows: Rows, task: Iterable[str]) -> dict[str, Rows]:
+    """The rows of each task without the columns that name it, which become its title."""
+    header, *body = rows
+    rest = [i for i, name in enumerate(header) if name not in task]
+    tables: dict[str, Rows] = {}
+    for row in body:
+        title = ", ".join(cell for i, cell in enumerate(row) if i not in rest and cell)
+        tables.setdefault(title, [[header[i] for i in rest]]).append([row[i] for i in rest])
+    return {title: without_empty_columns(table) for title, table in tables.items()}
+
+
+# ------------------------------------------------------------------------------------------- an evaluation of one run
+
 
 def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
-    """A table with a row per metric and a column per policy.
+    """A table with a row per metric and a column per policy, with intervals over the episodes.
 
     Ends that no episode had and metrics that repeat another one (SER of a linear utility, the return of our
     destination) are left out; the files have all.
@@ -54,18 +467,18 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
         never = rate(np.zeros(len(evaluation.returns), dtype=np.bool_))
         if any(map(_is_end, columns[policy])):
             columns[policy] = {**dict.fromkeys(filter(_is_end, names), never), **columns[policy]}
-    how = f"95% intervals{of_three((len(each.returns) for each in evaluations.values()), 'episodes')}"
-    result = Table(title=f"{title}; {how}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    result.add_column("", overflow="fold")
+    how = f"95% intervals{of_three((len(evaluation.returns) for evaluation in evaluations.values()), 'episodes')}"
+    table = Table(title=f"{title}; {how}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    table.add_column("", overflow="fold")
     if any(_is_end(name) for estimates in columns.values() for name in estimates):
-        result.caption = f"{SUCCESS}: the share of arrivals; other ends ({END}...) that no episode had are left out."
-        result.caption_justify = "left"
+        table.caption = f"{SUCCESS}: the share of arrivals; other ends ({END}...) that no episode had are left out."
+        table.caption_justify = "left"
     for policy in columns:
-        result.add_column(policy, justify="right", overflow="fold")
+        table.add_column(policy, justify="right", overflow="fold")
     for name in names:
         cells = [estimates[name].text() if name in estimates else "" for estimates in columns.values()]
-        result.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
-    return result
+        table.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
+    return table
 
 
 def _is_end(name: str) -> bool:
@@ -82,3 +495,196 @@ def _says_more(name: str, columns: Sequence[Mapping[str, Estimate]]) -> bool:
         pairs = [(column[name].value, column[other].value) for column in columns if name in column and other in column]
         return not pairs or not all(math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-9) for pair in pairs)
     return True
+
+
+# --------------------------------------------------------------------------------------------------------- a terminal
+
+
+def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: str | None = None) -> None:
+    """Print a table below its title, in parts that fit the console, so that nothing is cut off.
+
+    If it does not fit, first the labels that all rows share move to the title; then columns follow in further parts.
+
+    Args:
+        console: where to print.
+        rows: header first.
+        title: printed above the table.
+        labels: number of the first columns, which say what a row is.
+        rest: how to see all columns; if it is given, the first part alone is printed, then the names of the columns
+            that are not in it, and this.
+    """
+    if sum(_widths(rows)) + MARGIN > console.width and len(rows) > 1:
+        shared, rows, labels = lift_labels(rows, labels)
+        title = ", ".join(filter(None, [title, shared]))
+    console.print(Text(title, style="bold"))
+    tables = fitted_tables(rows, labels, console.width)
+    for table in tables[: None if rest is None else 1]:
+        console.print(table)
+    if rest is not None and len(tables) > 1:
+        shown = [str(column.header) for column in tables[0].columns]
+        hidden = [name for name in rows[0][labels:] if name not in shown]
+        console.print(Text(f"not shown: {', '.join(hidden)}; {rest}"))
+
+
+def fitted_tables(rows: Rows, labels: int, width: int) -> list[Table]:
+    """The parts of :func:`split_columns` as tables: labels are wrapped where they are too long, values are not."""
+    parts, labels = split_columns(rows, labels, width)
+    tables = []
+    for header, *body in parts:
+        table = Table(box=SIMPLE_HEAD)
+        for i, name in enumerate(header):
+            justify: Any = "left" if i < labels else "right"
+            table.add_column(Text(name), justify=justify, overflow="fold", no_wrap=i >= labels)
+        for row in body:
+            table.add_row(*map(Text, row))
+        tables.append(table)
+    return tables
+
+
+def split_columns(rows: Rows, labels: int, width: int) -> tuple[list[Rows], int]:
+    """Split a table that is too wide into parts, each of which begins with the labels.
+
+    Labels that take too much of the width are joined in one column ("name=value, name=value"), which may be wrapped.
+    Rows without any value in a part are left out of it. Returns the parts and the number of labels in each.
+    """
+    widths = _widths(rows)
+    if sum(widths) + MARGIN <= width:
+        return [rows], labels
+    values, most = widths[labels:], int(LABEL_SHARE * width)
+    if labels > 1 and sum(widths[:labels]) > most:
+        rows, labels = _join(rows, labels), 1
+        widths = _widths(rows)
+    room = width - MARGIN - min(sum(widths[:labels]), most)
+    parts: list[list[int]] = [[]]
+    used = 0
+    for i, value_width in enumerate(values, labels):
+        if parts[-1] and used + value_width > room:
+            parts.append([])
+            used = 0
+        parts[-1].append(i)
+        used += value_width
+    tables = [[[*row[:labels], *(row[i] for i in part)] for row in rows] for part in parts]
+    return [[row for row in table if any(row[labels:])] for table in tables], labels
+
+
+def _widths(rows: Rows) -> list[int]:
+    return [max(cell_len(row[i]) for row in rows) + PADDING for i in range(len(rows[0]))]
+
+
+def _join(rows: Rows, labels: int) -> Rows:
+    """The rows with their labels in one column."""
+    header, *body = rows
+    texts = [
+        ", ".join(f"{name}={cell}" for name, cell in zip(header[:labels], row[:labels], strict=True) if cell)
+        for row in body
+    ]
+    return [["", *header[labels:]], *([text, *row[labels:]] for text, row in zip(texts, body, strict=True))]
+
+
+def lift_labels(rows: Rows, labels: int) -> tuple[str, Rows, int]:
+    """The labels that all rows share, as text; the rows without these, and how many labels are left."""
+    header, *body = rows
+    shared = [i for i in range(labels) if all(row[i] == body[0][i] for row in body)]
+    text = ", ".join(f"{header[i]} {body[0][i]}" for i in shared if body[0][i])
+    kept = [i for i in range(len(header)) if i not in shared]
+    return text, [[row[i] for i in kept] for row in rows], labels - len(shared)
+
+
+# -------------------------------------------------------------------------------------------------------------- files
+
+
+def write_tables(
+    path: Path, scores: Sequence[ScoreGroup], compared: Sequence[ScoreGroup], columns: Sequence[str] | None = None
+) -> list[Path]:
+    """Write the scores and, if algorithms can be compared, their differences into ``NAME-differences``.
+
+    A CSV has one number per cell, and the returns of all objectives; LaTeX and Markdown have the table of the terminal,
+    with names as people write them.
+
+    Args:
+        path: the first file, whose ending is one of :data:`FORMATS`; both are returned.
+        scores: the rows of the first table.
+        compared: the groups of the second table.
+        columns: metrics of the first table; None for all of a CSV, and :data:`TABLE_COLUMNS` of the others.
+
+    Raises:
+        OSError: if a file cannot be written; it is then unchanged.
+    """
+    note, tidy = interval_note(scores), path.suffix.lower() == ".csv"
+    tables: dict[str, tuple[Cells, str]]
+    if tidy:
+        tables = {"": (tidy_scores(scores, columns), ""), DIFFERENCES: (tidy_comparisons(compared), "")}
+    else:
+        differences = f"Differences of the algorithms. {note}"
+        tables = {
+            "": (scores_table(scores, columns or TABLE_COLUMNS), note),
+            DIFFERENCES: (comparison_table(compared), differences),
+        }
+    written = []
+    for ending, (rows, text) in tables.items():
+        if len(rows) > 1:
+            written.append(path.with_name(f"{path.stem}{ending}{path.suffix}"))
+            labels = rows[0].index("mean") if ending else rows[0].index("seeds") + 1
+            write_table(written[-1], rows if tidy else _in_words(rows, labels), labels, text)
+    return written
+
+
+def _in_words(rows: Rows, labels: int) -> Rows:
+    """A table with the names of algorithms and metrics as people write them."""
+    header, *body = rows
+
+    def words(column: str, cell: str) -> str:
+        if column in ("algorithm", "difference"):
+            return " ".join(map(algorithm_label, cell.split(" ")))
+        return _title(cell) if column == "metric" else cell
+
+    titles = [*header[:labels], *map(_title, header[labels:])]
+    return [titles, *([words(name, cell) for name, cell in zip(header, row, strict=True)] for row in body)]
+
+
+def _title(metric: str) -> str:
+    return f"{title_of(UTILITY_ESR)} (IQM)" if metric == UTILITY_IQM else title_of(metric)
+
+
+def write_table(path: Path, rows: Cells, labels: int, note: str) -> None:
+    """Write one table in the format that the ending of its path names, one of :data:`FORMATS`.
+
+    The first ``labels`` columns say what a row is; the note is below the table, but not in a CSV.
+
+    Raises:
+        OSError: if the file cannot be written; it is then unchanged.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        atomic_write(path, csv_bytes(rows))
+    else:
+        atomic_write(path, (latex if suffix == ".tex" else markdown)(rows, labels, note).encode())
+
+
+def latex(rows: Rows, labels: int, note: str) -> str:
+    """A tabular of the package booktabs; what all rows share, and the note, are comments."""
+    shared, rows, labels = lift_labels(rows, labels)
+
+    def line(cells: Sequence[str]) -> str:
+        texts = ["".join(_LATEX.get(letter, letter) for letter in " ".join(cell.split())) for cell in cells]
+        texts[labels:] = [re.sub(r"-(?=\d)", "$-$", text) for text in texts[labels:]]  # a minus, not a hyphen
+        return " & ".join(texts) + r" \\"
+
+    header, *body = rows
+    columns = "l" * labels + "r" * (len(header) - labels)
+    comments = [f"% {text}" for text in (r"needs \usepackage{booktabs}", *shared.splitlines(), note)]
+    begin = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", line(header), r"\midrule"]
+    return "\n".join([*comments, *begin, *map(line, body), r"\bottomrule", r"\end{tabular}", ""])
+
+
+def markdown(rows: Rows, labels: int, note: str) -> str:
+    """A table of GitHub's Markdown between what all rows share and the note."""
+    shared, rows, labels = lift_labels(rows, labels)
+
+    def line(cells: Sequence[str]) -> str:
+        texts = (re.sub(r"([\\|])", r"\\\1", " ".join(cell.split())) for cell in cells)
+        return f"| {' | '.join(texts)} |"
+
+    header, *body = rows
+    rule = ["---"] * labels + ["---:"] * (len(header) - labels)
+    return "\n".join([*([shared, ""] if shared else []), line(header), line(rule), *map(line, body), "", note, ""])

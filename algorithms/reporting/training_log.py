@@ -38,7 +38,7 @@ def read_metrics(path: str | Path) -> Columns:
 
 
 class MetricsFile:
-    """A CSV file with one row per call; a new column rewrites the file.
+    """A CSV file to which rows are appended; a new column rewrites the file.
 
     Args:
         path: the file.
@@ -58,65 +58,44 @@ class MetricsFile:
             self._columns, self._rows = rows_until(path, after)
         self._rewrite()
 
-    def _rewrite(self) -> None:
-        width = len(self._columns)
-        lines = [csv_line(self._columns), *(csv_line(row + [""] * (width - len(row))) for row in self._rows)]
-        atomic_write(self.path, "".join(lines).encode())
-
     def write(self, step: int, metrics: Mapping[str, float]) -> None:
         """Append a row.
 
         Raises:
             OSError: if it cannot be written.
         """
-        new = [name for name in metrics if name not in self._columns]
+        self._append([{STEP: str(step), **{name: format_number(value) for name, value in metrics.items()}}])
+
+    def _append(self, rows: Sequence[Mapping[str, str]]) -> None:
+        """Append rows of cells by the names of their columns."""
+        new = [name for name in dict.fromkeys(name for row in rows for name in row) if name not in self._columns]
         self._columns += new
-        cells = {STEP: str(step), **{name: format_number(value) for name, value in metrics.items()}}
-        row = [cells.get(name, "") for name in self._columns]
-        self._rows.append(row)
+        cells = [[row.get(name, "") for name in self._columns] for row in rows]
+        self._rows += cells
         if new:
             self._rewrite()
-        else:
-            append(self.path, csv_line(row))
+            return
+        with self.path.open("r+b") as file:  # "a" would create it again, without its header
+            file.seek(0, os.SEEK_END)
+            file.write(csv_bytes(cells))
+
+    def _rewrite(self) -> None:
+        width = len(self._columns)
+        atomic_write(self.path, csv_bytes([self._columns, *(row + [""] * (width - len(row)) for row in self._rows)]))
 
     def sync(self) -> None:
         """Make every row reach the disk.
 
         Raises:
-            OSError: if it cannot be written.
+            OSError: if the file was deleted, or cannot be written.
         """
-        sync(self.path)
-
-
-def append(path: Path, text: str) -> None:
-    """Append to a file that exists.
-
-    Raises:
-        OSError: if it does not, or cannot be written.
-    """
-    with path.open("r+") as file:  # "a" would create it again, without its header
-        file.seek(0, os.SEEK_END)
-        file.write(text)
-
-
-def sync(path: Path) -> None:
-    """Make what was written to a file reach the disk.
-
-    Raises:
-        OSError: if the file does not exist, or cannot be written.
-    """
-    with path.open("r+b") as file:
-        flush_to_disk(file)
+        with self.path.open("r+b") as file:
+            flush_to_disk(file)
 
 
 def format_number(value: float) -> str:
     """``value`` as text that reads back equal."""
     return repr(float(value))
-
-
-def csv_line(cells: Sequence[str]) -> str:
-    """``cells`` as one line of a CSV file."""
-    return csv_bytes([cells]).decode()
 
 
 def rows_until(path: Path, step: int) -> tuple[list[str], list[list[str]]]:
@@ -139,45 +118,38 @@ def complete_rows(path: Path) -> tuple[list[str], list[list[str]]]:
         ValueError: naming the file and what is wrong, if it is not a CSV file of numbers whose first column is "step".
     """
     try:
-        return _parsed(path.read_bytes() if path.exists() else b"")
-    except (OSError, ValueError) as error:
-        raise ValueError(f"metrics file {str(path)!r} {_fault(error)}") from None
-
-
-def _fault(error: OSError | ValueError) -> str:
-    if isinstance(error, OSError):
-        return f"cannot be read: {error.strerror or error}"
-    return f"is not a CSV file: {error}" if isinstance(error, UnicodeDecodeError) else str(error)
-
-
-def _parsed(data: bytes) -> tuple[list[str], list[list[str]]]:
-    whole = data[: data.rfind(b"\n") + 1]
-    header, *rows = _cells(whole or data) or [[STEP]]
-    check_header(header)
-    if not whole:  # nothing but a torn header
-        return [STEP], []
-    rows = [row for row in rows if len(row) == len(header)]
-    for row in rows:
-        if not (row[0].isascii() and row[0].isdigit() and len(row[0]) <= DIGITS):
-            raise ValueError(f"has a row of step {row[0][:SHOWN]!r}; a step is an integer of at most {DIGITS} digits")
-        for name, cell in zip(header, row, strict=True):
-            if cell and not is_number(cell):
-                raise ValueError(f"is broken: {name} = {cell[:SHOWN]!r} at step {row[0]} is not a number")
+        data = path.read_bytes() if path.exists() else b""
+        whole = data[: data.rfind(b"\n") + 1]
+        header, *rows = _cells(whole or data) or [[STEP]]
+        check_header(header)
+        if not whole:  # nothing but a torn header
+            return [STEP], []
+        rows = [row for row in rows if len(row) == len(header)]
+        for row in rows:
+            _check_row(header, row)
+    except OSError as error:
+        raise ValueError(f"metrics file {str(path)!r} cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ValueError(f"metrics file {str(path)!r} {error}") from None
     return header, rows
 
 
-def _cells(data: bytes) -> list[list[str]]:
-    """The lines of a CSV file.
+def _check_row(header: Sequence[str], row: Sequence[str]) -> None:
+    step = row[0]
+    if not (step.isascii() and step.isdigit() and len(step) <= DIGITS):
+        raise ValueError(f"has a row of step {step[:SHOWN]!r}; a step is an integer of at most {DIGITS} digits")
+    for name, cell in zip(header, row, strict=True):
+        if cell and not is_number(cell):
+            raise ValueError(f"is broken: {name} = {cell[:SHOWN]!r} at step {step} is not a number")
 
-    Raises:
-        ValueError: if it is none.
-    """
-    text = data.decode("utf-8")
-    if "\0" in text:
-        raise ValueError("is not a CSV file: it has NUL bytes")
+
+def _cells(data: bytes) -> list[list[str]]:
+    """The lines of a CSV file."""
     try:
-        return list(csv.reader(io.StringIO(text, newline=""), strict=True))
-    except csv.Error as error:
+        if b"\0" in data:
+            raise csv.Error("it has NUL bytes")
+        return list(csv.reader(io.StringIO(data.decode("utf-8"), newline=""), strict=True))
+    except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"is not a CSV file: {error}") from None
 
 

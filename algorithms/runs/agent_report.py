@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.reporting.front_report import FILMED_POLICIES, MAX_FRAMES, caption, covering_policies, front_table
+from algorithms.reporting.fronts import FILMED_POLICIES, MAX_FRAMES, caption, covering_policies, front_table
 from algorithms.reporting.run_records import final_metrics
 from algorithms.reporting.tables import evaluation_table
 from algorithms.reporting.training_log import rows_until
@@ -180,8 +180,7 @@ def film_policies_of_front(
     what = f"{'policy' if len(chosen) == 1 else 'policies'} {', '.join(map(str, chosen))} of the front, seed {seed}"
 
     with _filming(path, what, console) as filming:
-        from algorithms.reporting.video_grid import write_video_grid
-        from algorithms.reporting.videos import DEFAULT_FPS, cut_off, episode_frames, make_render_env
+        from algorithms.reporting.videos import DEFAULT_FPS, cut_off, episode_frames, make_render_env, write_video_grid
 
         settings = experiment.environment
         with ExitStack() as stack:
@@ -215,7 +214,7 @@ def show_results(run: Run, step: int, console: Console) -> None:
     with _beside(console, "the curves could not be drawn"):
         # No rows are left if metrics.csv was deleted.
         if run.experiment.logging.save_figures and rows_until(run.path / METRICS_FILE, step)[1]:
-            from algorithms.reporting.learning_curves import load_groups, plot
+            from algorithms.reporting.curves import load_groups, plot
 
             plot(load_groups([run.path]), run.path / "curves.png")
     with _beside(console, "TensorBoard has no results"):

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from algorithms.reporting.run_records import Recorded
-from algorithms.reporting.seed_groups import INCIDENTAL
+from algorithms.reporting.run_records import INCIDENTAL, Recorded
 from algorithms.runs.config import Experiment, check_loggers, make_experiment
 from algorithms.runs.interrupts import describe, stopped_by
 from algorithms.runs.registry import find_algorithm, peer_running

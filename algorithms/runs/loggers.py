@@ -12,8 +12,8 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.reporting.seed_groups import flatten
-from algorithms.reporting.seed_tables import TABLE_METRICS
+from algorithms.reporting.run_records import flatten
+from algorithms.reporting.tables import TABLE_METRICS
 from algorithms.reporting.training_log import MetricsFile
 from algorithms.runs.accessories import Accessory
 from mo_deepdrive.evaluation.metrics import split_name
@@ -286,7 +286,7 @@ def log_results(
         for summary in hparams({key: plain[key] for key in plain if flat[key] is not None}, scores):
             events.add(summary=summary)
         if video is not None and video.is_file():
-            from algorithms.reporting.animated_gif import video_as_gif
+            from algorithms.reporting.videos import video_as_gif
 
             gif, height, width = video_as_gif(video)
             image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)

@@ -277,7 +277,7 @@ def train(
                 reference_point=evaluation.reference_point,
                 reference_front=reference_front,
                 log=[log_of(record) for record in records],
-                log_front=None if known_utility else [record.fronts.write for record in records if record.fronts],
+                log_front=None if known_utility else [record.fronts.write_front for record in records if record.fronts],
                 log_interval=logging.interval,
                 after_update=after_update,
             )

@@ -15,10 +15,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 from rich.text import Text
 
-from algorithms.reporting.front_plots import draw_front
-from algorithms.reporting.learning_curves import curve
+from algorithms.reporting.curves import curve
+from algorithms.reporting.explorer.plots import draw_front
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
-from algorithms.reporting.table_files import markdown
+from algorithms.reporting.tables import markdown
 from algorithms.studies.paper_claims import (
     CLAIMS,
     FRONT_LEARNER,
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from rich.console import Console
 
-    from algorithms.reporting.wide_tables import Rows
+    from algorithms.reporting.tables import Rows
     from algorithms.studies.paper_results import PaperResults
 
 REPORT_FILE = "reproduction.md"
@@ -87,7 +87,7 @@ CURVE_FIGURES = {
         vehicle_prefix(1, 2) + UTILITY_ESR,
     ),
 }
-# Drawn from a front by algorithms.reporting.front_plots, as the figure with this name.
+# Drawn from a front by algorithms.reporting.explorer.plots, as the figure with this name.
 FRONT_FIGURES = {7: "importance", 10: "reduction"}
 MIN_WIDTH = 8.4  # inches, for the title and the note below it
 

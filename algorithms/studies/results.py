@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from algorithms.reporting.run_records import experiment_record, read_evaluation
-from algorithms.reporting.table_files import markdown
+from algorithms.reporting.tables import markdown
 from algorithms.runs.run_directory import read_status
 from algorithms.studies.sweep_manifest import label
 from mo_deepdrive import suite
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from algorithms.reporting.wide_tables import Rows
+    from algorithms.reporting.tables import Rows
     from algorithms.studies.plan import ArmRuns, StudyPlan
 
 RESULTS_FILE, TUNING_FILE, TABLES_FILE = "results.csv", "tuning.csv", "results.md"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.reporting.wide_tables import print_rows
+from algorithms.reporting.tables import print_rows
 from algorithms.runs.run_directory import is_run
 from algorithms.studies.plan import LEARNER, TASK, StudyPlan
 from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, write_results

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from algorithms.reporting.wide_tables import Rows
+    from algorithms.reporting.tables import Rows
     from mo_deepdrive.suite import Row, Suite, Task
 
 BASELINE = "lintune"  # which others are compared with, if there are results of it

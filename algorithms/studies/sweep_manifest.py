@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from algorithms.reporting.seed_groups import INCIDENTAL
+from algorithms.reporting.run_records import INCIDENTAL
 from algorithms.runs.config import Experiment, check_loggers, make_experiment, override
 from algorithms.runs.jobs import Job
 from algorithms.runs.registry import directory_name, find_algorithm, peer_running
@@ -74,7 +74,7 @@ def label(cell: Mapping[str, Any]) -> str:
 def run_id(config: Mapping[str, Any]) -> str:
     """The id of a resolved experiment: the first digits of the SHA-256 of its canonical JSON.
 
-    Device, threads and logging (:data:`algorithms.reporting.seed_groups.INCIDENTAL`) are left out: they do not affect
+    Device, threads and logging (:data:`algorithms.reporting.run_records.INCIDENTAL`) are left out: they do not affect
     the result. It is not the same bit for bit: the number of threads changes last bits, and a GPU draws other random
     numbers.
     """

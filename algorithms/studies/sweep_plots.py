@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.reporting.learning_curves import CurveGroup, describe, drawn, plot
-from algorithms.reporting.sweep_effects import VariedScores, plot_effects
+from algorithms.reporting.curves import CurveGroup, VariedScores, describe, drawn, plot, plot_effects
 from algorithms.studies.sweep_collection import Cell, Collection, collect
 from algorithms.studies.sweep_ranking import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
 from mo_deepdrive.evaluation.metrics import EVALUATION

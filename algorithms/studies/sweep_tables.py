@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from algorithms.reporting.seed_tables import (
+from algorithms.reporting.tables import (
     TABLE_COLUMNS,
     TABLE_METRICS,
+    Rows,
     ScoreGroup,
     check_columns,
     comparison_table,
     interval_note,
+    print_rows,
     scores_table,
 )
-from algorithms.reporting.wide_tables import Rows, print_rows
 from algorithms.studies.sweep_collection import SCORE_KEYS, Collection, collect
 from algorithms.studies.sweep_ranking import (
     TOTAL,
@@ -58,7 +59,7 @@ def print_sweep(
         warn: called with a message about everything that is left out.
         metric: to sort by; None for the utility or the hypervolume.
         top: cells to print of each table, and comparisons.
-        columns: beside the metric to sort by; None for :data:`algorithms.reporting.seed_tables.TABLE_COLUMNS`.
+        columns: beside the metric to sort by; None for :data:`algorithms.reporting.tables.TABLE_COLUMNS`.
 
     Returns:
         The scores of all cells, and those by which they are compared.

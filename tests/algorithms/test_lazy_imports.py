@@ -73,7 +73,7 @@ def test_a_training_run_starts_without_what_it_ends_with(run_python: Callable[[s
 def test_tables_need_no_matplotlib(run_python: Callable[[str], str]) -> None:
     loaded = run_python(
         "import sys\n"
-        "import algorithms.reporting.seed_tables, algorithms.reporting.tables, algorithms.studies.sweep_tables\n"
+        "import algorithms.reporting.tables, algorithms.studies.sweep_tables\n"
         "import algorithms.commands.zoo\n"
         "print([name for name in ('matplotlib', 'torch') if name in sys.modules])"
     )

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from algorithms.reporting.explorer.explorable_front import ExplorableFront
+from algorithms.reporting.explorer.data import ExplorableFront, explorable_best_known
 from algorithms.reporting.explorer.page import write_page
 from algorithms.runs.build import build, load_policy
 from algorithms.runs.config import load_experiment
-from algorithms.runs.front_explorer import choose_command, explorable, explorable_best_known
+from algorithms.runs.front_explorer import explorable
 from algorithms.runs.policy_evaluation import evaluate_front
 from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.front import Front
 from tests.browser.explorer_page import EPISODES, SEED, Page
 
 ZOO = "one_waypoint_front-pcn"
@@ -80,9 +80,7 @@ def page(browser: Any) -> Iterator[Page]:
 def zoo_front() -> ExplorableFront:
     """A front of the zoo: 91 policies, every episode of which is the same."""
     run = Run.open(ZOO)
-    front = Front.read(run.path)
-    command = choose_command(run, ZOO)
-    return explorable(load_policy(run), front, run.experiment, episodes=20, seed=2_000_000, title=ZOO, command=command)
+    return explorable(run, load_policy(run), ZOO)
 
 
 @pytest.fixture(scope="session")
@@ -119,15 +117,7 @@ def drawn_front(drawn_run: Path) -> ExplorableFront:
 def front_on_drawn_scenarios(name: str, title: str) -> ExplorableFront:
     """The front of a run, or of the zoo, on a few episodes that differ."""
     run = Run.open(name)
-    return explorable(
-        load_policy(run),
-        Front.read(run.path),
-        run.experiment,
-        episodes=EPISODES,
-        seed=SEED,
-        title=title,
-        command=choose_command(run, name, episodes=EPISODES, seed=SEED),
-    )
+    return replace(explorable(run, load_policy(run), name, episodes=EPISODES, seed=SEED), title=title)
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from algorithms.commands import choose
-from algorithms.reporting.explorer.explorable_front import ExplorableFront
+from algorithms.reporting.explorer.data import ExplorableFront
 from algorithms.reporting.explorer.page import write_page
 from algorithms.runs.build import load_policy
 from algorithms.runs.run_directory import Run

@@ -11,7 +11,7 @@ from types import ModuleType
 
 import pytest
 
-from algorithms.reporting.seed_tables import TABLE_METRICS
+from algorithms.reporting.tables import TABLE_METRICS
 from algorithms.runs.config import load_experiment
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.support.yaml import dump, read_mapping
@@ -36,25 +36,31 @@ def pick(rows: list[dict[str, str]], **wanted: str) -> list[dict[str, str]]:
     return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
 
 
-def make_run(folder: Path, algorithm: str, seed: int, utility: float | None) -> Path:
-    """A run directory with a final evaluation in which every number is ``utility``; None for none."""
-    experiment = load_experiment(ROOT / f"configs/one_waypoint/{algorithm}_linear.yaml", [f"--seed={seed}"])
-    path = folder / f"{algorithm}-{seed}"
-    run = Run.create(experiment, path)
+def make_run(
+    folder: Path, config: str, seed: int, scores: dict[str, float] | None, policies: tuple[str, ...] = ("greedy",)
+) -> Path:
+    """A run directory with the final ``scores`` of some policies; None for a run that is not evaluated."""
+    path = folder / f"{config.replace('/', '-')}-{seed}"
+    run = Run.create(load_experiment(ROOT / f"configs/{config}.yaml", [f"--seed={seed}"]), path)
     run.unlock()
-    if utility is not None:
+    if scores is not None:
         run.set_status("finished", 10)
-        estimate = {"value": utility, "low": None, "high": None}
-        policies = {policy: dict.fromkeys(TABLE_METRICS, estimate) for policy in ("greedy", "stochastic")}
-        (path / "evaluation.json").write_text(json.dumps({"policies": policies}))
+        estimates = {name: {"value": value, "low": None, "high": None} for name, value in scores.items()}
+        (path / "evaluation.json").write_text(json.dumps({"policies": dict.fromkeys(policies, estimates)}))
     return path
+
+
+def make_learner(folder: Path, algorithm: str, seed: int, utility: float) -> Path:
+    """A run of one policy, in whose final evaluation every number is ``utility``."""
+    scores = dict.fromkeys(TABLE_METRICS, utility)
+    return make_run(folder, f"one_waypoint/{algorithm}_linear", seed, scores, ("greedy", "stochastic"))
 
 
 def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(tmp_path: Path, run_table: Script) -> None:
     scores = {"a2c": [1.0, 2.0, 6.0], "mo_a2c": [11.0, 12.0, 16.0]}
     for algorithm, utilities in scores.items():
         for seed, utility in enumerate(utilities):
-            make_run(tmp_path, algorithm, seed, utility)
+            make_learner(tmp_path, algorithm, seed, utility)
     output = tmp_path / "scores.csv"
     assert run_table(tmp_path, "--output", output) == 0
     utilities = pick(read(output), metric="utility_esr")
@@ -77,7 +83,7 @@ def test_tables_are_written_for_papers_and_pages(
 ) -> None:
     for algorithm in ("a2c", "mo_a2c"):
         for seed in range(3):
-            make_run(tmp_path, algorithm, seed, seed - 5.25)
+            make_learner(tmp_path, algorithm, seed, seed - 5.25)
     for ending in ("tex", "md"):
         assert run_table(tmp_path, "--output", tmp_path / f"table.{ending}") == 0
         written = f"written: {tmp_path}/table.{ending}, {tmp_path}/table-differences.{ending}"
@@ -117,10 +123,8 @@ def test_columns_are_chosen_by_name_and_say_what_to_cite(
     tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
 ) -> None:
     numbers = {"utility_esr": 1.0, "return/g_force": -2.0, "suite/score": 0.5, "success": 1.0}
-    estimates = {name: {"value": value, "low": None, "high": None} for name, value in numbers.items()}
     for seed in range(3):
-        path = make_run(tmp_path, "a2c", seed, 0.0)
-        (path / "evaluation.json").write_text(json.dumps({"policies": {"greedy": estimates}}))
+        path = make_run(tmp_path, "one_waypoint/a2c_linear", seed, numbers)
         (path / "status.json").unlink()
         config = read_mapping(path / "config.yaml")
         config["evaluation"] |= {"task": "K1", "final_episodes": 50}
@@ -137,153 +141,10 @@ def test_columns_are_chosen_by_name_and_say_what_to_cite(
     assert "--columns return/g_forse: no run has such a score; the nearest: return/g_force" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["t.tsv", "t", "t.xlsx", ".csv/t.txt"])
-def test_other_formats_are_refused_before_anything_is_read(
-    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
-    assert run_table("nowhere", "--output", tmp_path / name) == 2
-    expected = f"error: --output '{tmp_path / name}' must end in .csv or .md or .tex\n"
-    assert capsys.readouterr() == ("", expected)
-
-
-def test_every_vehicle_has_a_row_and_there_is_one_for_all_together(tmp_path: Path, run_table: Script) -> None:
-    for algorithm, utility in (("a2c", 1.0), ("mo_a2c", 3.0)):
-        for seed in (0, 1):
-            config = ROOT / f"configs/paper/intersection_{algorithm}_linear.yaml"
-            path = tmp_path / f"{algorithm}-{seed}"
-            run = Run.create(load_experiment(config, [f"--seed={seed}"]), path)
-            run.unlock()
-            run.set_status("finished", 10)
-            numbers = {"success": 0.5, "end/collision": 0.25}
-            for v in (0, 1):
-                numbers[f"vehicle_{v}/utility_esr"] = utility + v
-                numbers[f"vehicle_{v}/return/lane_violation"] = -2.0
-            estimates = {name: {"value": value, "low": None, "high": None} for name, value in numbers.items()}
-            content = {"policies": dict.fromkeys(("greedy", "stochastic"), estimates)}
-            (path / "evaluation.json").write_text(json.dumps(content))
-    output = tmp_path / "scores.csv"
-    assert run_table(tmp_path, "--output", output) == 0
-    found = read(output)
-    vehicles = ("", "vehicle_0", "vehicle_1")
-    assert list(dict.fromkeys((row["algorithm"], row["policy"], row["vehicle"]) for row in found)) == [
-        (algorithm, policy, vehicle)
-        for algorithm in ("a2c", "mo_a2c")
-        for policy in ("greedy", "stochastic")
-        for vehicle in vehicles
-    ]
-    assert found[0]["environment"] == "mo-deepdrive-intersection-v0 end_together=True"
-    first = pick(found, algorithm="a2c", policy="greedy")
-    assert [(row["vehicle"], row["metric"], float(row["mean"])) for row in first if "iqm" not in row["metric"]] == [
-        ("", "success", 0.5),
-        ("", "end/collision", 0.25),
-        *(
-            (f"vehicle_{v}", name, value)
-            for v in (0, 1)
-            for name, value in (("utility_esr", 1.0 + v), ("return/lane_violation", -2.0))
-        ),
-    ]
-    compared = read(tmp_path / "scores-differences.csv")
-    assert [(row["vehicle"], float(row["mean"])) for row in compared] == [("vehicle_0", 2.0), ("vehicle_1", 2.0)] * 2
-
-
-def test_a_run_without_a_final_evaluation_is_named_and_left_out(
-    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
-) -> None:
-    make_run(tmp_path, "a2c", 0, 1.0)
-    unfinished = make_run(tmp_path, "a2c", 1, None)
-    output = tmp_path / "scores.csv"
-    assert run_table(tmp_path, "--output", output) == 0
-    assert f"left out: {unfinished}" in capsys.readouterr().err
-    assert {row["seeds"] for row in read(output)} == {"0"}
-
-
-def test_folders_without_runs_and_repeated_seeds_are_refused(
-    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
-) -> None:
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    assert run_table(empty) == 2
-    assert "holds no run" in capsys.readouterr().err
-    make_run(tmp_path / "first", "a2c", 0, 1.0)
-    make_run(tmp_path / "second", "a2c", 0, 1.0)
-    assert run_table(tmp_path / "first", tmp_path / "second") == 2
-    assert "the same seed, 0" in capsys.readouterr().err
-
-
-def make_front_run(folder: Path, config: str, seed: int, numbers: dict[str, float], *overrides: str) -> None:
-    """A run directory with the final evaluation of a front."""
-    experiment = load_experiment(ROOT / f"configs/{config}.yaml", [f"--seed={seed}", *overrides])
-    path = folder / f"{config.replace('/', '-')}-{seed}"
-    run = Run.create(experiment, path)
-    run.unlock()
-    run.set_status("finished", 10)
-    estimates = {name: {"value": value, "low": None, "high": None} for name, value in numbers.items()}
-    (path / "evaluation.json").write_text(json.dumps({"policies": {"front": estimates}}))
-
-
-def test_fronts_have_indicators_and_are_compared_by_hypervolume(tmp_path: Path, run_table: Script) -> None:
-    for config, base in (("one_waypoint/pcn", 100.0), ("peers/pcn", 40.0)):
-        for seed, more in enumerate((1.0, 2.0, 6.0)):
-            numbers = {"hypervolume": base + more, "cardinality": base, "expected_utility": more, "igd_plus": 0.5}
-            make_front_run(tmp_path, config, seed, numbers)
-    make_run(tmp_path, "a2c", 0, 5.0)
-    make_run(tmp_path, "a2c", 1, 6.0)
-    output = tmp_path / "scores.csv"
-    assert run_table(tmp_path, "--output", output) == 0
-    found = read(output)
-    for algorithm, base in (("pcn", 100.0), ("morl_baselines.pcn", 40.0)):
-        rows = {row["metric"]: row for row in pick(found, algorithm=algorithm, policy="front", utility="")}
-        assert list(rows) == ["hypervolume", "cardinality", "expected_utility", "igd_plus"]
-        assert [float(row["mean"]) for row in rows.values()] == pytest.approx([base + 3.0, base, 3.0, 0.5])
-        assert float(rows["hypervolume"]["low"]) == base + 1.0
-    assert {row["policy"] for row in found if row["algorithm"] == "a2c"} == {"greedy", "stochastic"}
-    (compared,) = read(tmp_path / "scores-differences.csv")
-    assert (compared["difference"], compared["metric"], compared["policy"]) == (
-        "morl_baselines.pcn - pcn",
-        "hypervolume",
-        "front",
-    )
-    assert float(compared["mean"]) == pytest.approx(-60.0)
-    assert float(compared["low"]) < -60.0 < float(compared["high"])
-
-
-def test_one_seed_of_a_front_is_shown_and_not_compared(tmp_path: Path, run_table: Script) -> None:
-    for config in ("one_waypoint/pcn", "peers/pcn"):
-        make_front_run(tmp_path, config, 0, {"hypervolume": 7.5, "cardinality": 3.0})
-    output = tmp_path / "scores.csv"
-    assert run_table(tmp_path, "--output", output) == 0
-    numbers = [[row[name] for name in ("metric", "mean", "low", "high", "n")] for row in read(output)]
-    assert numbers == [["hypervolume", "7.5", "", "", "1"], ["cardinality", "3.0", "", "", "1"]] * 2
-    assert not (tmp_path / "scores-differences.csv").exists()
-
-
-def test_a_file_that_cannot_be_written_is_refused_before_the_table(
-    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run_table(tmp_path, "--output", tmp_path / "nowhere" / "scores.csv") == 2
-    where = tmp_path / "nowhere"
-    message = f"error: --output '{where}/scores.csv': '{where}' is not a directory\n"
-    assert capsys.readouterr() == ("", message)
-
-
-@pytest.mark.parametrize("broken", [False, True])
-def test_a_run_that_is_not_finished_or_whose_status_is_broken_is_left_out(
-    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str], *, broken: bool
-) -> None:
-    stopped, finished = (make_run(tmp_path, "a2c", seed, 1.0) for seed in range(2))
-    Run.open(stopped).set_status("interrupted", 5)
-    Run.open(finished).set_status("finished", 10)
-    if broken:
-        (stopped / "status.json").write_text("finished")
-    assert run_table(tmp_path) == 0
-    reason = "status.json: cannot be read" if broken else "its training is not finished"
-    assert capsys.readouterr().err == f"left out: {stopped}: {reason}\n"
-
-
 def test_a_run_whose_final_evaluation_has_changed_is_left_out(
     tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    changed, intact = (make_run(tmp_path, "a2c", seed, 1.0) for seed in range(2))
+    changed, intact = (make_learner(tmp_path, "a2c", seed, 1.0) for seed in range(2))
     for path in (changed, intact):
         Run.open(path).set_status("finished", 10)
     text = (changed / "evaluation.json").read_text()
@@ -293,3 +154,84 @@ def test_a_run_whose_final_evaluation_has_changed_is_left_out(
     message = f"left out: {changed}: evaluation.json: changed since the run finished\n"
     assert capsys.readouterr().err == message
     assert {row["seeds"] for row in read(output)} == {"1"}
+
+
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [
+        ("t.tsv", "error: --output '{}' must end in .csv or .md or .tex\n"),
+        (".csv/t.txt", "error: --output '{}' must end in .csv or .md or .tex\n"),
+        ("nowhere/t.csv", "error: --output '{}': '{}' is not a directory\n"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_refused_before_anything_is_read(
+    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str], output: str, message: str
+) -> None:
+    path = tmp_path / output
+    assert run_table("nowhere", "--output", path) == 2
+    assert capsys.readouterr() == ("", message.format(path, path.parent))
+
+
+def test_every_vehicle_has_a_row_and_there_is_one_for_all_together(tmp_path: Path, run_table: Script) -> None:
+    for algorithm, utility in (("a2c", 1.0), ("mo_a2c", 3.0)):
+        for seed in (0, 1):
+            numbers = {"success": 0.5, "end/collision": 0.25}
+            for v in (0, 1):
+                numbers |= {f"vehicle_{v}/utility_esr": utility + v, f"vehicle_{v}/return/lane_violation": -2.0}
+            make_run(tmp_path, f"paper/intersection_{algorithm}_linear", seed, numbers)
+    output = tmp_path / "scores.csv"
+    assert run_table(tmp_path, "--output", output) == 0
+    found = read(output)
+    assert found[0]["environment"] == "mo-deepdrive-intersection-v0 end_together=True"
+    first = [row for row in pick(found, algorithm="a2c") if "iqm" not in row["metric"]]
+    assert [(row["vehicle"], row["metric"], float(row["mean"])) for row in first] == [
+        ("", "success", 0.5),
+        ("", "end/collision", 0.25),
+        ("vehicle_0", "utility_esr", 1.0),
+        ("vehicle_0", "return/lane_violation", -2.0),
+        ("vehicle_1", "utility_esr", 2.0),
+        ("vehicle_1", "return/lane_violation", -2.0),
+    ]
+    compared = read(tmp_path / "scores-differences.csv")
+    assert [(row["vehicle"], float(row["mean"])) for row in compared] == [("vehicle_0", 2.0), ("vehicle_1", 2.0)]
+
+
+def test_fronts_have_indicators_and_are_compared_by_hypervolume(tmp_path: Path, run_table: Script) -> None:
+    for config, base in (("one_waypoint/pcn", 100.0), ("peers/pcn", 40.0)):
+        for seed, more in enumerate((1.0, 2.0, 6.0)):
+            numbers = {"hypervolume": base + more, "cardinality": base, "expected_utility": more, "igd_plus": 0.5}
+            make_run(tmp_path, config, seed, numbers, ("front",))
+    make_learner(tmp_path, "a2c", 0, 5.0)
+    output = tmp_path / "scores.csv"
+    assert run_table(tmp_path, "--output", output) == 0
+    found = read(output)
+    for algorithm, base in (("pcn", 100.0), ("morl_baselines.pcn", 40.0)):
+        rows = {row["metric"]: row for row in pick(found, algorithm=algorithm, policy="front", utility="")}
+        assert list(rows) == ["hypervolume", "cardinality", "expected_utility", "igd_plus"]
+        assert [float(row["mean"]) for row in rows.values()] == pytest.approx([base + 3.0, base, 3.0, 0.5])
+        assert float(rows["hypervolume"]["low"]) == base + 1.0
+    (compared,) = read(tmp_path / "scores-differences.csv")
+    assert (compared["difference"], compared["metric"]) == ("morl_baselines.pcn - pcn", "hypervolume")
+    assert float(compared["mean"]) == pytest.approx(-60.0)
+
+
+def test_runs_that_are_not_evaluated_or_finished_are_left_out_and_a_repeated_seed_is_refused(
+    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "runs").mkdir()
+    assert run_table(tmp_path / "runs") == 2
+    assert "holds no run" in capsys.readouterr().err
+    finished, stopped, broken = (make_learner(tmp_path / "runs", "a2c", seed, 1.0) for seed in range(3))
+    unfinished = make_run(tmp_path / "runs", "one_waypoint/a2c_linear", 3, None)
+    Run.open(stopped).set_status("interrupted", 5)
+    (broken / "status.json").write_text("finished")
+    output = tmp_path / "scores.csv"
+    assert run_table(tmp_path / "runs", "--output", output) == 0
+    assert {row["seeds"] for row in read(output)} == {"0"}
+    error = capsys.readouterr().err
+    assert f"left out: {stopped}: its training is not finished\n" in error
+    assert f"left out: {broken}: status.json: cannot be read\n" in error
+    assert f"left out: {unfinished}" in error
+    make_learner(tmp_path / "again", "a2c", 0, 1.0)
+    assert run_table(finished, tmp_path / "again") == 2
+    assert "the same seed, 0" in capsys.readouterr().err

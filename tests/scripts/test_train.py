@@ -239,8 +239,8 @@ def crash() -> None:
 def test_an_interrupted_and_resumed_run_of_a_front_is_the_same_run(
     tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, text: str
 ) -> None:
-    monkeypatch.setattr("algorithms.reporting.video_grid.write_video_grid", lambda *arguments, **options: None)
-    monkeypatch.setattr("algorithms.reporting.front_plots.draw_front", lambda *arguments, **options: None)
+    monkeypatch.setattr("algorithms.reporting.videos.write_video_grid", lambda *arguments, **options: None)
+    monkeypatch.setattr("algorithms.reporting.explorer.plots.draw_front", lambda *arguments, **options: None)
     (tmp_path / "front.yaml").write_text(text)
     run, whole = tmp_path / "run", tmp_path / "whole"
     first = ["--config", "front.yaml", "--output", run]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from algorithms.reporting.explorer.explorable_front import ExplorableFront
+    from algorithms.reporting.explorer.data import ExplorableFront
 
 EXPLORER_FILE = "explore.html"
 FORMAT = 3  # of the data, which the page checks
@@ -37,10 +37,6 @@ def explorer_page(fronts: Sequence[ExplorableFront], title: str) -> str:
 
     It needs no network, which its content security policy forbids. Data are data: they are in a block of JSON that no
     browser runs, and the page writes them as text.
-
-    Args:
-        fronts: what can be explored; the page says so if there are none.
-        title: of the page.
     """
     data = {"format": FORMAT, "fronts": [front.to_json() for front in fronts]}
     parts = {
@@ -69,11 +65,7 @@ def write_page(fronts: Sequence[ExplorableFront], path: str | Path, title: str) 
 
 
 def as_json(data: Any) -> str:
-    """``data`` as JSON that can be inside a ``script`` element, whatever its strings hold.
-
-    Raises:
-        ValueError: for a number that is not finite.
-    """
+    """``data`` as JSON that can be inside a ``script`` element; a number that is not finite is a ValueError."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

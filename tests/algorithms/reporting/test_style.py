@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import matplotlib
-import pytest
 from matplotlib.figure import Figure
 
 from algorithms import ALGORITHMS
@@ -18,7 +17,6 @@ from algorithms.reporting.style import (
     curve_styles,
     figure_style,
     save_figure,
-    widened,
 )
 
 
@@ -29,11 +27,6 @@ def test_every_algorithm_has_one_colour_that_no_other_has() -> None:
     together = algorithm_colours(["mo_a2c", "my.package:Algorithm", "a2c"])
     for name in together:
         assert algorithm_colours([name]) == {name: together[name]}, "whatever else a figure shows"
-
-
-def test_algorithms_that_are_not_ours_differ_in_colour_where_they_meet() -> None:
-    names = [f"package_{i}:Algorithm" for i in range(len(OTHER_COLOURS))]
-    assert set(algorithm_colours(names).values()) == set(OTHER_COLOURS)
 
 
 def test_the_order_is_that_of_the_colours_then_by_name() -> None:
@@ -47,11 +40,6 @@ def test_curves_of_one_algorithm_have_its_shades_and_different_markers() -> None
     assert [first, other] == [ALGORITHM_COLOURS["mo_a2c"].lower(), ALGORITHM_COLOURS["a2c"].lower()]
     assert second not in (first, other)
     assert [plain, marker] == list(MARKERS[:2])
-
-
-def test_an_axis_spans_a_tenth_of_the_magnitude_at_least() -> None:
-    assert widened(0.998, 1.0, 1.0) == pytest.approx((0.949, 1.049))
-    assert widened(0.0, 1.0, 1.0) == (0.0, 1.0)
 
 
 def test_figures_do_not_depend_on_a_users_settings(tmp_path: Path) -> None:

@@ -11,12 +11,14 @@ import pytest
 from algorithms.reporting.training_log import MetricsFile, read_metrics
 
 
-def test_metrics_are_read_back_to_the_last_bit(tmp_path: Path) -> None:
+def test_metrics_are_read_back_to_the_last_bit_but_for_a_torn_row(tmp_path: Path) -> None:
     path = tmp_path / "metrics.csv"
     file = MetricsFile(path)
     file.write(0, {"a": 1 / 3})
     file.write(10, {"a": 2, "b/c": np.float32(0.1)})
     file.write(10, {"b/c": float("nan")})
+    with path.open("a") as torn:
+        torn.write("20,1.0,2.")
     columns = read_metrics(path)
     np.testing.assert_array_equal(columns["step"], [0, 10, 10])
     np.testing.assert_array_equal(columns["a"], [1 / 3, 2, np.nan])
@@ -34,28 +36,19 @@ def test_metrics_are_continued_after_a_step(tmp_path: Path) -> None:
     assert path.read_text() == "step\n"
 
 
-def test_a_torn_last_row_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "metrics.csv"
-    path.write_text("step,a,b\n0,1.0,2.0\n10,1.0,2.")
-    np.testing.assert_array_equal(read_metrics(path)["step"], [0])
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         (b"a,b\n1,2\n", "has no column 'step' at its beginning"),
-        (b"\nstep,a\n0,1\n", "has no column 'step' at its beginning"),
-        (b"0,1.0\n10,2.0\n", "has no column 'step' at its beginning"),
         (b"\x7fELF\x01", "has no column 'step' at its beginning"),
         (b"step,a,a\n0,1,2\n", "has two columns of the name 'a'"),
         (b"step\n\x80\n", "is not a CSV file: 'utf-8' codec"),
         (b"step,a\n0,\0\n", "is not a CSV file: it has NUL bytes"),
-        (b"\0" * 100, "is not a CSV file: it has NUL bytes"),
         (b'step,a\n0,"1\n', "is not a CSV file: unexpected end of data"),
         (b"step,a\n0,x\n", "is broken: a = 'x' at step 0 is not a number"),
         *(
             (f"step,a\n{step},1\n".encode(), f"has a row of step '{step}'; a step is an integer of at most 16 digits")
-            for step in ("abc", "", "nan", "-1", "1.5", "1" * 17)
+            for step in ("abc", "", "-1", "1.5", "1" * 17)
         ),
     ],
 )
@@ -68,8 +61,6 @@ def test_a_damaged_file_is_neither_read_nor_continued(tmp_path: Path, content: b
     with pytest.raises(ValueError, match=f"^{whole}.*; repair it, or delete it to resume without its rows$"):
         MetricsFile(path, after=10)
     assert path.read_bytes() == content
-    with pytest.raises(ValueError, match="does not exist"):
-        read_metrics(tmp_path / "nowhere.csv")
 
 
 def test_a_file_that_is_deleted_while_it_is_written_is_an_error(tmp_path: Path) -> None:

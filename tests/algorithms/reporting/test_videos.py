@@ -1,10 +1,9 @@
-"""Videos of a policy: what the frames show, of one vehicle and of two that end at different times."""
+"""Videos of policies: what the frames show, of one and of several side by side, and captions."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +11,30 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 from rich.console import Console
 
 from algorithms.actor_critic import ActorCritic
-from algorithms.reporting import videos
+from algorithms.reporting import fronts, videos
 from algorithms.reporting.videos import (
+    CAPTION_PIXELS,
+    GAP,
     HOLD,
+    MAX_WIDTH,
+    Frame,
+    caption_strip,
     check_renderable,
+    cut_off,
     make_render_env,
     record,
     video_writer,
+    write_gif,
+    write_video_grid,
 )
 from algorithms.runs.agent_report import film
 from algorithms.runs.build import build
 from algorithms.runs.config import Experiment, make_experiment
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
-from mo_deepdrive.support.atomic_io import leftovers
 from mo_deepdrive.world.actions import action_names
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
@@ -64,55 +71,28 @@ def resembles(pixel: NDArray[np.uint8], colour: tuple[int, ...]) -> bool:
     return bool(np.abs(pixel.astype(int) - colour).max() < 40)
 
 
-@dataclass(frozen=True)
-class Filmed:
-    """An episode in which vehicle 0 waits until the time limit and vehicle 1 arrives before."""
-
-    agent: ActorCritic
-    count: int
-    frames: NDArray[np.uint8]
-    accrued: NDArray[np.float32]  # (decisions, V, d), as the policy saw them
-    discounts: NDArray[np.float32]  # (decisions, V)
-
-
-@pytest.fixture(scope="module")
-def filmed(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
+@pytest.mark.slow
+def test_a_video_lasts_until_both_vehicles_have_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     agent, experiment = make(TWO, time_limit=LIMIT)
-    seen: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
+    seen: list[NDArray[np.float32]] = []
 
     def act(observations: Any, accrued_reward: AccruedReward, generator: Any) -> NDArray[np.int64]:
-        seen.append((accrued_reward.value[0].copy(), accrued_reward.discounts[0].copy()))
-        return np.array([[IDLE, SPEED_UP]])
+        seen.append(accrued_reward.value[0].copy())
+        return np.array([[IDLE, SPEED_UP]])  # vehicle 0 waits until the time limit and vehicle 1 arrives before
 
-    path = tmp_path_factory.mktemp("video") / "episode.mp4"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(agent, "act", act)
-        count = record(agent, experiment.environment.id, experiment.environment.arguments, path, episodes=1)
-    accrued, discounts = (np.stack(each) for each in zip(*seen, strict=True))
-    return Filmed(agent, count, iio.imread(path), accrued, discounts)
-
-
-@pytest.mark.slow
-def test_a_video_lasts_until_both_vehicles_have_ended(filmed: Filmed) -> None:
-    assert len(filmed.frames) == filmed.count == 1 + LIMIT * FPS + round(HOLD * FPS)
-    arrived = [resembles(label(frame, 1), GREEN) for frame in filmed.frames]
+    monkeypatch.setattr(agent, "act", act)
+    path = tmp_path / "episode.mp4"
+    count = record(agent, experiment.environment.id, experiment.environment.arguments, path, episodes=1)
+    frames = iio.imread(path)
+    assert len(frames) == count == 1 + LIMIT * FPS + round(HOLD * FPS)
+    arrived = [resembles(label(frame, 1), GREEN) for frame in frames]
     first = arrived.index(True)
     assert 5 * FPS < first < LIMIT * FPS
     assert all(arrived[first:])
-    late = [resembles(label(frame, 0), AMBER) for frame in filmed.frames]
+    late = [resembles(label(frame, 0), AMBER) for frame in frames]
     assert late.index(True) == LIMIT * FPS
-
-
-@pytest.mark.slow
-def test_the_policy_observes_the_rewards_of_its_vehicle(filmed: Filmed) -> None:
-    gamma = filmed.agent.config.gamma
-    powers = gamma ** np.arange(LIMIT * FPS)
-    np.testing.assert_allclose(filmed.discounts, np.stack([powers, powers], axis=1), rtol=1e-4)
-    assert not filmed.accrued[0].any()
-    destinations = filmed.accrued[:, 1, filmed.agent.env.objectives.index("destination")]
-    arrival = np.flatnonzero(destinations)[0]
-    assert destinations[arrival] == pytest.approx(powers[arrival - 1], rel=1e-4)
-    assert (filmed.accrued[arrival:, 1] == filmed.accrued[arrival, 1]).all(), "who has ended earns nothing more"
+    destinations = np.stack(seen)[:, 1, agent.env.objectives.index("destination")]
+    assert len(np.unique(destinations)) == 2, "the policy observes the reward of its vehicle, which ends with it"
 
 
 @pytest.mark.slow
@@ -131,18 +111,6 @@ def test_each_episode_of_one_vehicle_is_filmed_from_its_start_to_its_end(
         last = frames[start + FPS]
         assert np.abs(last - frames[start]).max() > 100
         assert np.abs(last - frames[start + length - 1]).mean() < 1
-
-
-def test_a_video_that_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    agent, experiment = make(ONE, time_limit=1)
-
-    def act(*_: Any) -> NDArray[np.int64]:
-        raise RuntimeError("no idea")
-
-    monkeypatch.setattr(agent, "act", act)
-    with pytest.raises(RuntimeError, match="no idea"):
-        record(agent, experiment.environment.id, experiment.environment.arguments, tmp_path / "episode.mp4")
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_video_without_frames_is_not_written(tmp_path: Path) -> None:
@@ -201,11 +169,177 @@ def test_a_video_that_could_not_be_written_whole_leaves_the_former_one(tmp_path:
     assert [each.name for each in tmp_path.iterdir()] == ["video.mp4"]
 
 
-def test_what_a_killed_process_leaves_of_a_video_is_found_when_its_run_is_started_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[Path] = []
-    monkeypatch.setattr(videos, "_check_whole", lambda *_: seen.extend(leftovers(tmp_path)))
-    write_noise(tmp_path / "video.mp4", 1)
-    assert len(seen) == 1
+# -------------------------------------------------------------------------------------------------------- side by side
+
+HEIGHT, WIDTH = 60, 100
+COLOURS = ((200, 40, 40), (40, 180, 40), (50, 60, 220), (220, 200, 40))
+
+
+def plain(level: float, colour: tuple[int, ...] = (255, 255, 255), size: tuple[int, int] = (HEIGHT, WIDTH)) -> Frame:
+    """A frame of one colour, darkened to ``level``."""
+    return np.full((*size, 3), np.array(colour) * level, dtype=np.uint8)
+
+
+def tile(frames: Frame, row: int, column: int) -> Frame:
+    """The tile at a place, of all frames, less a margin where colours run."""
+    top = row * (HEIGHT + CAPTION_PIXELS) + CAPTION_PIXELS
+    left = column * (WIDTH + GAP)
+    return frames[:, top + 8 : top + HEIGHT - 8, left + 8 : left + WIDTH - 8]
+
+
+@pytest.mark.slow
+def test_four_tracks_form_a_square_and_each_keeps_its_last_frame(tmp_path: Path) -> None:
+    lengths = (3, 8, 5, 1)
+
+    def track(k: int) -> Iterator[Frame]:
+        for step in range(lengths[k]):
+            yield plain(0.5 + step / 16, COLOURS[k])
+
+    tracks = [(f"policy {k}", track(k)) for k in range(4)]
+    count = write_video_grid(tracks, tmp_path / "video.mp4", FPS, hold=0.5)
+    frames = iio.imread(tmp_path / "video.mp4")
+    assert len(frames) == count == max(lengths) + 5
+    assert frames.shape[1:] == (2 * (HEIGHT + CAPTION_PIXELS), 2 * WIDTH + GAP, 3)
+    for k in range(4):
+        for step in range(count):
+            level = 0.5 + min(step, lengths[k] - 1) / 16
+            shown = tile(frames, *divmod(k, 2))[step].astype(float)
+            assert np.abs(shown - np.array(COLOURS[k]) * level).max() < 16.0
     assert list(tmp_path.iterdir()) == [tmp_path / "video.mp4"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("n", "rows", "columns"), [(1, 1, 1), (3, 1, 3), (5, 2, 3)])
+def test_up_to_three_tracks_are_side_by_side_and_the_rest_of_a_last_row_is_empty(
+    tmp_path: Path, n: int, rows: int, columns: int
+) -> None:
+    write_video_grid([(str(k), [plain(1.0)]) for k in range(n)], tmp_path / "video.mp4", FPS, hold=0.2)
+    frames = iio.imread(tmp_path / "video.mp4")
+    assert frames.shape[1:] == (rows * (HEIGHT + CAPTION_PIXELS), columns * (WIDTH + GAP) - GAP, 3)
+    assert tile(frames, *divmod(n - 1, columns)).min() > 230
+    if n == 5:
+        assert tile(frames, 1, 2).max() < 60
+
+
+def test_captions_are_above_their_tiles(tmp_path: Path) -> None:
+    write_video_grid([("", [plain(0.0)]), ("WWW", [plain(0.0)])], tmp_path / "video.mp4", FPS)
+    strips = iio.imread(tmp_path / "video.mp4")[0, :CAPTION_PIXELS].max(axis=2)
+    assert strips[:, :WIDTH].max() < 60
+    assert strips[:, WIDTH + GAP :].max() > 180
+
+
+def test_wide_frames_are_scaled_and_odd_sides_made_even(tmp_path: Path) -> None:
+    height, width = 301, 1101
+    frame = plain(1.0, size=(height, width))
+    frame[:, width // 2 :] = 0
+    write_video_grid([("a", [frame]), ("b", [frame])], tmp_path / "wide.mp4", FPS)
+    frame = iio.imread(tmp_path / "wide.mp4")[0]
+    assert frame.shape[1] in range(MAX_WIDTH - 4, MAX_WIDTH + 1)
+    shown = (frame.shape[1] - GAP) // 2
+    assert (frame.shape[0] - CAPTION_PIXELS) / shown == pytest.approx(height / width, abs=0.005)
+    row = frame[CAPTION_PIXELS + 50].astype(int)
+    for left in (0, shown + GAP):
+        assert row[left + 5 : left + shown // 2 - 5].min() > 230
+        assert row[left + shown // 2 + 5 : left + shown - 5].max() < 30
+    write_video_grid([("a", [plain(1.0, size=(31, 57))])], tmp_path / "odd.mp4", FPS)
+    assert iio.imread(tmp_path / "odd.mp4")[0].shape == (CAPTION_PIXELS + 32, 58, 3)
+
+
+def failing() -> Iterator[Frame]:
+    yield plain(1.0)
+    raise RuntimeError("no idea")
+
+
+@pytest.mark.parametrize(
+    ("tracks", "error", "message"),
+    [
+        ([], ValueError, "at least one"),
+        ([("a", [plain(1.0)]), ("b", [])], ValueError, "track 'b' has no frames"),
+        ([("a", failing())], RuntimeError, "no idea"),
+    ],
+)
+def test_tracks_that_cannot_be_shown_leave_nothing_behind(
+    tmp_path: Path, tracks: Any, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        write_video_grid(tracks, tmp_path / "video.mp4", FPS)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_captions_that_do_not_fit_shrink_and_are_then_shortened() -> None:
+    def ink(text: str, width: int = 300) -> tuple[int, int]:
+        """Width and height of what is written."""
+        strip = caption_strip(text, width).max(axis=2) > 90
+        assert strip.shape == (CAPTION_PIXELS, width)
+        columns, rows = np.flatnonzero(strip.any(axis=0)), np.flatnonzero(strip.any(axis=1))
+        assert columns[-1] <= width - 10
+        return int(np.ptp(columns)), int(np.ptp(rows))
+
+    short, longer, endless = ink("H" * 10), ink("H" * 30), ink("H" * 300)
+    assert short[1] > longer[1] >= endless[1], "smaller letters"
+    assert longer[0] > short[0]
+    assert endless[0] > 240
+    assert ink("two\nlines  $x^2$")[1] < 24
+
+
+def test_a_video_that_is_cut_off_says_so_on_its_last_frame() -> None:
+    frames = [np.full((60, 200, 3), 5 * i, dtype=np.uint8) for i in range(30)]
+    for count in (30, 31):
+        assert list(map(id, cut_off(frames, count, 10))) == list(map(id, frames))
+    *before, last = cut_off(frames, 20, 10)
+    np.testing.assert_array_equal(before, frames[:19])
+    np.testing.assert_array_equal(last[:-CAPTION_PIXELS], frames[19][:-CAPTION_PIXELS])
+    np.testing.assert_array_equal(last[-CAPTION_PIXELS:], caption_strip("cut off after 2 s", 200))
+    assert not list(cut_off([], 3, 10))
+
+
+def test_whole_episodes_of_our_environments_fit_into_a_video() -> None:
+    env = make_render_env(ONE)
+    frames_of_episode = env.unwrapped.config.max_decisions + 1
+    env.close()
+    assert frames_of_episode <= fronts.MAX_FRAMES
+    assert 3 * (frames_of_episode + HOLD * 10) <= videos.MAX_FRAMES
+
+
+# ---------------------------------------------------------------------------------------------------------------- GIF
+
+RED, BLUE = (220, 20, 30), (30, 40, 200)
+
+
+def clip(colour: tuple[int, int, int], count: int) -> list[Frame]:
+    """Frames with the colour in the left square, in which a white bar moves, and grey on the right."""
+    frames = []
+    for t in range(count):
+        frame: Frame = np.full((60, 100, 3), 128, dtype=np.uint8)
+        frame[:, :60] = colour
+        frame[10 * t : 10 * t + 10, :60] = 255
+        frames.append(frame)
+    return frames
+
+
+def test_clips_of_a_gif_are_side_by_side_below_their_captions_and_the_shorter_one_waits(tmp_path: Path) -> None:
+    path = tmp_path / "two.gif"
+    count, size = write_gif([("Red", clip(RED, 5)), ("Blue", clip(BLUE, 2))], path, fps=10, side=32)
+    assert (count, size) == (5, path.stat().st_size)
+    shown: list[Frame] = []
+    with Image.open(path) as image:
+        assert image.info["loop"] == 0
+        for k in range(image.n_frames):
+            image.seek(k)
+            shown += [np.asarray(image.convert("RGB"))] * round(image.info["duration"] / 100)
+    assert len(shown) == 5
+    assert shown[0].shape == (32 + CAPTION_PIXELS, 64 + GAP, 3)
+    for t, frame in enumerate(shown):
+        for x, colour, bar in ((10, RED, t), (32 + GAP + 10, BLUE, min(t, 1))):
+            column = frame[CAPTION_PIXELS:, x].astype(int)
+            assert np.abs(column[30] - colour).max() < 12  # no bar comes that far down
+            assert (column[round(32 * (bar + 0.5) / 6)] > 200).all()
+        assert (frame[:, 32 : 32 + GAP] > 240).all()
+
+
+@pytest.mark.parametrize("fps", [30, 0])
+def test_a_gif_counts_hundredths_of_a_second(tmp_path: Path, fps: int) -> None:
+    with pytest.raises(ValueError, match=f"fps = {fps} must divide 100"):
+        write_gif([("Red", clip(RED, 2))], tmp_path / "none.gif", fps=fps)
+    assert not list(tmp_path.iterdir())

@@ -11,7 +11,7 @@ import pytest
 
 from algorithms.commands import plot, table
 from algorithms.reporting.run_records import experiment_record
-from algorithms.reporting.seed_tables import group_runs
+from algorithms.reporting.tables import group_runs
 from algorithms.runs.config import make_experiment
 from mo_deepdrive.evaluation import Evaluation, evaluate
 from mo_deepdrive.utilities import make_utility

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from algorithms.reporting.explorer.explorable_front import ExplorableFront
+from algorithms.reporting.explorer.data import ExplorableFront
 from algorithms.reporting.explorer.page import FORMAT, SCRIPTS, SOURCES, as_json, explorer_page, write_page
 from algorithms.reporting.style import COLOURS
 
@@ -89,10 +89,6 @@ def test_every_part_is_in_its_place(page: str) -> None:
 
 def test_the_page_takes_less_than_a_megabyte_besides_its_data(page: str) -> None:
     assert len(page.encode()) < 1e6
-
-
-def test_the_same_front_is_the_same_page(page: str) -> None:
-    assert explorer_page([front(HOSTILE)], HOSTILE) == page
 
 
 def test_a_page_is_written_as_a_whole(tmp_path: Path, page: str) -> None:

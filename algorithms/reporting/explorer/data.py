@@ -3,38 +3,47 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import moocore
 import numpy as np
 
-from mo_deepdrive.evaluation.drives import POSE, READINGS
-from mo_deepdrive.evaluation.metrics import name_and_unit
+from mo_deepdrive.evaluation.drives import POSE, READINGS, PlanDriver, PoliciesDriver, is_drivable, record_scenes
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
+from mo_deepdrive.evaluation.front import best_known_front
+from mo_deepdrive.evaluation.metrics import name_and_unit, without_vehicle
 from mo_deepdrive.evaluation.statistics import rate
+from mo_deepdrive.fronts import reference_fronts
 from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, WIDTH
+from mo_deepdrive.utilities import COMFORT_BUDGETS, NONLINEAR, ComfortBudget
+from mo_deepdrive.world.action_sequences import decode, discounted_sum, idle, replay
+from mo_deepdrive.world.objectives import signs
+from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
+    from algorithms.agent import FrontAgent
     from mo_deepdrive.evaluation.drives import Drive, Scene
-    from mo_deepdrive.utilities import ComfortBudget
+    from mo_deepdrive.evaluation.evaluation import Evaluation
+    from mo_deepdrive.evaluation.front import Front
+    from mo_deepdrive.world.config import EnvironmentSettings
 
+BEST_KNOWN = "best-known/"  # before the name of a best-known front
+SCENARIOS_SHOWN = 3  # of a front whose episodes differ
 # Of the stored readings: whole multiples of this, as differences from decision to decision.
 RESOLUTION = {"x": 0.01, "y": 0.01, "heading": 0.001, "speed": 0.01, "g_force": 0.001, "jerk": 0.01}
 MAX_DRIVES = 4_000_000  # characters of all drives of a front; further scenarios are left out
 MARGIN = 5.0  # m that the map shows around the drives
 
 
-@dataclass(frozen=True)
-class DiscountedReturns:
-    """Returns of a front's episodes that the explorer shows instead of the undiscounted ones.
-
-    Attributes:
-        gamma: the discount factor, below 1.
-        returns: (K, E, d) discounted returns of the episodes.
-        best_known: (k, d) best-known returns with the same discount; None where there are none.
-    """
+class DiscountedReturns(NamedTuple):
+    """Returns (K, E, d) of a front's episodes with a discount factor, and the best-known ones (k, d) if any."""
 
     gamma: float
     returns: NDArray[np.float64]
@@ -81,20 +90,7 @@ class ExplorableFront:
     budget_name: str = ""
     budget: ComfortBudget | None = None
 
-    def __post_init__(self) -> None:
-        k, d = len(self.success), len(self.objectives)
-        if self.returns.ndim != 3 or self.returns.shape[::2] != (k, d) or len(self.lengths) != k:
-            raise ValueError(f"returns have shape {self.returns.shape}; expected ({k}, episodes, {d})")
-        if self.discounted is not None and self.discounted.returns.shape != self.returns.shape:
-            raise ValueError(f"discounted returns have shape {self.discounted.returns.shape}, not {self.returns.shape}")
-        for each in self._every_returns():
-            if not np.isfinite(each.returns).all():
-                raise ValueError("returns must be finite")
-        for scene in self.scenes:
-            if len(scene.drives) != k:
-                raise ValueError(f"scenario {scene.seed} has {len(scene.drives)} drives for {k} policies")
-
-    def _every_returns(self) -> list[DiscountedReturns]:
+    def _kinds_of_returns(self) -> list[DiscountedReturns]:
         """The undiscounted returns, and after them the discounted ones where they are known."""
         undiscounted = DiscountedReturns(1.0, self.returns, self.best_known)
         return [undiscounted] if self.discounted is None else [undiscounted, self.discounted]
@@ -113,11 +109,11 @@ class ExplorableFront:
             ],
             "returns": [
                 {
-                    "gamma": each.gamma,
-                    "episodes": each.returns.tolist(),
-                    "bestKnown": [] if each.best_known is None else rounded(each.best_known),
+                    "gamma": kind.gamma,
+                    "episodes": kind.returns.tolist(),
+                    "bestKnown": [] if kind.best_known is None else rounded(kind.best_known),
                 }
-                for each in self._every_returns()
+                for kind in self._kinds_of_returns()
             ],
             "success": [None if np.isnan(share) else share for share in self.success.tolist()],
             "successRange": [self._success_range(share) for share in self.success.tolist()],
@@ -143,8 +139,8 @@ class ExplorableFront:
         episodes = self.returns.shape[1]
         if np.isnan(share) or episodes == 1:
             return None
-        found = rate(np.arange(episodes) < round(share * episodes))
-        interval: list[float] = rounded(np.array([found.low, found.high], dtype=np.float64), 3)
+        arrivals = rate(np.arange(episodes) < round(share * episodes))
+        interval: list[float] = rounded(np.array([arrivals.low, arrivals.high], dtype=np.float64), 3)
         return interval
 
     def _scenes_to_json(self) -> list[dict[str, Any]]:
@@ -152,12 +148,120 @@ class ExplorableFront:
         stored: list[dict[str, Any]] = []
         size = 0
         for scene in self.scenes:
-            found = scene_to_json(scene)
-            size += len(json.dumps(found, separators=(",", ":")))
+            plain = scene_to_json(scene)
+            size += len(json.dumps(plain, separators=(",", ":")))
             if stored and size > MAX_DRIVES:
                 break
-            stored.append(found)
+            stored.append(plain)
         return stored
+
+
+def explorable_front(
+    agent: FrontAgent,
+    front: Front,
+    evaluations: Sequence[Evaluation],
+    environment: EnvironmentSettings,
+    *,
+    gamma: float,
+    seed: int,
+    title: str,
+    command: str,
+) -> ExplorableFront:
+    """The front of a trained agent with new episodes of all its policies, and drives in the first scenarios.
+
+    The evaluations are of the policies of the front, in ``environment``, from ``seed`` on and with the discount factor
+    ``gamma``; title and command are those of :class:`ExplorableFront`.
+    """
+    returns = np.stack([evaluation.joint_returns for evaluation in evaluations])
+    discounted = np.stack([evaluation.joint_discounted for evaluation in evaluations])
+    arrived = np.array([evaluation.joint_succeeded.mean() for evaluation in evaluations])
+    with closing(make_env(environment.id, 1, environment.arguments)) as env:
+        adapter = EnvAdapter(env)
+        costs_are_negative = adapter.native and adapter.cost_sign == "maximise"
+        best_known, best_discounted = best_known_front(env, 1.0), best_known_front(env, gamma)
+    names = tuple(map(without_vehicle, front.objectives))
+    budget_name, budget = _budget(find_spec(environment.id).kwargs.get("scenario"), front.objectives)
+    driven = returns.shape[1]
+    how = f"{driven} episodes of each policy" if driven > 1 else "Every episode is the same, so one is driven"
+    scenes: list[Scene] = []
+    if is_drivable(environment.id):
+        seeds = range(seed, seed + min(driven, SCENARIOS_SHOWN))
+        conditions = np.tile(np.asarray(front.conditions, dtype=np.float32), (len(seeds), 1))
+        driver = PoliciesDriver(agent.policies(conditions), len(conditions))
+        scenes = record_scenes(driver, environment.id, environment.arguments, seeds=seeds, drives=len(front))
+    return ExplorableFront(
+        title=title,
+        objectives=front.objectives,
+        returns=returns,
+        scales=agent.front_scales,
+        signs=signs(names) if costs_are_negative else np.ones(len(names)),
+        success=np.where(np.isfinite(front.success), arrived, np.nan),
+        lengths=np.array([evaluation.joint_lengths.mean() for evaluation in evaluations]),
+        command=command,
+        note=f"{how}, from seed {seed} on.",
+        best_known=best_known,
+        discounted=DiscountedReturns(gamma, discounted, best_discounted) if gamma < 1.0 else None,
+        scenes=tuple(scenes),
+        budget_name=budget_name,
+        budget=budget,
+    )
+
+
+def explorable_best_known(name: str) -> ExplorableFront:
+    """A best-known front, undiscounted and with the time among its objectives, with the drives of its actions.
+
+    Args:
+        name: SCENARIO_ACTIONS, such as "one_waypoint_discrete".
+
+    Raises:
+        ValueError: if no such front is shipped.
+    """
+    scenario_name, _, action_type = name.rpartition("_")
+    policies = reference_fronts.shipped(scenario_name, action_type)
+    config = reference_fronts.front_config(scenario_name, action_type)
+    scenario = SCENARIOS[scenario_name]
+    objectives = (*scenario.objectives, reference_fronts.TIME)
+    plans = [decode(policy.actions, action_type) for policy in policies]
+    rewards = replay(config.model_copy(update={"objectives": objectives}), plans)
+    returns = discounted_sum(rewards, 1.0)
+    kept = np.flatnonzero(moocore.is_nondominated(returns, maximise=True))
+    kept = kept[np.argsort(returns[kept, 0], kind="stable")]
+    arguments = {
+        "action_type": action_type,
+        "fixed_destination": config.fixed_destination,
+        "fixed_obstacle": config.fixed_obstacle,
+        "objectives": list(objectives),
+    }
+    driver = PlanDriver([plans[k] for k in kept], idle(action_type))
+    (scene,) = record_scenes(driver, scenario.id, arguments, seeds=[0], drives=len(kept))
+    budget_name, budget = _budget(scenario_name, objectives)
+    with closing(make_env(scenario.id, 1, arguments)) as env:
+        scales = EnvAdapter(env).objective_scales.astype(np.float64)
+    gamma = reference_fronts.GAMMA
+    return ExplorableFront(
+        title=f"best known: {scenario.title}, {action_type} actions",
+        objectives=objectives,
+        returns=returns[kept][:, None],
+        scales=scales,
+        signs=signs(objectives),
+        success=np.array([float(drive.ends == ("arrived",)) for drive in scene.drives]),
+        lengths=np.array([len(drive.readings) - 1.0 for drive in scene.drives]),
+        command=f"mo_deepdrive.fronts.reference_fronts.shipped({scenario_name!r}, {action_type!r})[{{policy}}]",
+        numbers=tuple(kept.tolist()),
+        note="Returns of the stored action sequences; policies are not learnt, and nothing chooses them.",
+        discounted=DiscountedReturns(gamma, discounted_sum(rewards, gamma)[kept][:, None]),
+        scenes=(scene,),
+        budget_name=budget_name,
+        budget=budget,
+    )
+
+
+def _budget(scenario: str | None, objectives: tuple[str, ...]) -> tuple[str, ComfortBudget | None]:
+    """The utility with a comfort budget of a scenario and its numbers, if these objectives are enough for it."""
+    name = f"{scenario}_comfort_budget"
+    if name not in COMFORT_BUDGETS or not {*NONLINEAR[name][0]} <= {*objectives}:
+        return "", None
+    return name, COMFORT_BUDGETS[name]
 
 
 def rounded(values: ArrayLike, digits: int = 6) -> Any:

@@ -1,29 +1,39 @@
-"""Learning curves: one panel per metric, one curve per group of runs that differ in their seed alone.
+"""What runs scored, as figures: learning curves, and final scores against what was varied among the runs.
 
-Curves are means over seeds, in the colour of their algorithm, and have 95% bootstrap intervals from three seeds on.
+Everything has the colour of its algorithm. Curves are means over the runs that differ in their seed alone; means have
+95% bootstrap intervals from three runs on.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
+from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, PercentFormatter
+from scipy.stats import gmean
 
-from algorithms.reporting.run_records import LEFT_OUT, read_runs
-from algorithms.reporting.seed_groups import distinct_labels, group_by_experiment, identifying_settings
+from algorithms.reporting.run_records import (
+    LEFT_OUT,
+    distinct_labels,
+    group_by_experiment,
+    identifying_settings,
+    read_runs,
+)
 from algorithms.reporting.style import (
     DIM,
+    INK,
     MAX_POINTS,
     TRAINING_COLOUR,
+    algorithm_colours,
     algorithm_order,
     curve_styles,
     figure_style,
+    grid_shape,
     save_figure,
     surround,
     widened,
@@ -48,7 +58,7 @@ from mo_deepdrive.evaluation.metrics import (
     split_name,
     title_of,
 )
-from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, bootstrap, of_three
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, bootstrap, mean, of_three
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
@@ -60,14 +70,24 @@ if TYPE_CHECKING:
     from algorithms.reporting.run_records import ExperimentRecord, UtilityRecord
     from algorithms.reporting.training_log import Columns
 
+FORMATS = tuple(f".{name}" for name in FigureCanvasBase.get_supported_filetypes())  # of figures
 SETTLED = 0.2  # share of the training after which a curve always gets the full height of its axis
 CUT_RATIO = 30.0  # how many times larger the whole range must be than the settled one for the start to be cut off
-FORMATS = tuple(f".{name}" for name in FigureCanvasBase.get_supported_filetypes())  # of figures
 MARKS = 10  # markers per curve, where several curves share a colour
+# Of scores against what was varied:
+PANEL = (3.3, 3.2)  # in, width and height with its labels
+PANEL_LETTERS = 46  # that fit side by side below a panel; labels with more are slanted
+PANEL_LINES = 16  # slanted labels that fit
+MAX_COLUMNS = 4
+MAX_VALUES = 12  # of a numeric key that get a mean each; with more, neighbours share one
+BINS = 8  # means of a numeric key with more values
+MAX_LETTERS = 18  # of a word on an axis
+LOGARITHMIC_RATIO = 20.0  # of the largest to the smallest value from which on an axis is logarithmic
+
+# ---------------------------------------------------------------------------------------------------- learning curves
 
 
-@dataclass(frozen=True)
-class CurveKind:
+class CurveKind(NamedTuple):
     """A kind of curve: the prefix of its metrics, the name of its utility, and how it is drawn."""
 
     name: str
@@ -86,14 +106,10 @@ KINDS = (
 INDICATORS = (HYPERVOLUME, CARDINALITY, EXPECTED_UTILITY, IGD_PLUS)  # of fronts, a panel each
 
 
-@dataclass(frozen=True)
-class CurveGroup:
-    """The metrics of runs that differ in their seed alone.
+class CurveGroup(NamedTuple):
+    """The columns of metrics.csv of runs that differ in their seed alone, and the experiment of one of them.
 
-    Attributes:
-        label: what distinguishes the group from the others.
-        experiment: that of one of the runs.
-        runs: the columns of every run's metrics.csv.
+    The label is what distinguishes the group from the others.
     """
 
     label: str
@@ -102,14 +118,13 @@ class CurveGroup:
 
 
 def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] | None = None) -> list[CurveGroup]:
-    """Read runs and group those that differ in their seed alone (:mod:`algorithms.reporting.seed_groups`).
+    """Read runs and group those that differ in their seed alone.
 
     Groups are in the order of their algorithms, those of one algorithm in the order given.
 
     Args:
         directories: of the runs.
-        warn: called with a line about every run that is left out because it cannot be read or has no metrics yet; None
-            to refuse it.
+        warn: called with a line about every run that cannot be read or has no metrics yet; None to refuse it.
 
     Raises:
         ValueError: if a run is refused, none is left, or two runs of a group have the same seed.
@@ -140,23 +155,21 @@ def _labels(experiments: Sequence[ExperimentRecord]) -> list[str]:
     """The algorithm's name; where names repeat, also the settings that all experiments have and that differ."""
     flat = [identifying_settings(experiment) for experiment in experiments]
     names = [experiment.algorithm.name for experiment in experiments]
-    shared = set.intersection(*(set(each) for each in flat)) if flat else set()
-    differing = sorted(key for key in shared if len({repr(each[key]) for each in flat}) > 1)
+    shared = set.intersection(*(set(settings) for settings in flat))
+    differing = sorted(key for key in shared if len({repr(settings[key]) for settings in flat}) > 1)
     named = [key for key in differing if key in ("environment.id", "utility.name")]
     if len(set(names)) < len(names):
         named = [key for key in differing if key != "algorithm.name"]
     return [
-        ", ".join([name, *(f"{key.rpartition('.')[2]} {each[key]}" for key in named[:4])])
-        for name, each in zip(names, flat, strict=True)
+        ", ".join([name, *(f"{key.rpartition('.')[2]} {settings[key]}" for key in named[:4])])
+        for name, settings in zip(names, flat, strict=True)
     ]
 
 
 def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]] | None:
     """The mean over runs of a metric, at the steps of the first run up to the last step that all of them have reached.
 
-    Args:
-        runs: columns of metrics.csv; those without the metric are ignored, as are values above 1e100.
-        name: of the metric.
+    Runs without the metric are ignored, as are values above 1e100.
 
     Returns:
         Steps, mean, and lower and upper end of the interval (NaN for fewer than three runs), each (points,); None if no
@@ -176,7 +189,7 @@ def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any
     grid = grid[(grid >= first) & (grid <= last)]
     if not len(grid):
         return None
-    values = np.stack([np.interp(grid, steps, each) for steps, each in series])
+    values = np.stack([np.interp(grid, steps, known) for steps, known in series])
     if len(grid) > MAX_POINTS:
         pieces = np.array_split(np.arange(len(grid)), MAX_POINTS)
         values = np.stack([values[:, piece].mean(axis=1) for piece in pieces], axis=1)
@@ -188,10 +201,7 @@ def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any
 def plot(groups: Sequence[CurveGroup], path: str | Path, remark: str = "") -> None:
     """Draw utility, arrival rate and the return of every objective against environment steps, into an image file.
 
-    Args:
-        groups: one curve each.
-        path: the image file.
-        remark: an additional line below the title.
+    There is one curve per group; the remark is an additional line below the title.
 
     Raises:
         ValueError: if there is nothing to draw, or the file's suffix is not an image format.
@@ -200,8 +210,7 @@ def plot(groups: Sequence[CurveGroup], path: str | Path, remark: str = "") -> No
     panels = curve_panels(groups)
     if not panels:
         raise ValueError("the runs have no metrics to draw yet")
-    columns = min(len(panels), 3 if len(panels) in (3, 5, 6, 9) else 4)
-    rows = -(-len(panels) // columns)
+    rows, columns = grid_shape(len(panels))
     with figure_style():
         figure = Figure(figsize=(4.1 * columns, 2.75 * rows + 1.0))  # without pyplot, which may need a display
         axes = figure.subplots(rows, columns, squeeze=False)
@@ -221,13 +230,7 @@ def describe(groups: Sequence[CurveGroup]) -> list[str]:
     return [f"{group.label}: {len(group.runs)} seed{'' if len(group.runs) == 1 else 's'}" for group in groups]
 
 
-def _label(group: CurveGroup) -> str:
-    """The label of a group in the legend, which says so if it has too few seeds for a band."""
-    return f"{group.label} (n = {len(group.runs)})" if len(group.runs) < MIN_SAMPLES else group.label
-
-
-@dataclass(frozen=True)
-class CurvePanel:
+class CurvePanel(NamedTuple):
     """What a panel shows: ``names[k]`` is the metric of ``KINDS[k]``, ``groups`` are the indices of groups."""
 
     title: str
@@ -244,8 +247,8 @@ def curve_panels(groups: Sequence[CurveGroup]) -> list[CurvePanel]:
     several = [any(split_name(name).vehicle for name in names) for names in present]
     panels: list[CurvePanel] = []
     for alike in ([g for g in range(len(groups)) if several[g] is kind] for kind in (False, True)):
-        found = _quantities(set().union(*(present[g] for g in alike)), [groups[g].experiment for g in alike])
-        for heading, names, is_score in found:
+        quantities = _quantities(set().union(*(present[g] for g in alike)), [groups[g].experiment for g in alike])
+        for heading, names, is_score in quantities:
             tasks: dict[str, list[int]] = {}
             for g in alike:
                 if present[g] & set(names):
@@ -291,7 +294,7 @@ def _quantities(present: set[str], experiments: Sequence[ExperimentRecord]) -> l
     vehicles = sorted({part.vehicle for part in parts if part.vehicle}) or [""]
     objectives = {part.metric.removeprefix(RETURN) for part in parts if part.metric.startswith(RETURN)}
     ordered = sorted(objectives, key=lambda name: (INDEX.get(name, len(INDEX)), name))
-    found = []
+    quantities = []
     for vehicle in vehicles:
         inner = f"{vehicle}/" if vehicle else ""
         prefix = f"{vehicle.replace('_', ' ')}: " if vehicle else ""
@@ -305,18 +308,18 @@ def _quantities(present: set[str], experiments: Sequence[ExperimentRecord]) -> l
             metrics = tuple(f"{kind.prefix}{inner}{name}" for kind, name in zip(KINDS, names, strict=True))
             if present & set(metrics):
                 text = prefix + title_of(names[0])
-                found.append((text[0].upper() + text[1:], metrics, is_score))
+                quantities.append((text[0].upper() + text[1:], metrics, is_score))
     together = tuple(kind.prefix + SUCCESS for kind in KINDS)
     if len(vehicles) > 1 and present & set(together):
-        found.append((f"All vehicles: {title_of(SUCCESS)}", together, False))
-    return found
+        quantities.append((f"All vehicles: {title_of(SUCCESS)}", together, False))
+    return quantities
 
 
 def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> None:
     alone = len(groups) == 1
     faint = min(1.0, 4 / len(groups))  # or many bands would hide each other
     late: list[NDArray[Any]] = []
-    every: list[NDArray[Any]] = []
+    whole: list[NDArray[Any]] = []
     bands: list[NDArray[Any]] = []
     styles = _styles(groups)
     for g in panel.groups:
@@ -324,29 +327,24 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
         for k, (kind, name) in enumerate(zip(KINDS, panel.names, strict=True)):
             if not alone and k == 0:
                 continue  # with several groups only evaluations, to avoid clutter
-            found = curve(groups[g].runs, name)
-            if found is None:
+            drawn_curve = curve(groups[g].runs, name)
+            if drawn_curve is None:
                 continue
-            steps, mean, low, high = found
-            every.append(mean)
-            late.append(mean[steps >= SETTLED * steps.max()])
+            steps, means, low, high = drawn_curve
+            whole.append(means)
+            late.append(means[steps >= SETTLED * steps.max()])
             shade = TRAINING_COLOUR if k == 0 else colour
-            axis.plot(
-                steps,
-                mean,
-                kind.line,
-                color=shade,
-                linewidth=kind.width,
-                marker=marker or ("o" if len(steps) < 4 else ""),
-                markevery=max(1, len(steps) // MARKS),
-                markersize=3.5,
-                zorder=3,
-            )
+            marks: dict[str, Any] = {
+                "marker": marker or ("o" if len(steps) < 4 else ""),
+                "markevery": max(1, len(steps) // MARKS),
+                "markersize": 3.5,
+            }
+            axis.plot(steps, means, kind.line, color=shade, linewidth=kind.width, zorder=3, **marks)
             if np.isfinite(low).all():
                 alpha = faint * (0.16 if alone or k == 1 else 0.07)
                 axis.fill_between(steps, low, high, color=shade, alpha=alpha, linewidth=0, zorder=2)
                 bands += [low, high]
-    axis.set_title(panel.title + _limit_y_axis(axis, every, late, bands, panel.names[-1]))
+    axis.set_title(panel.title + _limit_y_axis(axis, whole, late, bands, panel.names[-1]))
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(5))
@@ -359,27 +357,22 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
 
 def _limit_y_axis(
     axis: Axes,
-    every: Sequence[NDArray[Any]],
+    whole: Sequence[NDArray[Any]],
     late: Sequence[NDArray[Any]],
     bands: Sequence[NDArray[Any]],
     name: str,
 ) -> str:
-    """Limit the axis to the settled values if the first steps would flatten them, and never to noise.
-
-    Returns:
-        A suffix for the title.
-    """
-    if not every:
+    """Limit the axis to settled values if the first steps would flatten them, never to noise; what its title adds."""
+    if not whole:
         return ""
-    values, settled = np.concatenate(every), np.concatenate(late)
-    low, high = np.nanmin(settled), np.nanmax(settled)
-    low, high = widened(low, high, quantity_scale(name, settled))
+    values, settled = np.concatenate(whole), np.concatenate(late)
+    low, high = widened(np.nanmin(settled), np.nanmax(settled), quantity_scale(name, settled))
     pad = 0.25 * max(high - low, 1e-6)
     if np.nanmax(values) - np.nanmin(values) >= CUT_RATIO * (high - low + 2 * pad):
         axis.set_ylim(low - pad, high + pad)
         return " (start cut off)"
-    drawn = np.concatenate([values, *bands])
-    low, high = widened(np.nanmin(drawn), np.nanmax(drawn), quantity_scale(name, drawn))
+    shown = np.concatenate([values, *bands])
+    low, high = widened(np.nanmin(shown), np.nanmax(shown), quantity_scale(name, shown))
     pad = 0.05 * (high - low) or 0.5
     axis.set_ylim(low - pad, high + pad)
     return ""
@@ -401,7 +394,7 @@ def _utilities(utility: UtilityRecord | None) -> list[str]:
     """The name of the utility and those of vehicles with another one; empty if no utility is known."""
     if utility is None:
         return []
-    return [utility.name, *(f"{each.name} ({v.replace('_', ' ')})" for v, each in utility.vehicles.items())]
+    return [utility.name, *(f"{other.name} ({v.replace('_', ' ')})" for v, other in utility.vehicles.items())]
 
 
 def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
@@ -422,15 +415,215 @@ def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
         note += f", bands: 95% bootstrap interval of the mean{of_three(seeds)}"
     elif seeds[-1] > 1:
         note += f", too few for an interval (n = {seeds[-1]})"
-    notes = [remark, note] if remark else [note]
-    handles = [
-        Line2D([], [], color=colour, marker=marker, markersize=4.5, linewidth=2.4, label=_label(group))
-        for group, (colour, marker) in zip(groups, _styles(groups), strict=True)
-        if not alone
-    ]
+    handles = []
+    for group, (colour, marker) in zip(groups, _styles(groups), strict=True):
+        label = f"{group.label} (n = {len(group.runs)})" if len(group.runs) < MIN_SAMPLES else group.label
+        if not alone:
+            handles.append(Line2D([], [], color=colour, marker=marker, markersize=4.5, linewidth=2.4, label=label))
     present = {name for group in groups for columns in group.runs for name in columns}
     for k, kind in enumerate(KINDS):
         if (alone or k > 0) and any(name.startswith(kind.prefix) for name in present):
             colour = DIM if not alone else TRAINING_COLOUR if k == 0 else _styles(groups)[0][0]
             handles.append(Line2D([], [], color=colour, linestyle=kind.line, linewidth=kind.width, label=kind.name))
-    surround(figure, heading, notes, handles)
+    surround(figure, heading, [remark, note], handles)
+
+
+# ------------------------------------------------------------------------------------ scores against what was varied
+
+
+class VariedScores(NamedTuple):
+    """Final scores of runs that can be compared, and what was varied among these runs.
+
+    Attributes:
+        title: environment and utility.
+        score: name of the score.
+        values: (runs,) scores.
+        algorithms: (runs,) names of the algorithms.
+        keys: the values that the runs had of each key that varies, by its name: (runs,) numbers, or else words.
+    """
+
+    title: str
+    score: str
+    values: NDArray[np.float64]
+    algorithms: tuple[str, ...]
+    keys: dict[str, NDArray[np.float64] | list[str]]
+
+
+def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, remark: str = "") -> None:
+    """Draw final scores against every key that varies: a panel per key, a dot per run, the mean per value.
+
+    Scores that cannot be compared, of which each has at least one key, are drawn in separate rows.
+
+    Raises:
+        ValueError: if the file's suffix is not an image format.
+        OSError: if the file cannot be written.
+    """
+    notes = [
+        "dots: runs; circles: means of the runs that share a value, or have neighbouring ones, with 95% intervals of "
+        f"{MIN_SAMPLES} runs or more{of_three([MIN_SAMPLES], 'runs')}",
+        remark,
+    ]
+    colours = algorithm_colours(name for comparable in scores for name in comparable.algorithms)
+    rows: list[tuple[VariedScores, list[tuple[str, KeyEffect]], tuple[float, float]]] = []
+    for comparable in scores:
+        effects = [
+            (
+                key,
+                effect_of_words(values, comparable.values)
+                if isinstance(values, list)
+                else effect_of_numbers(values, comparable.values),
+            )
+            for key, values in comparable.keys.items()
+        ]
+        limits = score_limits(comparable.values, [effect for _, effect in effects])
+        count = -(-len(effects) // MAX_COLUMNS)
+        size = -(-len(effects) // count)
+        rows += [(comparable, effects[first : first + size], limits) for first in range(0, len(effects), size)]
+    columns = max(len(effects) for _, effects, _ in rows)
+    with figure_style({"text.parse_math": False}):
+        figure = Figure(figsize=(PANEL[0] * max(columns, 2), PANEL[1] * len(rows)))
+        parts: Any = figure.subfigures(len(rows), 1, squeeze=False)[:, 0]
+        for r, (part, (comparable, effects, limits)) in enumerate(zip(parts, rows, strict=True)):
+            if r == 0 or rows[r - 1][0] is not comparable:
+                part.suptitle(comparable.title, x=0.01, ha="left", fontsize=11, fontweight="bold")
+            for k, axis in enumerate(part.subplots(1, columns, squeeze=False, sharey=True)[0]):
+                if k >= len(effects):
+                    axis.set_visible(False)
+                    continue
+                key, effect = effects[k]
+                dots = [colours[name] for name in comparable.algorithms]
+                _draw_effect(axis, effect, comparable.values, dots, limits)
+                axis.set_title(key)
+                if k == 0:
+                    axis.set_ylabel(comparable.score)
+        handles = [
+            Line2D([], [], color=colour, marker="o", linestyle="", label=name) for name, colour in colours.items()
+        ]
+        surround(figure, title, notes, handles if len(handles) > 1 else ())
+        save_figure(figure, path)
+
+
+class KeyEffect(NamedTuple):
+    """What a panel shows of a key.
+
+    Attributes:
+        positions: (runs,) of the runs on the axis.
+        parts: the indices of the runs that share each mean.
+        means: of the parts.
+        ticks: positions on the axis and their labels; None where Matplotlib chooses round numbers.
+        line: line style between the means.
+        logarithmic: whether the axis is.
+    """
+
+    positions: NDArray[np.float64]
+    parts: list[NDArray[np.intp]]
+    means: list[Estimate]
+    ticks: dict[float, str] | None
+    line: Literal["-", ""]
+    logarithmic: bool = False
+
+    @property
+    def slanted(self) -> bool:
+        """Whether the labels are too long to be horizontal."""
+        texts = list((self.ticks or {}).values())
+        return bool(texts) and len(texts) * max(len(text) + 1 for text in texts) > PANEL_LETTERS
+
+
+def effect_of_words(words: Sequence[str], scores: NDArray[np.float64]) -> KeyEffect:
+    """The effect of a key whose values are words, on ``scores`` (runs,): a mean per word."""
+    known = list(dict.fromkeys(words))
+    positions = np.array([known.index(word) for word in words], dtype=np.float64)
+    parts = [np.flatnonzero(positions == i) for i in range(len(known))]
+    labels = [word if len(word) <= MAX_LETTERS else f"{word[: MAX_LETTERS - 1]}…" for word in known]
+    every = math.ceil(len(known) / PANEL_LINES)
+    ticks = {float(i): labels[i] for i in range(0, len(known), every)}
+    return KeyEffect(positions, parts, [mean(scores[part]) for part in parts], ticks, "")
+
+
+def effect_of_numbers(numbers: NDArray[np.float64], scores: NDArray[np.float64]) -> KeyEffect:
+    """The effect of a key with ``numbers`` (runs,) on ``scores`` (runs,): a mean per number or per bin of them."""
+    distinct = np.unique(numbers)
+    parts, ticks = np.array_split(np.argsort(numbers, kind="stable"), BINS), None
+    if len(distinct) <= MAX_VALUES:
+        parts = [np.flatnonzero(numbers == value) for value in distinct]
+        ticks = {float(value): _text_of(value) for value in distinct}
+    means = [mean(scores[part]) for part in parts]
+    return KeyEffect(numbers, parts, means, ticks, "-", is_logarithmic(distinct))
+
+
+def _text_of(number: float, _position: int = 0) -> str:
+    return EngFormatter(sep="")(number) if abs(number) >= 10_000 else f"{number:.4g}"
+
+
+def _draw_effect(
+    axis: Axes, effect: KeyEffect, scores: NDArray[np.float64], colours: Sequence[str], limits: tuple[float, float]
+) -> None:
+    middle, positions = (gmean if effect.logarithmic else np.mean), effect.positions
+    if effect.ticks is not None:  # shifted a little, or runs would hide each other
+        shifts = np.random.default_rng(0).uniform(-0.02, 0.02, len(scores))
+        low, high = positions.min(), positions.max()
+        positions = positions * (high / low) ** shifts if effect.logarithmic else positions + (high - low) * shifts
+    values = np.array([estimate.value for estimate in effect.means])
+    if effect.logarithmic:
+        axis.set_xscale("log")
+        axis.xaxis.set_major_formatter(FuncFormatter(_text_of))
+    axis.scatter(positions, scores, s=12, c=list(colours), alpha=0.4, linewidths=0, zorder=2)
+    axis.errorbar(
+        [middle(effect.positions[part]) for part in effect.parts],
+        values,
+        np.transpose([_errors(estimate) for estimate in effect.means]),
+        fmt=f"o{effect.line}",
+        color=INK,
+        markersize=4.5,
+        linewidth=1.2,
+        capsize=3,
+        zorder=3,
+    )
+    turned: dict[str, Any] = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if effect.slanted else {}
+    if effect.ticks is not None:
+        axis.set_xticks(list(effect.ticks), list(effect.ticks.values()), **turned)
+        axis.minorticks_off()
+    elif not effect.logarithmic:
+        axis.xaxis.set_major_locator(MaxNLocator(5))
+    axis.margins(x=0.06 if effect.line else 0.2)
+    axis.set_ylim(*limits)
+    axis.yaxis.set_major_locator(MaxNLocator(5))
+    below, above = (scores < limits[0], values < limits[0]), (scores > limits[1], values > limits[1])
+    for (runs, means), where, y, side in ((below, "below", 0.02, "bottom"), (above, "above", 0.98, "top")):
+        counts = [(int(runs.sum()), "run"), (int(means.sum()), "mean")]
+        outside = [f"{count} {noun}{'' if count == 1 else 's'}" for count, noun in counts if count]
+        if outside:
+            text = f"{' and '.join(outside)} {where}"
+            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+            style: dict[str, Any] = {"fontsize": 8, "color": DIM, "bbox": box, "zorder": 4}
+            axis.text(0.99, y, text, transform=axis.transAxes, ha="right", va=side, **style)
+
+
+def _errors(mean: Estimate) -> tuple[float, float]:
+    """Lengths of the interval below and above the value; 0 without an interval."""
+    if mean.low is None or mean.high is None:
+        return 0.0, 0.0
+    return mean.value - mean.low, mean.high - mean.value
+
+
+def score_limits(scores: NDArray[np.float64], effects: Sequence[KeyEffect]) -> tuple[float, float]:
+    """Limits of the axis of scores: around all but those so far from most of them that they would flatten the rest."""
+    means = [mean for effect in effects for mean in effect.means]
+    ends = [end for mean in means for end in (mean.low, mean.value, mean.high) if end is not None]
+    low, high = np.quantile(scores, [0.05, 0.95])
+    reach = high - low or np.ptp(scores)
+    shown = np.array([*scores, *ends])
+    near = shown[(shown >= low - reach) & (shown <= high + reach)]
+    low, high = widened(near.min(), near.max(), np.abs(near).max())
+    pad = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
+    return float(low - pad), float(high + pad)
+
+
+def is_logarithmic(values: NDArray[np.float64]) -> bool:
+    """Whether sorted ``values`` span orders of magnitude, or grow by factors rather than by steps."""
+    if values[0] <= 0.0:
+        return False
+    steps, factors = np.diff(values), np.diff(np.log(values))
+    few = 3 <= len(values) <= MAX_VALUES
+    grows = few and np.std(factors) / np.mean(factors) < np.std(steps) / np.mean(steps)
+    return bool(values[-1] / values[0] >= LOGARITHMIC_RATIO or grows)

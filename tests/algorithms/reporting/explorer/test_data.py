@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms.reporting.explorer.explorable_front import (
+from algorithms.reporting.explorer.data import (
     RESOLUTION,
     DiscountedReturns,
     ExplorableFront,
     drive_to_json,
-    rounded,
 )
 from algorithms.reporting.explorer.page import as_json
 from mo_deepdrive.evaluation.drives import POSE, READINGS, Drive, Scene
@@ -145,20 +144,3 @@ def test_what_is_not_known_is_left_out() -> None:
     )
     assert bare["numbers"] == [40, 7]
     assert front.to_json()["numbers"] == [0, 1]
-
-
-def test_what_does_not_fit_is_refused() -> None:
-    front = made_up_front(3, 4)
-    with pytest.raises(ValueError, match=r"returns have shape \(2, 1, 4\); expected \(3, episodes, 4\)"):
-        dataclasses.replace(front, returns=front.returns[:2])
-    with pytest.raises(ValueError, match=r"discounted returns have shape \(1, 1, 4\), not \(3, 1, 4\)"):
-        dataclasses.replace(front, discounted=DiscountedReturns(0.9, front.returns[:1]))
-    with pytest.raises(ValueError, match="returns must be finite"):
-        dataclasses.replace(front, returns=front.returns * np.nan)
-    scene = dataclasses.replace(front.scenes[0], drives=front.scenes[0].drives[:1])
-    with pytest.raises(ValueError, match="scenario 3 has 1 drives for 3 policies"):
-        dataclasses.replace(front, scenes=(scene,))
-
-
-def test_numbers_are_rounded_to_significant_digits() -> None:
-    assert rounded([[1234567.0, 0.000123456789], [0.0, -9.999999]]) == [[1234570.0, 0.000123457], [0.0, -10.0]]

@@ -1,34 +1,57 @@
-"""Figures of a front: what each policy favours, and how the policies compare."""
+"""Figures of a front: what each policy favours, and how the policies compare.
+
+All show the same policies in the same colours, with the same numbers.
+"""
 
 from __future__ import annotations
 
+import math
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, PercentFormatter
+from scipy.optimize import isotonic_regression
 
-from algorithms.reporting.front_view import FrontView, number_formatter, principal_components, separate
-from algorithms.reporting.style import COLOURS, DIM, FAINT, GRID, INK, figure_style, save_figure, surround
+from algorithms.reporting.style import (
+    DIM,
+    FAINT,
+    GRID,
+    INK,
+    figure_style,
+    grid_shape,
+    objective_colour,
+    save_figure,
+    surround,
+)
 from mo_deepdrive.evaluation.metrics import SUCCESS, label, name_and_unit, title_of, without_vehicle
+from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from mo_deepdrive.evaluation.front import Front
 
-HALO = withStroke(linewidth=2.0, foreground="white")
+REPRESENTATIVES = 16  # policies that are drawn individually at most; in larger fronts these represent all
 BARS = 8  # policies in bars.png
 MOST_PAIRED = 8  # objectives of which scatter.png shows all pairs
 MOST_DRAWN = 20  # objectives that all figures but importance.png have room for
+LEADING = "distance"  # the objective that orders and colours policies; if there is none of this name, the first one
+# Colours of policies: viridis, which is safe for colour-blind readers, without the yellow that is hard to see on white.
+COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.92, 256)), "policies")
+HALO = withStroke(linewidth=2.0, foreground="white")
 # The paper's names for low values of these costs (its figure 7).
 PAPER_NAMES = {"g_force": "comfort", "jerk": "smoothness"}
 
@@ -38,11 +61,9 @@ def draw_front(
 ) -> list[Path]:
     """Draw a front into ``directory``: importance, reduction, parallel, scatter and bars, all ``.png``.
 
-    Of more than eight objectives there is no scatter, which has a panel for each pair; of more than twenty, those of
-    several vehicles, there is importance alone; the explorer shows them vehicle by vehicle.
-
-    In all figures a policy has the same colour and the same number, its row in ``front.csv``. Returns are discounted,
-    as they determine dominance, except in bars.png.
+    Of more than MOST_PAIRED objectives there is no scatter; of more than MOST_DRAWN, those of several vehicles, there
+    is importance alone. A policy's number is its row in ``front.csv``. Returns are discounted, as they determine
+    dominance, except in bars.png.
 
     Args:
         front: K policies with at least two objectives, as written to ``front.csv``.
@@ -51,11 +72,10 @@ def draw_front(
         title: what the front belongs to, such as the algorithm and the environment.
 
     Returns:
-        The files; each is complete or, after an error, unchanged.
+        The files.
 
     Raises:
-        ValueError: if there are fewer than two objectives, or the reference front is empty or has another number of
-            objectives.
+        ValueError: if there are fewer than two objectives, or the reference front does not have as many.
         OSError: if a file cannot be written.
     """
     view = FrontView(front, title)
@@ -122,7 +142,7 @@ def _importance(view: FrontView) -> Figure:
 def _reduction(view: FrontView) -> Figure:
     """The front in two dimensions, by principal components of the importance of its objectives."""
     front, shown = view.front, view.representatives()
-    found = principal_components(np.nan_to_num(view.importance))
+    components = principal_components(np.nan_to_num(view.importance))
     notes = (
         f"principal components of the returns discounted with gamma {front.gamma:g}, "
         "each objective from 0, the front's worst, to 1, its best",
@@ -130,23 +150,23 @@ def _reduction(view: FrontView) -> Figure:
     )
     figure = _make_figure(view, 10.4, 5.2, "the front in two dimensions", notes, _dot_legend(view))
     axis, compass = figure.subplots(1, 2, width_ratios=(2.6, 1.0))
-    _draw_dots(axis, view, found.points, 44)
+    _draw_dots(axis, view, components.points, 44)
     if len(shown) < len(front):
-        x, y = found.points[shown].T
+        x, y = components.points[shown].T
         axis.scatter(x, y, s=80, facecolors="none", edgecolors=INK, linewidths=1.0, zorder=4)
-    for k, (name, share) in enumerate(zip(("first", "second"), found.explained, strict=True)):
+    for k, (name, share) in enumerate(zip(("first", "second"), components.explained, strict=True)):
         text = f"{name} component" + (f" ({share:.0%} of the variance)" if share > 0.0 else " (no variance)")
         (axis.set_xlabel, axis.set_ylabel)[k](text)
-        low, high = found.points[:, k].min(), found.points[:, k].max()
+        low, high = components.points[:, k].min(), components.points[:, k].max()
         pad = 0.1 * (high - low) if high - low > 1e-9 else 0.5
         (axis.set_xlim, axis.set_ylim)[k](low - pad, high + pad)
     _add_colour_bar(figure, view, axis)
-    _loadings(compass, view, found.loadings)
+    _loadings(compass, view, components.loadings)
     style: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "path_effects": [HALO], "zorder": 6}
     for k in shown:  # away from the middle, where most other dots are
-        across, up = np.sign(found.points[k])
+        across, up = np.sign(components.points[k])
         place = {"ha": "left" if across >= 0 else "right", "va": "bottom" if up >= 0 else "top"}
-        axis.annotate(str(k), found.points[k], (4 * across, 4 * up), textcoords="offset points", **place, **style)
+        axis.annotate(str(k), components.points[k], (4 * across, 4 * up), textcoords="offset points", **place, **style)
     return figure
 
 
@@ -156,7 +176,7 @@ def _loadings(axis: Axes, view: FrontView, loadings: NDArray[np.float64]) -> Non
     axis.plot(np.cos(angles), np.sin(angles), color=FAINT, linewidth=0.9, zorder=1)
     handles = []
     for i, (name, arrow) in enumerate(zip(view.front.objectives, loadings, strict=True)):
-        colour, text = COLOURS[i % len(COLOURS)], name_and_unit(name)[0]
+        colour, text = objective_colour(i), name_and_unit(name)[0]
         text += " (no variance)" if np.isnan(view.importance[:, i]).any() else ""
         if np.hypot(*arrow) > 0.01:
             style = {"arrowstyle": "-|>", "color": colour, "linewidth": 2.0, "shrinkA": 0, "shrinkB": 0}
@@ -175,11 +195,7 @@ def _parallel(view: FrontView) -> Figure:
     """Parallel coordinates: a line per policy across one axis per objective, in real units, the best at the top."""
     front, shown = view.front, view.representatives()
     d = len(front.objectives)
-    handles = [
-        Line2D([], [], color=INK, linewidth=1.8, linestyle="-" if there else "--", label=name)
-        for name, there in zip(_arrival_names(view), (True, False), strict=True)
-        if view.arrived is not None and there in view.arrived
-    ]
+    handles = _arrival_legend(view, {"linewidth": 1.8}, {"linewidth": 1.8, "linestyle": "--"})
     notes = (
         _returns_note(view, discounted=True),
         "better is up",
@@ -274,8 +290,7 @@ def _bars(view: FrontView) -> Figure:
     drawn = [i for i in range(len(front.objectives)) if not front.is_arrival_rate(i)]
     d = len(drawn)
     count = d + (view.arrived is not None)
-    columns = min(count, 3 if count in (3, 5, 6, 9) else 4)
-    rows = -(-count // columns)
+    rows, columns = grid_shape(count)
     height = rows * (0.27 * max(n, 2) + 0.75)
     figure = _make_figure(view, max(3.2 * columns, 7.0), height, "policies in numbers", notes)
     axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
@@ -313,16 +328,7 @@ def _bars(view: FrontView) -> Figure:
 def _make_figure(
     view: FrontView, width: float, height: float, heading: str, notes: Sequence[str], handles: Sequence[Line2D] = ()
 ) -> Figure:
-    """A figure with title, notes and legend around an empty space for panels.
-
-    Args:
-        view: its title comes before ``heading``.
-        width: of the figure (in).
-        height: of the space for panels (in).
-        heading: what the figure shows.
-        notes: sentences below the title; empty ones are left out.
-        handles: of the legend.
-    """
+    """A figure with title, notes and legend around an empty space of ``width`` by ``height`` (in) for panels."""
     figure = Figure(figsize=(width, height))  # without pyplot, which may need a display
     FigureCanvasAgg(figure)
     title = f"{view.title}: {heading}" if view.title else heading.capitalize()
@@ -350,7 +356,7 @@ def _policies_note(view: FrontView, shown: NDArray[np.intp]) -> str:
 
 def _add_colour_bar(figure: Figure, view: FrontView, axes: Axes | Sequence[Axes]) -> None:
     """Add a colour bar where colours have a meaning."""
-    if np.isfinite(view.importance[:, view.leading]).all():
+    if view.coloured:
         bar = figure.colorbar(view.mappable, ax=axes, aspect=32, pad=0.02, fraction=0.05)
         bar.set_label(label(view.front.objectives[view.leading], "discounted"))
         bar.outline.set_visible(False)
@@ -358,13 +364,7 @@ def _add_colour_bar(figure: Figure, view: FrontView, axes: Axes | Sequence[Axes]
 
 def _colour_note(view: FrontView) -> str:
     """A note that says what colours mean; empty where they mean nothing."""
-    return f"colour: discounted {view.leading_name}" if np.isfinite(view.importance[:, view.leading]).all() else ""
-
-
-def _arrival_names(view: FrontView) -> tuple[str, str]:
-    """Names of the policies that count as arriving, and of the others."""
-    whole = bool(np.isin(view.front.success, (0.0, 1.0)).all())
-    return ("arrives", "does not arrive") if whole else ("arrives in half of the episodes or more", "in fewer")
+    return f"colour: discounted {view.leading_name}" if view.coloured else ""
 
 
 def _draw_dots(axis: Axes, view: FrontView, points: NDArray[np.float64], size: float) -> None:
@@ -379,10 +379,144 @@ def _draw_dots(axis: Axes, view: FrontView, points: NDArray[np.float64], size: f
 
 def _dot_legend(view: FrontView) -> list[Line2D]:
     """The legend of :func:`_draw_dots`."""
+    dot = {"marker": "o", "linestyle": "", "markersize": 6}
+    return _arrival_legend(view, {**dot, "markerfacecolor": INK}, {**dot, "markerfacecolor": "white"})
+
+
+def _arrival_legend(view: FrontView, arrives: dict[str, Any], fails: dict[str, Any]) -> list[Line2D]:
+    """A legend of the styles of policies that count as arriving, and of the others, as far as there are any."""
     if view.arrived is None:
         return []
+    whole = bool(np.isin(view.front.success, (0.0, 1.0)).all())
+    names = ("arrives", "does not arrive") if whole else ("arrives in half of the episodes or more", "in fewer")
     return [
-        Line2D([], [], color=INK, marker="o", linestyle="", markersize=6, markerfacecolor=face, label=name)
-        for name, face, there in zip(_arrival_names(view), (INK, "white"), (True, False), strict=True)
+        Line2D([], [], color=INK, label=name, **style)
+        for name, style, there in zip(names, (arrives, fails), (True, False), strict=True)
         if there in view.arrived
     ]
+
+
+def number_formatter(values: ArrayLike, unit: str = "") -> Callable[[float], str]:
+    """A function that formats numbers such as ``values`` with the digits that distinguish them, and with the unit."""
+    numbers = np.asarray(values, dtype=np.float64)
+    extent = float(np.ptp(numbers)) or float(np.abs(numbers).max())
+    digits = min(max(2 - math.floor(math.log10(extent)), 0), 4) if extent > 0.0 else 1
+    suffix = f" {unit}" if unit else ""
+
+    def text(value: float) -> str:
+        rounded = f"{round(value, digits) + 0.0:,.{digits}f}"  # + 0.0: never -0
+        return rounded.replace("-", "\N{MINUS SIGN}") + suffix
+
+    return text
+
+
+def importance(returns: ArrayLike) -> NDArray[np.float64]:
+    """``returns`` (K, d) scaled per objective from 0, the worst of the K, to 1, the best.
+
+    NaN for an objective in which the K do not differ: no policy favours it.
+    """
+    values = np.asarray(returns, dtype=np.float64)
+    low, extent = values.min(axis=0), np.ptp(values, axis=0)
+    differ = extent > 1e-9 * np.abs(values).max(axis=0)  # by more than rounding errors
+    scaled: NDArray[np.float64] = np.where(differ, (values - low) / np.where(differ, extent, 1.0), np.nan)
+    return scaled
+
+
+class Projection(NamedTuple):
+    """Points (K, 2), centred at 0, projected onto their first two principal components.
+
+    ``loadings`` (d, 2) are the weights of the objectives in each component; a column has length 1, or 0 if the points
+    do not vary in this direction. ``explained`` (2,) is the share of the variance along each component.
+    """
+
+    points: NDArray[np.float64]
+    loadings: NDArray[np.float64]
+    explained: NDArray[np.float64]
+
+
+def principal_components(values: ArrayLike) -> Projection:
+    """The first two principal components of ``values`` (K, d), by singular value decomposition.
+
+    The largest loading of a component is positive, so that equal values always look the same.
+    """
+    points = np.asarray(values, dtype=np.float64)
+    centred = points - points.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(centred, full_matrices=False)
+    real = sizes > 1e-9 * np.abs(points).max()  # smaller ones are rounding errors
+    loadings, explained = np.zeros((centred.shape[1], 2)), np.zeros(2)
+    for k in np.flatnonzero(real[:2]):
+        loadings[:, k] = axes[k] * np.sign(axes[k, np.abs(axes[k]).argmax()])
+        explained[k] = sizes[k] ** 2 / (sizes[real] ** 2).sum()
+    return Projection(centred @ loadings, loadings, explained)
+
+
+class FrontView:
+    """A front as all its figures show it: the same policies, numbers and colours in each.
+
+    Args:
+        front: K policies with d >= 2 objectives; a policy's number is its index.
+        title: what the front belongs to, such as the algorithm and the environment.
+
+    Attributes:
+        leading: index of the objective that orders and colours policies.
+        importance: (K, d) :func:`importance` of the discounted returns, which determine the front: policies that
+            differ in when they arrive alone have the same undiscounted ones.
+
+    Raises:
+        ValueError: if there are fewer than two objectives.
+    """
+
+    def __init__(self, front: Front, title: str = ""):
+        names = front.objectives
+        if len(names) < 2:
+            raise ValueError(f"the front has the objectives {list(names)}; figures of a front need at least two")
+        self.front, self.title = front, title
+        self.leading = names.index(LEADING) if LEADING in names else 0
+        self.importance = importance(front.discounted)
+
+    @property
+    def leading_name(self) -> str:
+        """Plain name of the leading objective."""
+        return name_and_unit(self.front.objectives[self.leading])[0]
+
+    @property
+    def coloured(self) -> bool:
+        """Whether colours mean anything: whether policies differ in the leading objective."""
+        return bool(np.isfinite(self.importance[:, self.leading]).all())
+
+    @cached_property
+    def mappable(self) -> ScalarMappable:
+        """The mapping from the leading objective's discounted return to colours."""
+        values = self.front.discounted[:, self.leading]
+        return ScalarMappable(Normalize(float(values.min()), float(values.max())), COLOUR_MAP)
+
+    @cached_property
+    def colours(self) -> NDArray[np.float64]:
+        """(K, 4) RGBA colour of each policy."""
+        return np.asarray(self.mappable.to_rgba(self.front.discounted[:, self.leading]))
+
+    @cached_property
+    def arrived(self) -> NDArray[np.bool_] | None:
+        """(K,) whether a policy arrives in at least half of its episodes; None unless that is known for all."""
+        return self.front.success >= 0.5 if np.isfinite(self.front.success).all() else None
+
+    def representatives(self, count: int = REPRESENTATIVES) -> NDArray[np.intp]:
+        """Up to ``count`` policies that cover the front, ordered by the leading objective; more include fewer."""
+        chosen = farthest_point_subset(np.nan_to_num(self.importance), count)
+        order = np.lexsort((chosen, self.front.discounted[chosen, self.leading]))
+        return np.asarray(chosen[order])
+
+
+def separate(positions: ArrayLike, gap: float, ends: tuple[float, float]) -> NDArray[np.float64]:
+    """``positions`` (n,) moved by as little as possible so that neighbours are ``gap`` apart, in the same order.
+
+    All are between ``ends``; the gap is smaller if there is too little space.
+    """
+    wanted = np.asarray(positions, dtype=np.float64)
+    order = np.argsort(wanted, kind="stable")
+    low, high = ends
+    steps = min(gap, (high - low) / max(len(wanted) - 1, 1)) * np.arange(len(wanted))
+    moved = np.empty_like(wanted)
+    # The least-squares solution within bounds is the one without bounds, clipped.
+    moved[order] = np.clip(isotonic_regression(wanted[order] - steps).x, low, high - steps[-1]) + steps
+    return moved

@@ -1,4 +1,4 @@
-"""Learning curves: how runs are grouped, aligned and drawn."""
+"""Learning curves: how runs are grouped, aligned and drawn; scores against keys: what is binned, and which axes fit."""
 
 from __future__ import annotations
 
@@ -12,8 +12,21 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from algorithms.reporting import learning_curves
-from algorithms.reporting.learning_curves import CurveGroup, curve, curve_panels, drawn, load_groups, plot
+from algorithms.reporting import curves
+from algorithms.reporting.curves import (
+    CurveGroup,
+    VariedScores,
+    curve,
+    curve_panels,
+    drawn,
+    effect_of_numbers,
+    effect_of_words,
+    is_logarithmic,
+    load_groups,
+    plot,
+    plot_effects,
+    score_limits,
+)
 from algorithms.reporting.run_records import experiment_record
 from algorithms.reporting.style import ALGORITHM_COLOURS, MAX_POINTS, MINIMUM_SPAN
 from algorithms.reporting.training_log import MetricsFile
@@ -58,28 +71,6 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(make: Make) -> None:
     groups = load_groups(runs)
     assert [len(group.runs) for group in groups] == [1, 2, 1]
     assert [group.label for group in groups] == ["a2c, gamma 0.99", "mo_a2c, gamma 0.99", "mo_a2c, gamma 0.9"]
-
-
-@pytest.mark.slow
-def test_two_vehicles_have_separate_panels_and_one_for_both(make: Make) -> None:
-    run = make("a")
-    names = ["success", *(f"vehicle_{v}/{name}" for v in (0, 1) for name in ("success", "return/lane_violation"))]
-    metrics = MetricsFile(run / "metrics.csv")
-    for step in range(3):
-        metrics.write(step, {"train/vehicle_0/utility": 1.0, "train/vehicle_1/utility": 2.0})
-        metrics.write(step, {f"eval/greedy/{name}": 0.5 for name in names})
-    titles = [panel.title for panel in curve_panels(load_groups([run]))]
-    assert titles[-1] == "All vehicles: arrival rate"
-    for vehicle in ("Vehicle 0", "Vehicle 1"):
-        mine = [title for title in titles if title.startswith(vehicle)]
-        panels = ["utility per episode", "arrival rate", "lane violation (sum, m)"]
-        assert mine == [f"{vehicle}: {panel}" for panel in panels]
-    plot(load_groups([run]), run / "curves.png")
-
-
-def test_algorithms_are_in_one_order_and_labelled_by_their_names(make: Make) -> None:
-    groups = load_groups([make("a"), make("b", "a2c", steps=4)])
-    assert [group.label for group in groups] == ["a2c", "mo_a2c"]
 
 
 def test_what_cannot_be_drawn_is_refused(make: Make, tmp_path: Path) -> None:
@@ -144,7 +135,7 @@ def panel(*groups: CurveGroup) -> Axes:
     """The only panel of the groups."""
     (wanted,) = curve_panels(groups)
     axis = Figure().subplots()
-    learning_curves._draw_panel(axis, groups, wanted)
+    curves._draw_panel(axis, groups, wanted)
     return axis
 
 
@@ -170,11 +161,11 @@ def test_two_seeds_get_no_band_and_the_figure_says_so() -> None:
     assert not panel(two).collections
     assert len(panel(two, three).collections) == 1
     figure = Figure()
-    learning_curves._frame(figure, [two, three], "")
+    curves._frame(figure, [two, three], "")
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()][:2] == ["a2c (n = 2)", "mo_a2c"]
     figure = Figure()
-    learning_curves._frame(figure, [two], "")
+    curves._frame(figure, [two], "")
     assert "2 seeds, too few for an interval (n = 2)" in " ".join(figure.artists[0].get_text().split())
 
 
@@ -183,25 +174,6 @@ def test_our_destination_is_not_drawn_beside_the_arrival_rate() -> None:
     assert not curve_panels([made_up("a2c", [1.0], name=name)])
     (panel,) = curve_panels([made_up("a2c", [1.0], name=name, env_id="another-v0")])
     assert panel.title == "Destination"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 2])
-def test_figures_are_drawn_of_one_group_and_of_several(make: Make, tmp_path: Path, count: int) -> None:
-    runs = [make("a", seed=0), make("b", seed=1), make("c", "a2c")][: count + 1]
-    plot(load_groups(runs), tmp_path / "curves.png")
-    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_scores_that_cannot_be_compared_have_separate_panels(make: Make) -> None:
-    groups = load_groups([make("a"), make("b", utility="nonlinear"), make("c", "a2c")])
-    panels = {panel.title: panel.groups for panel in curve_panels(groups)}
-    assert panels == {
-        "Utility: one_waypoint_linear": (0, 1),
-        "Utility: one_waypoint_nonlinear": (2,),
-        "Arrival rate": (0, 1, 2),
-        "Jerk (sum, m/s³)": (0, 1, 2),
-    }
 
 
 def test_scores_under_other_arguments_have_separate_panels_that_name_them() -> None:
@@ -250,7 +222,81 @@ def test_runs_with_one_vehicle_are_drawn_beside_runs_with_two() -> None:
     assert drawn(every, groups[0].experiment) == every
 
 
-def test_metrics_that_are_drawn_can_be_selected(make: Make) -> None:
-    (group,) = load_groups([make("a")])
-    names = ["step", "eval/greedy/success", "loss/policy", "train/utility", "eval/greedy/max_jerk"]
-    assert drawn(names, group.experiment) == ["eval/greedy/success", "train/utility"]
+# -------------------------------------------------------------------------------------------- scores against keys
+
+
+@pytest.mark.parametrize(
+    ("numbers", "expected"),
+    [
+        ([1e-4, 1e-3, 1e-2], True),
+        ([16, 32, 64], True),
+        ([0.001, 0.003], False),
+        ([1, 2, 3], False),
+        ([0.9, 0.95, 0.99], False),
+        ([0, 10, 1000], False),
+        (np.linspace(0.1, 1.0, 50), False),
+        (np.geomspace(0.1, 10.0, 50), True),
+    ],
+)
+def test_numbers_that_grow_by_factors_are_on_logarithmic_axes(numbers: Any, expected: bool) -> None:
+    assert is_logarithmic(np.asarray(numbers, dtype=np.float64)) is expected
+
+
+def test_every_value_has_a_mean_and_many_values_are_binned() -> None:
+    scores = np.arange(60.0)
+    few = effect_of_numbers(np.repeat([8.0, 16.0, 32.0], 20), scores)
+    assert [each.value for each in few.means] == [9.5, 29.5, 49.5]
+    assert [*few.ticks.values()] == ["8", "16", "32"]
+    many = effect_of_numbers(np.linspace(0.9, 1.0, 60), scores)
+    assert many.ticks is None
+    assert [len(part) for part in many.parts] == [8, 8, 8, 8, 7, 7, 7, 7]
+    words = effect_of_words(["b", "a", "b"] * 20, scores)
+    assert list(words.ticks.values()) == ["b", "a"]
+    assert not words.slanted
+    assert effect_of_words([f"a rather long word {i}" for i in range(60)], scores).slanted
+
+
+def test_a_few_outliers_do_not_flatten_the_other_runs() -> None:
+    words = ["a"] * 50 + ["b"] * 50
+    scores = np.linspace(0.0, 1.0, 100)
+    whole = score_limits(scores, [effect_of_words(words, scores)])
+    assert whole == pytest.approx((-0.06, 1.06))
+    scores[-1] = -1e6
+    effect = effect_of_words(words, scores)
+    assert effect.means[1].value < -1e4
+    low, high = score_limits(scores, [effect])
+    assert -0.5 < low < 0.0
+    assert 0.9 < high < 1.5
+    scores[-20:] = -1e6  # no longer a few
+    assert score_limits(scores, [effect_of_words(words, scores)])[0] < -1e6
+    mostly_equal = np.array([1.0] * 99 + [0.0])
+    low, high = score_limits(mostly_equal, [effect := effect_of_words(words, mostly_equal)])
+    assert low < effect.means[1].value < 1.0 < high
+
+
+def test_scores_are_drawn_against_what_was_varied(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rates, names = 10.0 ** rng.uniform(-4, -2, 40), ["one", "another, rather long", "a third, even longer"] * 20
+    keys: dict[str, Any] = {"rate": rates, "name": names[:40], "steps": np.repeat([8.0, 16.0], 20)}
+    first = VariedScores(
+        "environment, utility [1]", "greedy utility", rng.normal(size=40), ("a2c", "mo_a2c") * 20, keys
+    )
+    second = VariedScores(
+        "another",
+        "$hypervolume_",
+        np.full(40, 3.0),
+        ("pcn",) * 40,
+        {f"{key}_{i}": keys[key] for key in keys for i in "ab"},
+    )
+    plot_effects([first, second], tmp_path / "scores.png", "title", "a remark")
+    assert (tmp_path / "scores.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ValueError, match="xyz"):
+        plot_effects([first], tmp_path / "scores.xyz", "title")
+
+
+def test_means_of_two_runs_have_no_interval_and_scores_are_not_magnified() -> None:
+    scores = np.array([10.0, 10.001, 10.002, 10.003, 10.0])
+    effect = effect_of_words(["x", "x", "y", "y", "y"], scores)
+    assert [mean.low is None for mean in effect.means] == [True, False]
+    low, high = score_limits(scores, [effect])
+    assert high - low >= 1.0
