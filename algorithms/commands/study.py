@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.studies.sweep_runner import Backend, Runner
+    from algorithms.studies.execution import Backend, Runner
 
 
 def add_study_arguments(parser: ArgumentParser) -> None:

@@ -10,7 +10,7 @@ from algorithms.commands.sweep import run_command
 from algorithms.runs.cli import check_file
 from algorithms.runs.config import parse_overrides
 from algorithms.runs.shipped import CONFIGS
-from algorithms.studies.sweep_manifest import short_names
+from algorithms.studies.manifest import short_names
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from algorithms.studies.execution import Backend, Runner
     from algorithms.studies.plan import StudyPlan
-    from algorithms.studies.sweep_runner import Backend, Runner
     from mo_deepdrive.suite import Row
 
 REFERENCE = "studies/suite"  # the study of the reference results

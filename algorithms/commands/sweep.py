@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.studies.sweep_runner import Backend, Runner
+    from algorithms.studies.execution import Backend, Runner
 
 ENVIRONMENT = {
     **PROCESS_DEFAULTS,
@@ -128,7 +128,7 @@ def run_command(
         make: what makes the runner.
     """
     from algorithms.runs.console import make_console
-    from algorithms.studies.sweep_runner import Backend, show_broken, show_status
+    from algorithms.studies.execution import Backend, show_broken, show_status
 
     console = make_console()
     try:
@@ -157,7 +157,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     options = parse_arguments(arguments, program)
 
     def make(directory: Path, backend: Backend, console: Console) -> Runner:
-        from algorithms.studies.sweep_runner import SweepRunner
+        from algorithms.studies.execution import SweepRunner
 
         return SweepRunner(load_sweep(options.config), directory, backend, console)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from algorithms.runs.accessories import sole_purpose
 from algorithms.runs.shipped import CONFIGS
 from algorithms.studies import FIGURES
+from algorithms.studies.execution import Backend
 from algorithms.studies.paper_claims import CLAIMS, FRONT_TASK, LEARNED, SOLVED, utility_metric
 from algorithms.studies.paper_plan import Plan, PlannedRun, planned_runs
 from algorithms.studies.paper_report import (
@@ -22,7 +23,6 @@ from algorithms.studies.paper_report import (
 )
 from algorithms.studies.paper_results import ReproductionResults, gather
 from algorithms.studies.runner import StudyRunner
-from algorithms.studies.sweep_runner import Backend
 from algorithms.zoo.exporting import export
 from mo_deepdrive.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS
 

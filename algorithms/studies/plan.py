@@ -10,7 +10,7 @@ import numpy as np
 from algorithms.runs.config import make_experiment
 from algorithms.runs.registry import find_algorithm
 from algorithms.runs.shipped import find_config
-from algorithms.studies.sweep_manifest import ManifestRow, cell_rows, overridden, refuse_duplicates
+from algorithms.studies.manifest import ManifestRow, cell_rows, overridden, refuse_duplicates
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
 from mo_deepdrive.support.names import nearest, nearest_few

@@ -25,7 +25,7 @@ from algorithms.runs.failures import BUSY, DIED, WorkerDied, record, verdict
 from algorithms.runs.interrupts import DiskFull, JobFailed, Stopped, describe
 from algorithms.runs.jobs import Job, perform
 from algorithms.runs.run_directory import read_status
-from algorithms.studies.sweep_manifest import iterate_manifest
+from algorithms.studies.manifest import iterate_manifest
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
 from mo_deepdrive.support.atomic_io import own_path
 from mo_deepdrive.support.machine import GIB

@@ -11,7 +11,7 @@ import numpy as np
 from algorithms.reporting.run_records import experiment_record, read_evaluation
 from algorithms.reporting.table_files import markdown
 from algorithms.runs.run_directory import read_status
-from algorithms.studies.sweep_manifest import label
+from algorithms.studies.manifest import label
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE, split_name
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from algorithms.reporting.wide_tables import Rows
+    from algorithms.studies.manifest import ManifestRow
     from algorithms.studies.plan import ArmRuns, StudyPlan
-    from algorithms.studies.sweep_manifest import ManifestRow
     from mo_deepdrive.evaluation.statistics import Estimate
 
 RESULTS_FILE, TUNING_FILE, TABLES_FILE = "results.csv", "tuning.csv", "results.md"

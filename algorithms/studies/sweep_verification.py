@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 from algorithms.runs.run_directory import read_status
 from algorithms.runs.run_files import RESULTS, changed_files
-from algorithms.studies.sweep_manifest import iterate_manifest
+from algorithms.studies.manifest import iterate_manifest
 from mo_deepdrive.support.atomic_io import own_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from algorithms.studies.sweep_manifest import ManifestRow
+    from algorithms.studies.manifest import ManifestRow
 
 
 def verify(sweep: Path, say: Callable[[str], None]) -> list[tuple[ManifestRow, list[str]]]:

@@ -13,7 +13,7 @@ from algorithms.runs.config import make_experiment
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
 from algorithms.runs.run_directory import Run, read_status
-from algorithms.studies.sweep_manifest import write_manifest
+from algorithms.studies.manifest import write_manifest
 from algorithms.studies.sweep_settings import load_sweep
 from tests.helpers.short_runs import VALUES, quiet
 from tests.helpers.sweep_files import write_sweep

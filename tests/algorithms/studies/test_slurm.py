@@ -24,9 +24,9 @@ from pathlib import Path
 
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
+from algorithms.studies import execution as runner
 from algorithms.studies import slurm, slurm_script
-from algorithms.studies import sweep_runner as runner
-from algorithms.studies.sweep_manifest import expand, read_manifest, write_manifest
+from algorithms.studies.manifest import expand, read_manifest, write_manifest
 from algorithms.studies.sweep_settings import SweepSettings, load_sweep
 
 

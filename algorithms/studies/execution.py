@@ -13,8 +13,7 @@ from algorithms.runs.console import print_line
 from algorithms.runs.dashboard import Dashboard, count_states, summary_of
 from algorithms.runs.interrupts import Interrupts
 from algorithms.runs.run_directory import imported_paths, is_run, read_status
-from algorithms.studies.run_scores import read_scores
-from algorithms.studies.sweep_manifest import (
+from algorithms.studies.manifest import (
     ManifestRow,
     expand,
     is_sweep,
@@ -22,6 +21,7 @@ from algorithms.studies.sweep_manifest import (
     read_manifest,
     write_manifest,
 )
+from algorithms.studies.run_scores import read_scores
 from algorithms.studies.sweep_settings import SEED_KEYS, replaced_keys
 from algorithms.studies.sweep_verification import discard, verify
 from mo_deepdrive.support.machine import GIB, available_cores, available_memory, check_memory

@@ -16,8 +16,8 @@ from rich.console import Console
 
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
-from algorithms.studies.sweep_manifest import read_manifest
-from algorithms.studies.sweep_runner import Backend, SweepRunner
+from algorithms.studies.execution import Backend, SweepRunner
+from algorithms.studies.manifest import read_manifest
 from algorithms.studies.sweep_settings import load_sweep
 from tests.helpers.sweep_files import write_sweep
 
@@ -59,7 +59,7 @@ def ids(directory: Path) -> list[str]:
 
 
 def test_what_trains_is_not_imported_to_show_the_status() -> None:
-    code = "import sys, algorithms.studies.sweep_runner; print([m for m in ('torch', 'numba') if m in sys.modules])"
+    code = "import sys, algorithms.studies.execution; print([m for m in ('torch', 'numba') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
 

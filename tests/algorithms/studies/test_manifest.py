@@ -20,7 +20,7 @@ import yaml
 
 from algorithms.runs import config
 from algorithms.runs.config import make_experiment
-from algorithms.studies.sweep_manifest import (
+from algorithms.studies.manifest import (
     FILE,
     ManifestRow,
     expand,
