@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.studies.execution import Backend, Runner
+    from algorithms.studies.backends import Backend
+    from algorithms.studies.execution import Runner
 
 
 def add_study_arguments(parser: ArgumentParser) -> None:

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.studies.execution import Backend, Runner
+    from algorithms.studies.backends import Backend
+    from algorithms.studies.execution import Runner
     from algorithms.studies.plan import StudyPlan
     from mo_deepdrive.suite import Row
 

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.studies.execution import Backend, Runner
+    from algorithms.studies.backends import Backend
+    from algorithms.studies.execution import Runner
 
 ENVIRONMENT = {
     **PROCESS_DEFAULTS,
@@ -128,7 +129,8 @@ def run_command(
         make: what makes the runner.
     """
     from algorithms.runs.console import make_console
-    from algorithms.studies.execution import Backend, show_broken, show_status
+    from algorithms.studies.backends import Backend
+    from algorithms.studies.execution import show_broken, show_status
 
     console = make_console()
     try:
@@ -157,7 +159,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     options = parse_arguments(arguments, program)
 
     def make(directory: Path, backend: Backend, console: Console) -> Runner:
-        from algorithms.studies.execution import SweepRunner
+        from algorithms.studies.sweep import SweepRunner
 
         return SweepRunner(load_sweep(options.config), directory, backend, console)
 

@@ -158,7 +158,7 @@ class Collection:
         if not names:
             return {}
         of_runs = self.metrics.filter(pl.col("run").is_in(runs)).select("run", STEP, *names)
-        last = of_runs[STEP].max() or 0
+        last = int(of_runs.select(pl.col(STEP).max()).item() or 0)
         binned = (
             of_runs.unpivot(names, index=["run", STEP], variable_name="metric")
             .filter(pl.col("value").is_finite())

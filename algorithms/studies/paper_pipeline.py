@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from algorithms.runs.accessories import sole_purpose
 from algorithms.runs.shipped import CONFIGS
 from algorithms.studies import FIGURES
-from algorithms.studies.execution import Backend
+from algorithms.studies.backends import Backend
 from algorithms.studies.paper_claims import CLAIMS, FRONT_TASK, LEARNED, SOLVED, utility_metric
 from algorithms.studies.paper_plan import Plan, PlannedRun, planned_runs
 from algorithms.studies.paper_report import (

@@ -9,6 +9,7 @@ import socket
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,6 @@ from algorithms.runs.failures import BUSY, DIED, WorkerDied, record, verdict
 from algorithms.runs.interrupts import DiskFull, JobFailed, Stopped, describe
 from algorithms.runs.jobs import Job, perform
 from algorithms.runs.run_directory import read_status
-from algorithms.studies.manifest import iterate_manifest
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
 from mo_deepdrive.support.atomic_io import own_path
 from mo_deepdrive.support.machine import GIB
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from algorithms.runs.dashboard import Dashboard
-    from algorithms.studies.sweep_settings import AshaSettings, BackendSettings
+    from algorithms.studies.backends import AshaSettings, BackendSettings
 
 TuneReport = dict[str, Any]
 CONNECT_TIMEOUT = 10.0  # s, to find out whether a cluster can be reached
@@ -92,11 +92,7 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
                 reports.put({STEP: step, **metrics})
 
         try:
-            sweep = Path(config["sweep"])
-            row = next((row for row in iterate_manifest(sweep) if row.id == config["run"]["id"]), None)
-            if row is None:
-                raise ValueError(f"the manifest of sweep {str(sweep)!r} has changed: it no longer has this run")
-            job = row.job(sweep)
+            job = Job.unpack(config["run"])
             for step, metrics in _logged_evaluations(job):
                 watch(step, metrics)
             while not stop.is_set():
@@ -218,17 +214,7 @@ def run_on_ray(
 ) -> dict[Job, str]:
     """Train the runs as trials of Ray Tune.
 
-    Args:
-        jobs: the runs; finished ones are skipped (with early stopping, their logged evaluations are reported).
-        settings: of the sweep.
-        sweep: its directory, which all nodes must see under the same path.
-        monitor: shows the progress.
-        stop: called several times a second; once it returns True, the running trials are saved and this returns.
-        address: of a running cluster, or "auto"; None starts Ray in this process and shuts it down afterwards.
-        workers: maximum number of concurrent runs; None for as many as Ray has resources for.
-
-    Returns:
-        The jobs that failed, each with its reason.
+    As :meth:`algorithms.studies.backends.Backend.train`; with early stopping, finished runs report what they logged.
 
     Raises:
         Stopped: if the cluster cannot be reached, or is lost. Ray ends this process itself, with one message and the
@@ -247,8 +233,7 @@ def run_on_ray(
             tune.with_resources(RunTrainable, _resources(settings)),
             param_space={
                 "folder": str(Path.cwd()),
-                "sweep": str(sweep.resolve()),
-                "run": tune.grid_search([{"id": job.id, "name": job.name} for job in wanted]),
+                "run": tune.grid_search([replace(job, path=job.path.resolve()).packed() for job in wanted]),
             },
             tune_config=tune.TuneConfig(
                 scheduler=asha,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from algorithms.reporting.wide_tables import print_rows
 from algorithms.runs.run_directory import is_run
-from algorithms.studies.execution import Backend, Runner
+from algorithms.studies.execution import Runner
 from algorithms.studies.manifest import is_sweep
 from algorithms.studies.plan import LEARNER, TASK, StudyPlan
 from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, study_tables, write_results
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.studies.hyperparameter_search import Scores
-    from algorithms.studies.manifest import ManifestRow
+    from algorithms.studies.backends import Backend
+    from algorithms.studies.manifest import ManifestRow, Scores
     from algorithms.studies.plan import ArmRuns
 
 

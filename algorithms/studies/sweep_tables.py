@@ -114,8 +114,8 @@ def group_cells(collection: Collection, ranking: Ranking, columns: Sequence[str]
     """The cells of a ranking that have final evaluations, in its order; with all metrics if columns are chosen."""
     known = collection.scores.select("run", *SCORE_KEYS, "value")
     if columns is None:
-        metric = pl.col("metric")
-        known = known.filter(metric.is_in([*TABLE_METRICS, ranking.metric]) | metric.str.starts_with(RETURN))
+        column = pl.col("metric")
+        known = known.filter(column.is_in([*TABLE_METRICS, ranking.metric]) | column.str.starts_with(RETURN))
     scores: dict[str, dict[MetricName, float]] = defaultdict(dict)
     for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranking.metric))]).rows():
         # A total is in the row of all vehicles together if that has no such score itself.

@@ -7,17 +7,17 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
-from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
-from algorithms.studies.execution import Backend, SweepRunner
+from algorithms.studies.backends import Backend
 from algorithms.studies.manifest import read_manifest
+from algorithms.studies.sweep import SweepRunner
 from algorithms.studies.sweep_settings import load_sweep
 from tests.helpers.sweep_files import write_sweep
 
@@ -25,16 +25,13 @@ RATE = "algorithm.learning_rate"
 SEARCH = {"space": {RATE: {"low": 1e-4, "high": 1e-2}}, "metric": "greedy/utility_esr", "trials": 6, "batch": 2}
 
 
-class MadeUpRuns(SweepRunner):
-    """A runner whose runs end at once, with a score, or with an error if their number is in ``failing``."""
+class MadeUpBackend(Backend):
+    """A backend whose runs end at once, with a score, or with an error if their number is in ``failing``."""
 
-    def __init__(self, directory: Path, file: Path, *failing: int, **backend: Any):
-        self.said = io.StringIO()
-        super().__init__(load_sweep(file), directory, Backend(**backend), Console(file=self.said, width=200))
-        self.failing = failing
-        self.batches: list[list[str]] = []
+    failing: tuple[int, ...]
+    batches: list[list[str]]
 
-    def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+    def train(self, jobs: Sequence[Job], *_: Any) -> dict[Job, str]:
         numbers = {row.id: i for i, row in enumerate(read_manifest(jobs[0].path.parents[1]))}
         self.batches.append([])
         failed: dict[Job, str] = {}
@@ -54,12 +51,23 @@ class MadeUpRuns(SweepRunner):
         return failed
 
 
+class MadeUpRuns(SweepRunner):
+    """A runner with this backend."""
+
+    def __init__(self, directory: Path, file: Path, *failing: int, **backend: Any):
+        self.said = io.StringIO()
+        self.batches: list[list[str]] = []
+        made_up = MadeUpBackend(**backend)
+        vars(made_up).update(failing=failing, batches=self.batches)
+        super().__init__(load_sweep(file), directory, made_up, Console(file=self.said, width=200))
+
+
 def ids(directory: Path) -> list[str]:
     return [row.id for row in read_manifest(directory)]
 
 
 def test_what_trains_is_not_imported_to_show_the_status() -> None:
-    code = "import sys, algorithms.studies.execution; print([m for m in ('torch', 'numba') if m in sys.modules])"
+    code = "import sys, algorithms.studies.sweep; print([m for m in ('torch', 'numba') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
 
@@ -149,14 +157,16 @@ def test_the_directory_of_a_run_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_exit_code_after_a_signal_is_that_of_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    class Interrupted(MadeUpRuns):
-        def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+    class Interrupted(Backend):
+        def train(self, *arguments: Any) -> dict[Job, str]:
+            stop = arguments[-1]
             assert not stop()
             signal.raise_signal(signal.SIGTERM)
             assert stop()
             return {}
 
-    assert Interrupted(tmp_path / "sweep", write_sweep(tmp_path)).run() == 128 + signal.SIGTERM
+    runner = SweepRunner(load_sweep(write_sweep(tmp_path)), tmp_path / "sweep", Interrupted(), Console(quiet=True))
+    assert runner.run() == 128 + signal.SIGTERM
     assert "the same command resumes them" in capsys.readouterr().err
 
 

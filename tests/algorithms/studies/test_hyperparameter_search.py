@@ -12,7 +12,7 @@ import numpy as np
 import optuna
 import pytest
 
-from algorithms.studies.hyperparameter_search import propose_points
+from algorithms.studies.sweep import propose_points
 from algorithms.studies.sweep_settings import HyperparameterSearchSettings
 from mo_deepdrive.world.config import parse
 

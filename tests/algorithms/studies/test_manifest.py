@@ -23,13 +23,12 @@ from algorithms.runs.config import make_experiment
 from algorithms.studies.manifest import (
     FILE,
     ManifestRow,
-    expand,
     label,
-    manifest_lines,
     read_manifest,
     run_id,
     write_manifest,
 )
+from algorithms.studies.sweep import expand
 from algorithms.studies.sweep_settings import load_sweep
 from mo_deepdrive.support.extras import MissingExtraError
 from tests.helpers.short_runs import VALUES
@@ -63,12 +62,12 @@ def test_the_manifest_is_the_same_in_another_directory_and_process(
 ) -> None:
     settings = {"grid": {RATE: [0.001, 0.003], "algorithm.steps": [8, 16]}, "seeds": 2}
     file = write_sweep(tmp_path, **settings)
-    here = b"".join(manifest_lines(expand(load_sweep(file), {})))
+    here = b"".join(row.line() for row in expand(load_sweep(file), {}))
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     shutil.copy(file, elsewhere)
     monkeypatch.chdir(elsewhere)
-    assert b"".join(manifest_lines(expand(load_sweep("short.yaml"), {}))) == here
+    assert b"".join(row.line() for row in expand(load_sweep("short.yaml"), {})) == here
     write_yaml(tmp_path / "base.yaml", dict(reversed(VALUES.items())))
     environment = {**os.environ, "PYTHONHASHSEED": "7"}
     done = run_sweep(elsewhere / "short.yaml", "--on", "manifest", "--output", "made", environment=environment)
@@ -99,7 +98,7 @@ def test_the_manifest_does_not_depend_on_the_order_of_keys_in_a_base_config(
     found = set()
     for number in range(8):
         write_yaml(tmp_path / "base.yaml", reordered({**VALUES, "utility": utility}, random.Random(number)))
-        found.add(tuple(manifest_lines(expand(load_sweep(file), {}))))
+        found.add(tuple(row.line() for row in expand(load_sweep(file), {})))
     assert len(found) == 1
 
 

@@ -17,7 +17,7 @@ import yaml
 from algorithms.commands.study import main
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
-from algorithms.studies.execution import Backend
+from algorithms.studies.backends import Backend
 from algorithms.studies.manifest import read_manifest
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.runner import StudyRunner

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from algorithms.studies.manifest import expand
+from algorithms.studies.sweep import expand
 from algorithms.studies.sweep_settings import load_sweep
 from tests.helpers.sweep_files import write_sweep
 
