@@ -128,21 +128,20 @@ def run_command(
         directory: of the runs.
         make: what makes the runner.
     """
-    from algorithms.runs.console import make_console
+    from algorithms.runs.console import make_console, print_line
     from algorithms.studies.backends import Backend
-    from algorithms.studies.execution import show_broken, show_status
+    from algorithms.studies.execution import progress, verify
 
     console = make_console()
     try:
         check_options(options)
         if options.status:
-            show_status(directory, console)
+            print_line(console, progress(directory))
             return 0
         if options.verify:
-            return show_broken(directory, console)
-        runner = make(
-            directory, Backend(options.on, options.workers, options.address, wait=not options.no_wait), console
-        )
+            return 1 if verify(directory, lambda line: print_line(console, line)) else 0
+        backend = Backend(options.on, options.workers, options.address, wait=not options.no_wait)
+        runner = make(directory, backend, console)
         if options.remake:
             return runner.remake()
         return runner.print_batch_script() if options.dry_run else runner.run()

@@ -293,20 +293,10 @@ def discard(sweep: Path, row: ManifestRow, problems: list[str]) -> None:
     run.unlock()
 
 
-def show_status(directory: Path, console: Console) -> None:
-    """Print how many runs of the sweep in ``directory`` are done, running, failed and waiting.
+def progress(sweep: Path) -> str:
+    """How many runs of a sweep are done, running, failed and waiting.
 
     Raises:
         ValueError: if the directory has no manifest, or a broken one.
     """
-    states = (read_status(directory / row.directory).get("state") for row in iterate_manifest(directory))
-    print_line(console, summary_of(count_states(states)))
-
-
-def show_broken(directory: Path, console: Console) -> int:
-    """Print which finished runs of the sweep in ``directory`` are broken; the exit code, 1 if there are any.
-
-    Raises:
-        ValueError: if the directory has no manifest, or a broken one.
-    """
-    return int(bool(verify(directory, lambda line: print_line(console, line))))
+    return summary_of(count_states(read_status(sweep / row.directory).get("state") for row in iterate_manifest(sweep)))

@@ -245,11 +245,3 @@ def test_curves_are_averaged_over_intervals_of_steps(tmp_path: Path, base: dict[
         there = np.isfinite(found[name])
         assert there.sum() == 50
         np.testing.assert_allclose(np.stack([found["step"], found[name]], axis=1)[there], wanted)
-
-
-def test_short_curves_are_not_averaged(tmp_path: Path, grid: list[ManifestRow]) -> None:
-    rows = make_sweep(tmp_path, grid)
-    found = collect(tmp_path).curves([row.id for row in rows[:2]], ["eval/greedy/utility_esr"])
-    assert set(found) == {row.id for row in rows[:2]}
-    np.testing.assert_array_equal(found[rows[1].id]["step"], 10.0 * np.arange(12))
-    np.testing.assert_allclose(found[rows[1].id]["eval/greedy/utility_esr"], scores_of(rows[1]) + np.arange(12))

@@ -72,35 +72,17 @@ def test_what_trains_is_not_imported_to_show_the_status() -> None:
     assert done.stdout == "[]\n"
 
 
-def test_all_runs_are_made_once(tmp_path: Path) -> None:
-    file, sweep = write_sweep(tmp_path, seeds=3), tmp_path / "sweep"
-    runner = MadeUpRuns(sweep, file)
-    assert runner.run() == 0
-    assert runner.batches == [ids(sweep)]
-    assert len(ids(sweep)) == 6
-    assert "6 runs, 0 of them done" in runner.said.getvalue()
-    again = MadeUpRuns(sweep, file)
-    assert again.run() == 0
-    assert again.batches == []
-
-
 def test_a_failed_run_is_reported_and_repeated_by_the_next_command(tmp_path: Path) -> None:
     file, sweep = write_sweep(tmp_path, seeds=2), tmp_path / "sweep"
     runner = MadeUpRuns(sweep, file, 1)
     assert runner.run() == 1
+    assert runner.batches == [ids(sweep)]
+    assert "4 runs, 0 of them done" in runner.said.getvalue()
     assert "made to fail" in runner.said.getvalue()
     again = MadeUpRuns(sweep, file)
     assert again.run() == 0
     assert again.batches == [[ids(sweep)[1]]]
     assert "4 runs, 3 of them done" in again.said.getvalue()
-
-
-def test_runs_that_the_sweep_no_longer_has_are_counted(tmp_path: Path) -> None:
-    sweep = tmp_path / "sweep"
-    MadeUpRuns(sweep, write_sweep(tmp_path, seeds=3)).run()
-    fewer = MadeUpRuns(sweep, write_sweep(tmp_path, seeds=2))
-    assert fewer.run() == 0
-    assert "2 runs of the previous manifest are no longer in the sweep" in fewer.said.getvalue()
 
 
 def test_the_directory_of_another_sweep_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
@@ -130,6 +112,7 @@ def test_a_sweep_is_extended_by_seeds_and_cells(tmp_path: Path) -> None:
     assert runner.run() == 0
     assert len(runner.batches[0]) == 3
     assert set(first) & set(ids(sweep)) == {first[1]}
+    assert "1 runs of the previous manifest are no longer in the sweep" in runner.said.getvalue()
 
 
 def test_a_search_refuses_another_sweep_whatever_its_scores_are(tmp_path: Path) -> None:
@@ -187,16 +170,6 @@ def test_failed_points_of_a_search_are_repeated_only_while_no_later_points_depen
     assert again.run() == 1
     assert again.batches == [[ids(sweep)[5]]]
     assert again.said.getvalue().count("made to fail") == 2
-
-
-def test_failed_points_of_a_random_search_are_all_repeated(tmp_path: Path) -> None:
-    pytest.importorskip("optuna")
-    search = {**{key: value for key, value in SEARCH.items() if key != "batch"}, "sampler": "random"}
-    file, sweep = write_sweep(tmp_path, search=search), tmp_path / "sweep"
-    assert MadeUpRuns(sweep, file, 0, 3, 5).run() == 1
-    again = MadeUpRuns(sweep, file)
-    assert again.run() == 0
-    assert again.batches == [[ids(sweep)[i] for i in (0, 3, 5)]]
 
 
 def test_failed_points_of_a_cell_are_repeated_whatever_batch_the_other_cells_have_reached(tmp_path: Path) -> None:

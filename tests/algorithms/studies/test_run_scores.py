@@ -74,6 +74,14 @@ def test_an_unknown_metric_is_refused_with_the_nearest_ones(finished: Job, prune
         assert METRIC in str(error.value)
 
 
+def test_a_changed_evaluation_is_refused(finished: Job, tmp_path: Path) -> None:
+    changed = shutil.copytree(finished.path, tmp_path / "changed")
+    path = changed / "evaluation.json"
+    path.write_text(path.read_text() + "\n")
+    with pytest.raises(ValueError, match=f"cannot use {changed}: evaluation.json: .*; --remake makes it again"):
+        read_score("run", changed, METRIC)
+
+
 def test_results_that_cannot_be_read_are_refused_with_what_to_do(finished: Job, pruned: Job, tmp_path: Path) -> None:
     (pruned.path / "metrics.csv").write_text("\n")
     unreadable = replace(finished, path=tmp_path / "finished")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import pickle
 import shlex
 import shutil
 import subprocess
@@ -28,7 +27,7 @@ from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
 from algorithms.studies import slurm
 from algorithms.studies.backends import Backend
-from algorithms.studies.manifest import read_manifest, write_manifest
+from algorithms.studies.manifest import read_manifest
 from algorithms.studies.sweep import SweepRunner, expand
 from algorithms.studies.sweep_settings import SweepSettings, load_sweep
 
@@ -156,42 +155,6 @@ def test_a_task_imports_the_package_even_where_the_working_directory_has_one_of_
 
 
 # --------------------------------------------------------------------------------------------------------- the manifest
-
-
-def test_a_queued_task_trains_its_runs_after_the_manifest_has_changed(
-    tmp_path: Path, fake: FakeSlurm, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    settings = load_sweep(write_sweep(tmp_path, seeds=2))
-    write_manifest(tmp_path, expand(settings, {}))
-    jobs = jobs_of(settings, tmp_path)
-    assert run_on_slurm(settings, jobs, tmp_path, wait=False) == {}
-    queued = pickle.dumps(fake.arrays[0])
-    write_manifest(tmp_path, expand(load_sweep(write_sweep(tmp_path, seeds=[7])), {}))
-    trained: list[Job] = []
-
-    def perform_all(given: Sequence[Job], *_: Any, **__: Any) -> dict[Job, str]:
-        trained.extend(given)
-        return {}
-
-    monkeypatch.setattr(slurm, "perform_all", perform_all)
-    for task in pickle.loads(queued):
-        assert task() == []
-    assert trained == [job.without_code() for job in jobs]
-    assert {row.seed for row in read_manifest(tmp_path)} == {7}
-
-
-def test_the_process_of_a_task_needs_no_torch_which_its_workers_import(
-    tmp_path: Path, run_python: Callable[[str], str]
-) -> None:
-    settings = load_sweep(write_sweep(tmp_path))
-    (tmp_path / "task").write_bytes(pickle.dumps(slurm.array_tasks(jobs_of(settings, tmp_path), settings)[0]))
-    loaded = run_python(
-        "import pathlib, pickle, sys\n"
-        f"task = pickle.loads(pathlib.Path({str(tmp_path / 'task')!r}).read_bytes())\n"
-        "slow = [name for name in ('torch', 'numba', 'scipy.stats') if name in sys.modules]\n"
-        "print([job.done for job in task.jobs], slow)"
-    )
-    assert loaded == "[False] []\n"
 
 
 # ------------------------------------------------------------------------------------------------------ cancelled, lost

@@ -19,7 +19,6 @@ from algorithms.studies.sweep_tables import (
     mean_score,
     print_sweep,
     rank,
-    short_names,
     value_labels,
     varying_keys,
 )
@@ -185,11 +184,6 @@ def test_rankings_with_equal_titles_also_show_their_keys(tmp_path: Path, base: d
     collection = collect(tmp_path)
     titles = [ranking.title for ranking in rank(collection.cells, collection.scores)]
     assert [title.rpartition(" (")[2] for title in titles] == ["evaluation.gamma=0.9)", "evaluation.gamma=1.0)"]
-
-
-def test_a_key_is_shortened_unless_another_one_ends_in_the_same_way() -> None:
-    keys = ["algorithm.steps", "environment.steps", "algorithm.gamma"]
-    assert short_names(keys) == {**{key: key for key in keys[:2]}, "algorithm.gamma": "gamma"}
 
 
 def test_cells_have_short_names(base: dict[str, Any], tmp_path: Path) -> None:
