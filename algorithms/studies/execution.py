@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.runs.jobs import Job
-    from algorithms.studies.backends import Backend, BackendSettings
+    from algorithms.studies.backends import Backend
     from algorithms.studies.manifest import Scores
+    from algorithms.studies.sweep_settings import BackendSettings
 
 
 class Runner(ABC):

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from algorithms.runs.dashboard import Dashboard
-    from algorithms.studies.backends import AshaSettings, BackendSettings
+    from algorithms.studies.sweep_settings import AshaSettings, BackendSettings
 
 TuneReport = dict[str, Any]
 CONNECT_TIMEOUT = 10.0  # s, to find out whether a cluster can be reached

@@ -9,9 +9,9 @@ from pydantic import BeforeValidator, Field
 
 from algorithms.runs.config import Count, UtilitySettings
 from algorithms.runs.shipped import find_config
-from algorithms.studies.backends import BackendSettings
 from algorithms.studies.sweep_settings import (
     SEED_KEYS,
+    BackendSettings,
     Seeds,
     found_beside,
     key_problems,

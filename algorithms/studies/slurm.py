@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from algorithms.runs.jobs import Job
-    from algorithms.studies.backends import BackendSettings
+    from algorithms.studies.sweep_settings import BackendSettings
 
 POLL = 5.0  # s between queries of the queue
 JOBS_PER_QUERY = 500  # the length of a command line is limited

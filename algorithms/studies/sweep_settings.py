@@ -8,7 +8,6 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from algorithms.runs.config import Count
 from algorithms.runs.shipped import find_config
-from algorithms.studies.backends import BackendSettings
 from mo_deepdrive.support.yaml import read_mapping
 from mo_deepdrive.world.config import Settings, parse
 
@@ -100,6 +99,84 @@ class HyperparameterSearchSettings(Settings):
     def points_at_a_time(self) -> int:
         """Number of points that the sampler chooses before it needs their scores."""
         return self.batch if self.sampler == "tpe" else self.trials
+
+
+class Resources(Settings):
+    """What one run needs."""
+
+    cpus: float = Field(default=1.0, gt=0)
+    """Cores; with a fraction, several runs share a core."""
+    gpus: float = Field(default=0.0, ge=0)
+    """Devices; with a fraction, several runs share a device (Ray); Slurm rounds up."""
+    memory_gb: float | None = Field(default=None, gt=0)
+    """Main memory in GB; None for the backend's default."""
+    minutes: Count = 60
+    """Wall-clock limit of a Slurm job, after which it is requeued and resumes."""
+
+
+class AshaSettings(Settings):
+    """Early stopping on Ray by asynchronous successive halving (Li et al. 2020): poor runs are pruned at each rung."""
+
+    metric: str
+    """The objective, a metric of the evaluations during training, named as the metric of a search."""
+    direction: Literal["maximize", "minimize"] = "maximize"
+    """Whether to maximize or minimize it."""
+    grace_period: Count
+    """Environment steps before a run may be pruned."""
+    reduction_factor: float = Field(default=4.0, gt=1)
+    """One in this many runs continues past each rung."""
+
+
+class RaySettings(Settings):
+    """Settings of the Ray Tune backend."""
+
+    asha: AshaSettings | None = None
+    """Early stopping; None to run every run to its end."""
+
+
+class SlurmSettings(Settings):
+    """Settings of the Slurm backend; :func:`algorithms.studies.slurm.sbatch_options` turns them into options."""
+
+    partition: str | None = None
+    """Passed to sbatch."""
+    account: str | None = None
+    """Passed to sbatch."""
+    qos: str | None = None
+    """Passed to sbatch."""
+    constraint: str | None = None
+    """Passed to sbatch."""
+    runs_per_job: Count = 1
+    """Number of runs in one task of the job array."""
+    side_by_side: Count = 1
+    """How many of these run concurrently."""
+    array_parallelism: Count = 256
+    """Maximum number of tasks that run concurrently."""
+    signal_delay_s: Count = 90
+    """Seconds before the time limit at which a job is told to save and requeue."""
+    max_requeues: Count = 100
+    """How often a job may reach its time limit."""
+    setup: list[str] = []
+    """Shell commands to run before each job."""
+    additional: dict[str, Any] = {}
+    """Any other options of sbatch."""
+
+
+class BackendSettings(Settings):
+    """How many runs are trained: the resources of each, and the settings of the backends."""
+
+    resources: Resources = Resources()
+    """What each run needs."""
+    retries: int = Field(default=3, ge=0)
+    """How often to retry a run whose process died or could not write."""
+    ray: RaySettings = RaySettings()
+    """Settings of the backend of this name."""
+    slurm: SlurmSettings = SlurmSettings()
+    """Settings of the backend of this name."""
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether later runs are chosen by the scores of earlier ones."""
+        return False
 
 
 class SweepSettings(BackendSettings):
