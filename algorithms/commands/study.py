@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from algorithms.studies.backends import Backend
+    from algorithms.studies.execution import Runner
     from algorithms.studies.plan import StudyPlan
-    from algorithms.studies.sweep_runner import Backend, Runner
 
 
 def add_study_arguments(parser: ArgumentParser) -> None:

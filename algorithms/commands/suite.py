@@ -25,8 +25,8 @@ from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import run_command
 from algorithms.runs.cli import TRUST, check_file, exit_on_error, make_parser
 from algorithms.runs.config import parse_overrides
+from algorithms.studies.manifest import short_names
 from algorithms.studies.suite_plan import ALL, CORE, PUBLISHED, REFERENCE, plan_of, selected_tasks
-from algorithms.studies.sweep_manifest import short_names
 from mo_deepdrive import suite
 
 if TYPE_CHECKING:

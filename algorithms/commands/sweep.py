@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.studies.sweep_runner import Backend, Runner
+    from algorithms.studies.backends import Backend
+    from algorithms.studies.execution import Runner
 
 ENVIRONMENT = {
     **PROCESS_DEFAULTS,
@@ -124,20 +125,20 @@ def run_command(options: Namespace, directory: Path, make: Callable[[Path, Backe
         directory: of the runs.
         make: what makes the runner.
     """
-    from algorithms.runs.console import make_console
-    from algorithms.studies.sweep_runner import Backend, show_broken, show_status
+    from algorithms.runs.console import make_console, print_line
+    from algorithms.studies.backends import Backend
+    from algorithms.studies.execution import progress, verify
 
     console = make_console()
     try:
         check_options(options)
         if options.status:
-            show_status(directory, console)
+            print_line(console, progress(directory))
             return 0
         if options.verify:
-            return show_broken(directory, console)
-        runner = make(
-            directory, Backend(options.on, options.workers, options.address, wait=not options.no_wait), console
-        )
+            return 1 if verify(directory, lambda line: print_line(console, line)) else 0
+        backend = Backend(options.on, options.workers, options.address, wait=not options.no_wait)
+        runner = make(directory, backend, console)
         if options.remake:
             return runner.remake()
         return runner.print_batch_script() if options.dry_run else runner.run()
@@ -154,7 +155,7 @@ def main(arguments: list[str]) -> int:
     options = parse_arguments(arguments)
 
     def make(directory: Path, backend: Backend, console: Console) -> Runner:
-        from algorithms.studies.sweep_runner import SweepRunner
+        from algorithms.studies.sweep import SweepRunner
 
         return SweepRunner(load_sweep(options.config), directory, backend, console)
 

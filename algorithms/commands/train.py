@@ -35,7 +35,7 @@ def open_runs(options: Namespace) -> tuple[list[Run], Any]:
     """
     from algorithms.runs.side_by_side import build_trainee
     from algorithms.runs.training import reopen
-    from algorithms.studies.sweep_manifest import is_sweep
+    from algorithms.studies.manifest import is_sweep
 
     if options.resume is None:
         if options.trust:

@@ -5,8 +5,8 @@ tries settings on the validation split, the same number for every arm; the best 
 that count, which are scored on the test split. A *sweep* is a base experiment and what varies. A *cell* is one
 combination of the varied values; the runs of a cell differ in their seed alone. The *manifest* lists all runs. A
 *backend* trains them: worker processes on this machine, Ray Tune, or Slurm (the batch script is in
-:mod:`algorithms.studies.slurm_script`). The study configs/studies/paper.yaml lists what the reproduction trains: a
-*protocol* is how a scenario under a utility is trained and evaluated, its learners are compared with each other.
+:mod:`algorithms.studies.slurm`). The study configs/studies/paper.yaml lists what the reproduction trains: a *protocol*
+is how a scenario under a utility is trained and evaluated, its learners are compared with each other.
 """
 
 BACKENDS = ("local", "ray", "slurm", "manifest")  # the last one only writes the manifest

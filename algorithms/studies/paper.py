@@ -16,6 +16,9 @@ import polars as pl
 from algorithms.runs.accessories import sole_purpose
 from algorithms.runs.shipped import CONFIGS
 from algorithms.studies import FIGURES
+from algorithms.studies.backends import Backend
+from algorithms.studies.collection import collect
+from algorithms.studies.manifest import overridden
 from algorithms.studies.paper_claims import (
     CLAIMS,
     FRONT_TASK,
@@ -30,9 +33,6 @@ from algorithms.studies.plan import StudyPlan
 from algorithms.studies.results import results_of
 from algorithms.studies.runner import StudyRunner
 from algorithms.studies.settings import load_study
-from algorithms.studies.sweep_collection import collect
-from algorithms.studies.sweep_manifest import overridden
-from algorithms.studies.sweep_runner import Backend
 from algorithms.zoo.exporting import export
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.metrics import (

@@ -10,7 +10,7 @@ import numpy as np
 from algorithms.runs.config import make_experiment
 from algorithms.runs.registry import find_algorithm
 from algorithms.runs.shipped import find_config
-from algorithms.studies.sweep_manifest import ManifestRow, cell_rows, overridden, refuse_duplicates
+from algorithms.studies.manifest import ManifestRow, Scores, cell_rows, overridden, refuse_duplicates
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
 from mo_deepdrive.support.names import nearest, nearest_few
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from algorithms.runs.registry import AlgorithmEntry
-    from algorithms.studies.hyperparameter_search import Scores
     from algorithms.studies.settings import Learner, Study, StudyTask
 
 TASK, LEARNER = "task", "learner"  # keys of every cell

@@ -9,6 +9,7 @@ import socket
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,6 @@ from algorithms.runs.failures import BUSY, DIED, WorkerDied, record, verdict
 from algorithms.runs.interrupts import DiskFull, JobFailed, Stopped, describe
 from algorithms.runs.jobs import Job, perform
 from algorithms.runs.run_directory import read_status
-from algorithms.studies.sweep_manifest import iterate_manifest
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
 from mo_deepdrive.support.atomic_io import own_path
 from mo_deepdrive.support.machine import GIB
@@ -92,11 +92,7 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
                 reports.put({STEP: step, **metrics})
 
         try:
-            sweep = Path(config["sweep"])
-            row = next((row for row in iterate_manifest(sweep) if row.id == config["run"]["id"]), None)
-            if row is None:
-                raise ValueError(f"the manifest of sweep {str(sweep)!r} has changed: it no longer has this run")
-            job = row.job(sweep)
+            job = Job.unpack(config["run"])
             for step, metrics in _logged_evaluations(job):
                 watch(step, metrics)
             while not stop.is_set():
@@ -157,21 +153,28 @@ class _RecordingAsha(ASHAScheduler):  # type: ignore[misc]  # Ray's types are no
         return decision
 
 
-class _NotPickled:
-    """Has no state in Tune's own checkpoints, which are not read again: the run directories have all the state."""
+class _Driver(tune.Callback, tune.Stopper):  # type: ignore[misc]  # Ray's types are not checked
+    """Updates the dashboard, collects errors, and stops all trials once ``stop`` returns True or the disk is full.
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {}
+    Each trial then saves a checkpoint.
+    """
 
-
-class _ProgressCallback(_NotPickled, tune.Callback):  # type: ignore[misc]  # Ray's types are not checked
-    """Updates the dashboard and collects errors."""
-
-    def __init__(self, jobs: Sequence[Job], monitor: Dashboard):
+    def __init__(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]):
         self._jobs = {job.id: job for job in jobs}
         self._monitor = monitor
+        self._stop = stop
         self.failed: dict[Job, str] = {}
         self.disk_full: str | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Nothing for Tune's own checkpoints, which are not read again: the run directories have all the state."""
+        return {}
+
+    def __call__(self, _trial_id: str, _result: TuneReport) -> bool:
+        return False
+
+    def stop_all(self) -> bool:
+        return self._stop() or self.disk_full is not None
 
     def on_step_end(self, *_arguments: Any, **_info: Any) -> None:
         self._monitor.update()
@@ -193,19 +196,6 @@ class _ProgressCallback(_NotPickled, tune.Callback):  # type: ignore[misc]  # Ra
         self._monitor.failed(job, self.failed[job])
 
 
-class _StopWhenAsked(_NotPickled, tune.Stopper):  # type: ignore[misc]  # Ray's types are not checked
-    """Stops all trials once ``stop`` returns True; each saves a checkpoint."""
-
-    def __init__(self, stop: Callable[[], bool]):
-        self._stop = stop
-
-    def __call__(self, _trial_id: str, _result: TuneReport) -> bool:
-        return False
-
-    def stop_all(self) -> bool:
-        return self._stop()
-
-
 def run_on_ray(
     jobs: Sequence[Job],
     settings: BackendSettings,
@@ -218,17 +208,7 @@ def run_on_ray(
 ) -> dict[Job, str]:
     """Train the runs as trials of Ray Tune.
 
-    Args:
-        jobs: the runs; finished ones are skipped (with early stopping, their logged evaluations are reported).
-        settings: of the sweep.
-        sweep: its directory, which all nodes must see under the same path.
-        monitor: shows the progress.
-        stop: called several times a second; once it returns True, the running trials are saved and this returns.
-        address: of a running cluster, or "auto"; None starts Ray in this process and shuts it down afterwards.
-        workers: maximum number of concurrent runs; None for as many as Ray has resources for.
-
-    Returns:
-        The jobs that failed, each with its reason.
+    As :meth:`algorithms.studies.backends.Backend.train`; with early stopping, finished runs report what they logged.
 
     Raises:
         Stopped: if the cluster cannot be reached, or is lost. Ray ends this process itself, with one message and the
@@ -240,15 +220,16 @@ def run_on_ray(
     wanted = [job for job in jobs if asha is not None or not job.done]
     # Runs that have already started come first: early stopping compares the others with them.
     wanted.sort(key=lambda job: -read_status(job.path).get("step", 0))
-    progress = _ProgressCallback(wanted, monitor)
+    needs = settings.resources
+    resources = {"cpu": needs.cpus, "gpu": needs.gpus, "memory": (needs.memory_gb or 0.0) * GIB}
+    driver = _Driver(wanted, monitor, stop)
     _connect(address, sweep)
     try:
         tuner = tune.Tuner(
-            tune.with_resources(RunTrainable, _resources(settings)),
+            tune.with_resources(RunTrainable, {name: amount for name, amount in resources.items() if amount}),
             param_space={
                 "folder": str(Path.cwd()),
-                "sweep": str(sweep.resolve()),
-                "run": tune.grid_search([{"id": job.id, "name": job.name} for job in wanted]),
+                "run": tune.grid_search([replace(job, path=job.path.resolve()).packed() for job in wanted]),
             },
             tune_config=tune.TuneConfig(
                 scheduler=asha,
@@ -262,8 +243,8 @@ def run_on_ray(
                 storage_path=str(own_path(sweep.resolve(), "ray")),
                 checkpoint_config=tune.CheckpointConfig(checkpoint_at_end=False),  # a run's directory is its checkpoint
                 failure_config=tune.FailureConfig(max_failures=settings.retries),
-                callbacks=[progress],
-                stop=_StopWhenAsked(lambda: stop() or progress.disk_full is not None),
+                callbacks=[driver],
+                stop=driver,
                 verbose=0,
             ),
         )
@@ -275,24 +256,18 @@ def run_on_ray(
         ) from None
     finally:
         ray.shutdown()
-    if progress.disk_full is not None:
-        raise DiskFull(progress.disk_full)
+    if driver.disk_full is not None:
+        raise DiskFull(driver.disk_full)
     pruned = set() if asha is None else asha.pruned
     for job in wanted:
         if job.id in pruned and not job.done:
             run = job.open()
             run.set_status("pruned", run.status.get("step", 0))
-    return {job: reason for job, reason in progress.failed.items() if not job.done}
+    return {job: reason for job, reason in driver.failed.items() if not job.done}
 
 
 def _trial_name(trial: Any) -> str:
     return str(trial.config["run"]["id"])
-
-
-def _resources(settings: BackendSettings) -> dict[str, float]:
-    needs = settings.resources
-    memory = {} if needs.memory_gb is None else {"memory": needs.memory_gb * GIB}
-    return {"cpu": needs.cpus, **({"gpu": needs.gpus} if needs.gpus else {}), **memory}
 
 
 def _connect(address: str | None, sweep: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from algorithms.reporting.run_records import experiment_record, read_evaluation
 from algorithms.reporting.tables import markdown
 from algorithms.runs.run_directory import read_status
-from algorithms.studies.sweep_manifest import label
+from algorithms.studies.manifest import label
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 from algorithms.reporting.tables import print_rows
 from algorithms.runs.run_directory import is_run
+from algorithms.studies.execution import Runner
+from algorithms.studies.manifest import is_sweep
 from algorithms.studies.plan import LEARNER, TASK, StudyPlan
 from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, write_results
 from algorithms.studies.settings import ELSEWHERE, learners_in
-from algorithms.studies.sweep_manifest import is_sweep
-from algorithms.studies.sweep_runner import Backend, Runner
 from algorithms.studies.sweep_settings import replaced_keys
 
 if TYPE_CHECKING:
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.studies.hyperparameter_search import Scores
+    from algorithms.studies.backends import Backend
+    from algorithms.studies.manifest import ManifestRow, Scores
     from algorithms.studies.plan import ArmRuns
-    from algorithms.studies.sweep_manifest import ManifestRow
 
 
 class StudyRunner(Runner):

@@ -1,18 +1,44 @@
-"""The Slurm backend: submits a sweep as a job array through submitit, and watches it.
+"""The Slurm backend: the batch script of a sweep, its submission as a job array through submitit, and its watch.
 
-The batch script is in :mod:`algorithms.studies.slurm_script`. Before the time limit, or when pre-empted, a task saves
-its runs and requeues itself.
+:func:`sbatch_options` is the place to change the batch script; submitit writes the text around the options. Print it
+with ``mo-deepdrive sweep --config FILE --on slurm --dry-run``. For sweeps/one_waypoint it is::
+
+    #!/bin/bash
+
+    # Parameters
+    #SBATCH --array=0-9%10
+    #SBATCH --cpus-per-task=1
+    #SBATCH --job-name=one_waypoint
+    #SBATCH --mem=2048MB
+    #SBATCH --nodes=1
+    #SBATCH --open-mode=append
+    #SBATCH --output=SWEEP/slurm/%A_%a_0_log.out
+    #SBATCH --requeue
+    #SBATCH --signal=USR2@90
+    #SBATCH --time=30
+    #SBATCH --wckey=submitit
+
+    # command
+    export SUBMITIT_EXECUTOR=slurm
+    srun --unbuffered --output LOG --cpus-per-task=1 python -u -c '...; submitit_main()' SWEEP/slurm
+
+Each task of the array unpickles and calls its :class:`ArrayTask`. Before the time limit, or when pre-empted, a task
+saves its runs and requeues itself.
 """
 
 from __future__ import annotations
 
 import json
+import math
+import shlex
 import shutil
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections import Counter
+from concurrent import futures
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -25,8 +51,7 @@ from algorithms.runs.failures import WorkerDied, record, verdict
 from algorithms.runs.interrupts import Stopped
 from algorithms.runs.run_directory import read_status
 from algorithms.runs.worker_pool import perform_all
-from algorithms.studies.slurm_script import MAX_ARRAY_TASKS, TaskExecutor, sbatch_options, slurm_folder
-from mo_deepdrive.support.atomic_io import write_json
+from mo_deepdrive.support.atomic_io import own_path, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,11 +62,95 @@ if TYPE_CHECKING:
 
 POLL = 5.0  # s between queries of the queue
 JOBS_PER_QUERY = 500  # the length of a command line is limited
+MAX_ARRAY_TASKS = 1000  # Slurm's default limit is 1001 (MaxArraySize)
 # States of a Slurm job that will not run (again).
 FINAL_STATES = (
     *("BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "NODE_FAIL"),
     *("OUT_OF_MEMORY", "PREEMPTED", "REVOKED", "TIMEOUT"),
 )
+# submitit's own command, `python -m submitit.core._submit`, looks for packages in the working directory first, and
+# would take any package algorithms for ours.
+START = (
+    "import sys; sys.path = [*filter(None, sys.path), str()]; import mo_deepdrive.__main__; "
+    "from submitit.core.submission import submitit_main; submitit_main()"
+)
+
+
+# ---------------------------------------------------------------------------------------------------- the batch script
+
+
+class TaskExecutor(submitit.SlurmExecutor):
+    """Starts tasks that look for packages in the working directory last, like the commands."""
+
+    @property
+    def _submitit_command_str(self) -> str:
+        return shlex.join([sys.executable, "-u", "-c", START, str(self.folder)])
+
+    @classmethod
+    def affinity(cls) -> int:
+        """Always available, because a dry run needs no Slurm; :func:`run_on_slurm` looks for it."""
+        return 1
+
+
+def slurm_folder(sweep: Path) -> Path:
+    """Where the logs of the jobs and the ids of submitted jobs are.
+
+    Raises:
+        ValueError: if a link leads out of the sweep.
+    """
+    return own_path(sweep.resolve(), "slurm")
+
+
+def sbatch_options(settings: BackendSettings, name: str) -> dict[str, Any]:
+    """The options of sbatch for each task of the array, under submitit's names.
+
+    Args:
+        settings: of the sweep; a task runs ``slurm.side_by_side`` runs at a time, with ``resources`` for each.
+        name: of the job.
+    """
+    slurm, resources = settings.slurm, settings.resources
+    cpus = max(1, math.ceil(resources.cpus * slurm.side_by_side))
+    gpus = math.ceil(resources.gpus * slurm.side_by_side)
+    memory = None if resources.memory_gb is None else math.ceil(1024 * resources.memory_gb * slurm.side_by_side)
+    optional = {
+        "partition": slurm.partition,
+        "account": slurm.account,
+        "qos": slurm.qos,
+        "constraint": slurm.constraint,
+        "gpus_per_node": gpus or None,
+        "mem": None if memory is None else f"{memory}MB",
+        "setup": slurm.setup or None,
+    }
+    return {
+        "job_name": name,
+        "time": resources.minutes,
+        "cpus_per_task": cpus,
+        "array_parallelism": slurm.array_parallelism,
+        "signal_delay_s": slurm.signal_delay_s,
+        "stderr_to_stdout": True,
+        # Since Slurm 22.05, srun does not inherit --cpus-per-task from sbatch.
+        "srun_args": [f"--cpus-per-task={cpus}"],
+        "additional_parameters": {"requeue": True, **slurm.additional},
+        **{key: value for key, value in optional.items() if value is not None},
+    }
+
+
+def make_executor(settings: BackendSettings, sweep: Path) -> TaskExecutor:
+    """What writes and submits the batch script of a sweep."""
+    executor = TaskExecutor(slurm_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
+    executor.update_parameters(**sbatch_options(settings, sweep.name))
+    return executor
+
+
+def batch_script(tasks: int, settings: BackendSettings, sweep: Path) -> str:
+    """The text of the batch script for an array of ``tasks`` tasks, or for the first array if there are several."""
+    executor = make_executor(settings, sweep)
+    if tasks > 1:
+        executor.parameters["map_count"] = min(MAX_ARRAY_TASKS, tasks)
+    return executor._make_submission_file_text(executor._submitit_command_str, "")
+
+
+# ------------------------------------------------------------------------------------------------- a task of the array
 
 
 @dataclass
@@ -61,71 +170,34 @@ class ArrayTask:
     side_by_side: int
     retries: int
     _stop: threading.Event | None = field(default=None, init=False, repr=False)
-    _ended: threading.Event | None = field(default=None, init=False, repr=False)
+    _training: futures.Future[dict[Job, str]] | None = field(default=None, init=False, repr=False)
 
     def __call__(self) -> list[str]:
         """Train the runs; returns the errors of those that failed."""
-        jobs = self.jobs
-        stop, ended = threading.Event(), threading.Event()
-        self._stop, self._ended = stop, ended
-        result: list[dict[Job, str] | BaseException] = []
-
-        def work() -> None:
-            try:
-                with Dashboard(jobs, Console(width=WIDTH), "this job") as monitor:
-                    result.append(perform_all(jobs, self.side_by_side, monitor, retries=self.retries, stop=stop.is_set))
-            except BaseException as error:
-                result.append(error)
-            finally:
-                ended.set()
-
+        stop = self._stop = threading.Event()
         # The main thread only handles signals, so that a handler can wait until the other thread has saved.
         signal.signal(signal.SIGTERM, lambda _number, _frame: stop.set())
-        threading.Thread(target=work).start()
-        while not ended.wait(1.0):
-            pass
-        (outcome,) = result
-        if isinstance(outcome, BaseException):
-            raise outcome
+        with futures.ThreadPoolExecutor(1) as pool:
+            self._training = pool.submit(self._train, stop)
+            while futures.wait([self._training], timeout=1.0).not_done:
+                pass
+        failed = self._training.result()
         if stop.is_set():
             job_id = submitit.JobEnvironment().job_id
             if _query_states([job_id]) == {job_id: "RUNNING"}:  # it has not been cancelled
                 subprocess.run(["scontrol", "requeue", job_id], check=True)
-        return [f"{job.name}: {error}" for job, error in outcome.items()]
+        return [f"{job.name}: {error}" for job, error in failed.items()]
+
+    def _train(self, stop: threading.Event) -> dict[Job, str]:
+        with Dashboard(self.jobs, Console(width=WIDTH), "this job") as monitor:
+            return perform_all(self.jobs, self.side_by_side, monitor, retries=self.retries, stop=stop.is_set)
 
     def checkpoint(self) -> submitit.helpers.DelayedSubmission:
         """Save the runs, and ask to be submitted again; called by submitit's signal handler."""
-        if self._stop is not None and self._ended is not None:
+        if self._stop is not None and self._training is not None:
             self._stop.set()
-            self._ended.wait()
+            futures.wait([self._training])
         return submitit.helpers.DelayedSubmission(ArrayTask(self.jobs, self.side_by_side, self.retries))
-
-
-def _query_states(jobs: Sequence[str]) -> dict[str, str] | None:
-    """The states of all jobs and array tasks that Slurm still knows; None if it does not answer."""
-    command = ["squeue", "--all", "--states=all", "--array", "--noheader", "--format=%i|%T"]
-    found: dict[str, str] = {}
-    for first in range(0, len(jobs), JOBS_PER_QUERY):
-        answer = subprocess.run(
-            [*command, f"--jobs={','.join(jobs[first : first + JOBS_PER_QUERY])}"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if answer.returncode and "Invalid job id" not in answer.stderr:
-            return None
-        found |= dict(line.split("|") for line in answer.stdout.split())
-    return found
-
-
-def _ask_accounting(job: str) -> dict[str, str]:
-    """The states of a job, or of the tasks of an array, in Slurm's accounting; empty where there is none."""
-    if shutil.which("sacct") is None:
-        return {}
-    command = ["sacct", "--noheader", "--parsable2", "--allocations", "--format=JobID,State", f"--jobs={job}"]
-    answer = subprocess.run(command, capture_output=True, text=True, check=False)
-    lines = answer.stdout.splitlines() if answer.returncode == 0 else []
-    return {name: state.split()[0] for name, _, state in (line.partition("|") for line in lines) if state.split()}
 
 
 def array_tasks(jobs: Sequence[Job], settings: BackendSettings) -> list[ArrayTask]:
@@ -138,6 +210,32 @@ def array_tasks(jobs: Sequence[Job], settings: BackendSettings) -> list[ArrayTas
     ]
 
 
+# ----------------------------------------------------------------------------------------------------------- the queue
+
+
+def _query_states(jobs: Sequence[str]) -> dict[str, str] | None:
+    """The states of all jobs and array tasks that Slurm still knows; None if it does not answer."""
+    command = ["squeue", "--all", "--states=all", "--array", "--noheader", "--format=%i|%T"]
+    states: dict[str, str] = {}
+    for first in range(0, len(jobs), JOBS_PER_QUERY):
+        ids = ",".join(jobs[first : first + JOBS_PER_QUERY])
+        answer = subprocess.run([*command, f"--jobs={ids}"], capture_output=True, text=True, check=False)
+        if answer.returncode and "Invalid job id" not in answer.stderr:
+            return None
+        states |= dict(line.split("|") for line in answer.stdout.split())
+    return states
+
+
+def _ask_accounting(job: str) -> dict[str, str]:
+    """The states of a job, or of the tasks of an array, in Slurm's accounting; empty where there is none."""
+    if shutil.which("sacct") is None:
+        return {}
+    command = ["sacct", "--noheader", "--parsable2", "--allocations", "--format=JobID,State", f"--jobs={job}"]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    lines = answer.stdout.splitlines() if answer.returncode == 0 else []
+    return {name: state.split()[0] for name, _, state in (line.partition("|") for line in lines) if state.split()}
+
+
 class SlurmQueue:
     """The submitted jobs of a sweep, stored in slurm/jobs.json so that no run is submitted twice.
 
@@ -147,18 +245,18 @@ class SlurmQueue:
     """
 
     def __init__(self, sweep: Path):
+        self._sweep = sweep
         self._file = slurm_folder(sweep) / "jobs.json"
-        self.jobs = self._read()
+        self.jobs: dict[str, list[str]] = json.loads(self._file.read_text()) if self._file.is_file() else {}
         self.states: dict[str, str] = {}
 
-    def submit(self, tasks: Sequence[ArrayTask], settings: BackendSettings, sweep: Path) -> None:
-        """Submit tasks to Slurm, in as few job arrays as possible.
+    def submit(self, jobs: Sequence[Job], settings: BackendSettings) -> None:
+        """Submit runs to Slurm, in as few job arrays as possible.
 
         Raises:
             Stopped: if Slurm rejects them.
         """
-        executor = TaskExecutor(slurm_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
-        executor.update_parameters(**sbatch_options(settings, sweep.name))
+        executor, tasks = make_executor(settings, self._sweep), array_tasks(jobs, settings)
         for first in range(0, len(tasks), MAX_ARRAY_TASKS):
             array = tasks[first : first + MAX_ARRAY_TASKS]
             try:
@@ -166,13 +264,9 @@ class SlurmQueue:
                     submitted = [executor.submit(task) for task in array]
             except (subprocess.CalledProcessError, submitit.core.utils.FailedJobError) as error:
                 raise Stopped(f"Slurm rejects the jobs: {' '.join(str(error).split())}") from None
-            runs = {job.job_id: [str(run.id) for run in task.jobs] for job, task in zip(submitted, array, strict=True)}
-            self.jobs = {**self._read(), **runs}  # another command may have submitted jobs meanwhile
+            for slurm_job, task in zip(submitted, array, strict=True):
+                self.jobs[slurm_job.job_id] = [str(job.id) for job in task.jobs]
             write_json(self._file, self.jobs)
-
-    def _read(self) -> dict[str, list[str]]:
-        found: dict[str, list[str]] = json.loads(self._file.read_text()) if self._file.is_file() else {}
-        return found
 
     def refresh(self) -> bool:
         """Query the states of the jobs; returns whether Slurm answered."""
@@ -221,16 +315,8 @@ def run_on_slurm(
 ) -> dict[Job, str]:
     """Submit the runs that are neither done nor already submitted, and wait for all runs.
 
-    Args:
-        jobs: the runs.
-        settings: of the sweep.
-        sweep: its directory, which all nodes must see under the same path.
-        monitor: shows the progress.
-        stop: called while waiting; once it returns True, this returns and the jobs stay in the queue.
-        wait: whether to wait for the jobs after submitting them.
-
-    Returns:
-        The jobs that failed, each with its reason; without waiting those of a search that have failed before.
+    As :meth:`algorithms.studies.backends.Backend.train`; once ``stop`` returns True, the jobs stay in the queue.
+    Without waiting, those of a search that have failed before are returned.
 
     Raises:
         ValueError: if Slurm is not installed.
@@ -268,7 +354,7 @@ def run_on_slurm(
                     failed[job] = reason
                     monitor.failed(job, reason)
             if to_submit:
-                queue.submit(array_tasks(to_submit, settings), settings, sweep)
+                queue.submit(to_submit, settings)
                 missing_before = set()
             first = False
         if not wait:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from algorithms.runs.shipped import CONFIGS
+from algorithms.studies.manifest import short_names
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.settings import ELSEWHERE, Learner, StudyTask, load_study, problems_of
-from algorithms.studies.sweep_manifest import short_names
 from algorithms.studies.sweep_settings import key_problems, keys_in
 from mo_deepdrive import suite
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.reporting.curves import CurveGroup, VariedScores, describe, drawn, plot, plot_effects
-from algorithms.studies.sweep_collection import Cell, Collection, collect
-from algorithms.studies.sweep_ranking import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
+from algorithms.studies.collection import Cell, Collection, collect
+from algorithms.studies.sweep_tables import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
 from mo_deepdrive.evaluation.metrics import EVALUATION
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[Cur
         ValueError: if no run has any metrics.
     """
     cells = best_cells(rankings)
-    names = collection.metrics.collect_schema().names()
+    names = collection.metrics.columns
     wanted = {name for cell in cells for name in drawn(names, cell.experiment)}
     if len(cells) > 1:
         wanted = {name for name in wanted if name.startswith(EVALUATION)}

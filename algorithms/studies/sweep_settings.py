@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from algorithms.runs.config import Count
 from algorithms.runs.shipped import find_config
@@ -56,6 +56,23 @@ class SearchRange(Settings):
     """Distance between values; None for a continuous range."""
     choices: Annotated[list[Any] | None, Field(min_length=1)] = None
     """The values themselves, instead of an interval."""
+
+    @model_validator(mode="after")
+    def _check(self) -> SearchRange:
+        if self.choices is not None:
+            if self.model_fields_set != {"choices"}:
+                raise ValueError("'choices' excludes the other keys")
+        elif self.low is None or self.high is None:
+            raise ValueError("needs 'low' and 'high', or 'choices'")
+        elif self.low > self.high:
+            raise ValueError(f"low = {self.low} is above high = {self.high}")
+        elif self.log and self.low <= 0:
+            raise ValueError(f"low = {self.low} must be positive for a logarithmic range")
+        elif self.log and self.step is not None:
+            raise ValueError("a logarithmic range takes no step")
+        elif self.step is not None and self.step <= 0:
+            raise ValueError(f"step = {self.step} must be positive")
+        return self
 
 
 class HyperparameterSearchSettings(Settings):
@@ -118,7 +135,7 @@ class RaySettings(Settings):
 
 
 class SlurmSettings(Settings):
-    """Settings of the Slurm backend; :mod:`algorithms.studies.slurm_script` turns them into options of sbatch."""
+    """Settings of the Slurm backend; :func:`algorithms.studies.slurm.sbatch_options` turns them into options."""
 
     partition: str | None = None
     """Passed to sbatch."""
@@ -202,8 +219,6 @@ def load_sweep(path: str | Path) -> SweepSettings:
         found = [name for name, keys in places.items() if key in keys]
         if len(found) > 1:
             problems.append(f"{key!r} is in {' and in '.join(found)}")
-    for key, values in space.items():
-        problems += [f"search.space.{key}: {problem}" for problem in _problems(values)]
     if search is not None and search.sampler == "random" and "batch" in search.model_fields_set:
         problems.append("search.batch has no effect with the sampler 'random', which chooses all points in advance")
     if len(set(settings.config)) < len(settings.config):
@@ -261,21 +276,3 @@ def found_beside(name: str, file: Path) -> str:
     """
     beside = file.parent / name
     return str(beside) if find_config(name, beside=file) == beside else name
-
-
-def _problems(values: SearchRange) -> list[str]:
-    """Everything that is invalid in a range."""
-    if values.choices is not None:
-        return ["'choices' excludes the other keys"] if values.model_fields_set != {"choices"} else []
-    if values.low is None or values.high is None:
-        return ["needs 'low' and 'high', or 'choices'"]
-    found = []
-    if values.low > values.high:
-        found.append(f"low = {values.low} is above high = {values.high}")
-    if values.log and values.low <= 0:
-        found.append(f"low = {values.low} must be positive for a logarithmic range")
-    if values.log and values.step is not None:
-        found.append("a logarithmic range takes no step")
-    if values.step is not None and values.step <= 0:
-        found.append(f"step = {values.step} must be positive")
-    return found

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from dataclasses import replace
-from typing import TYPE_CHECKING
+import json
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import polars as pl
 
 from algorithms.reporting.tables import (
@@ -19,27 +22,39 @@ from algorithms.reporting.tables import (
     print_rows,
     scores_table,
 )
-from algorithms.studies.sweep_collection import SCORE_KEYS, Collection, collect
-from algorithms.studies.sweep_ranking import (
-    TOTAL,
-    Ranking,
-    rank,
-    short_names,
-    totals,
-    value_labels,
-    value_text,
-    varying_keys,
+from algorithms.studies.collection import SCORE_KEYS, Cell, Collection, as_json, collect
+from algorithms.studies.manifest import label
+from mo_deepdrive.evaluation.metrics import (
+    EXPECTED_UTILITY,
+    FRONT,
+    GREEDY,
+    HYPERVOLUME,
+    POLICIES,
+    RETURN,
+    STOCHASTIC,
+    UTILITY_ESR,
+    MetricName,
+    known_metric,
+    lower_is_better,
+    split_name,
 )
-from mo_deepdrive.evaluation.metrics import RETURN, MetricName
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from pathlib import Path
 
     from rich.console import Console
 
 REST = "--output FILE.csv writes every metric"
 ALGORITHM_KEYS = ("config", "algorithm", "algorithm.name")  # keys of cells that choose the algorithm
+# Cells are ranked by the first of these metrics that the runs have.
+DEFAULT_METRICS = (
+    MetricName(GREEDY, "", UTILITY_ESR),
+    MetricName(FRONT, "", HYPERVOLUME),
+    MetricName(FRONT, "", EXPECTED_UTILITY),
+    MetricName(STOCHASTIC, "", UTILITY_ESR),
+)
+TOTAL = "total"  # instead of a vehicle: the sum over all vehicles
 
 
 def print_sweep(
@@ -73,13 +88,12 @@ def print_sweep(
         raise ValueError(
             f"no run of sweep {str(sweep)!r} has a final evaluation yet; mo-deepdrive plot draws what runs have logged"
         )
-    scores = collection.scores.collect()
-    all_groups: list[ScoreGroup] = []
+    rankings = rank(collection.cells, collection.scores, metric)
+    groups_of_rankings = [group_cells(collection, ranking, columns) for ranking in rankings]
+    all_groups = [group for groups in groups_of_rankings for group in groups]
+    check_columns(all_groups, columns)
     to_compare: list[ScoreGroup] = []
-    ranked = [(each, group_cells(collection, each, columns)) for each in rank(collection.cells, scores, metric)]
-    check_columns([group for _, groups in ranked for group in groups], columns)
-    for ranking, groups in ranked:
-        all_groups += groups
+    for ranking, groups in zip(rankings, groups_of_rankings, strict=True):
         to_compare += [_ranked_scores(ranking, group) for group in groups]
         if ranking.ranked:
             shown = min(top, len(ranking.ranked))
@@ -99,10 +113,10 @@ def print_sweep(
 
 def group_cells(collection: Collection, ranking: Ranking, columns: Sequence[str] | None = None) -> list[ScoreGroup]:
     """The cells of a ranking that have final evaluations, in its order; with all metrics if columns are chosen."""
-    column = pl.col("metric")
-    usual = column.is_in([*TABLE_METRICS, ranking.metric]) | column.str.starts_with(RETURN)
-    wanted = collection.scores.filter(usual if columns is None else pl.lit(True))
-    known = wanted.select("run", *SCORE_KEYS, "value").collect()
+    known = collection.scores.select("run", *SCORE_KEYS, "value")
+    if columns is None:
+        column = pl.col("metric")
+        known = known.filter(column.is_in([*TABLE_METRICS, ranking.metric]) | column.str.starts_with(RETURN))
     scores: dict[str, dict[MetricName, float]] = defaultdict(dict)
     for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranking.metric))]).rows():
         # A total is in the row of all vehicles together if that has no such score itself.
@@ -151,3 +165,185 @@ def best_cells(
         brief.append(replace(_ranked_scores(ranking, group), about={**trial, **names}))
     rows = scores_table(brief, [ranking.metric, *(name for name in metrics if name != ranking.metric)])
     return [[cell for name, cell in zip(rows[0], row, strict=True) if name != "vehicle"] for row in rows]
+
+
+# ------------------------------------------------------------------------------------------------------------- ranking
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Cells whose scores are comparable, ranked: same environment, utility, discount and reference point.
+
+    Attributes:
+        title: environment and utility as text.
+        policy, vehicle, metric: the score that the cells are ranked by. The vehicle is "" for one vehicle, or all
+            together, and TOTAL for the sum over vehicles; all three are "" if no run has a score.
+        cells: best first, then those without a score.
+        scores: by run id.
+    """
+
+    title: str
+    policy: str
+    vehicle: str
+    metric: str
+    cells: tuple[Cell, ...]
+    scores: dict[str, float]
+
+    @property
+    def ranked(self) -> list[Cell]:
+        """The cells with a score, best first."""
+        return [cell for cell in self.cells if mean_score(cell, self.scores) is not None]
+
+    @property
+    def score_name(self) -> str:
+        """The score as text, such as "greedy total utility"."""
+        words = [self.policy, self.vehicle, self.metric.removesuffix("_esr")]
+        return " ".join(filter(None, words)).replace("_", " ")
+
+
+def mean_score(cell: Cell, scores: Mapping[str, float]) -> float | None:
+    """The mean over the runs of a cell that have a score, by run id; None if none of them has."""
+    known = [scores[row.id] for row in cell.rows if row.id in scores]
+    return float(np.mean(known)) if known else None
+
+
+def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None) -> list[Ranking]:
+    """Group comparable cells and rank each group by a score.
+
+    Args:
+        cells: in any order.
+        scores: with the columns run, policy, vehicle, metric and value.
+        metric: such as "greedy/utility_esr" or "stochastic/vehicle_0/success"; without a policy, the first of
+            :data:`mo_deepdrive.evaluation.metrics.POLICIES` that has the metric; None for the first of
+            :data:`DEFAULT_METRICS` that the runs have.
+
+    Raises:
+        ValueError: if no run has the metric, as :func:`check_metric`.
+    """
+    comparable: dict[str, list[Cell]] = {}
+    for cell in cells:
+        experiment = cell.experiment
+        comparable.setdefault(f"{experiment.task_key} {experiment.evaluation.split}", []).append(cell)
+    finite = scores.select("run", *SCORE_KEYS, "value").filter(pl.col("value").is_finite())
+    if metric is not None:
+        check_metric(metric, finite)
+    candidates = [
+        MetricName(policy, vehicle, given.metric)
+        for given in (DEFAULT_METRICS if metric is None else (split_name(metric),))
+        for policy in ([given.policy] if given.policy else POLICIES)
+        for vehicle in ([given.vehicle] if given.vehicle else ["", TOTAL])
+    ]
+    finite = pl.concat([finite, totals(finite)])
+    return [
+        _ranking(title, members, candidates, finite)
+        for title, members in zip(_titles([*comparable.values()]), comparable.values(), strict=True)
+    ]
+
+
+def _ranking(title: str, cells: Sequence[Cell], candidates: Sequence[MetricName], scores: pl.DataFrame) -> Ranking:
+    """Comparable cells, sorted by the first of the candidates that a run of theirs has."""
+    of_cells = scores.filter(pl.col("run").is_in([row.id for cell in cells for row in cell.rows]))
+    for name in candidates:
+        known = dict(of_cells.filter(**name._asdict()).select("run", "value").iter_rows())
+        if known:
+            break
+    else:
+        return Ranking(title, "", "", "", tuple(cells), {})
+    sign = 1.0 if lower_is_better(name.metric) else -1.0
+
+    def place(cell: Cell) -> float:
+        score = mean_score(cell, known)
+        return np.inf if score is None else sign * score
+
+    return Ranking(title, *name, tuple(sorted(cells, key=place)), known)
+
+
+def check_metric(metric: str, scores: pl.DataFrame) -> None:
+    """Check that some run has a metric; its policy and vehicle may be omitted.
+
+    Args:
+        metric: such as "greedy/vehicle_0/success".
+        scores: with the columns policy, vehicle and metric.
+
+    Raises:
+        ValueError: as :func:`mo_deepdrive.evaluation.metrics.known_metric`.
+    """
+    places = scores.select(SCORE_KEYS).unique().sort(SCORE_KEYS).rows()
+    shortened = {
+        "/".join(filter(None, parts))
+        for policy, vehicle, name in places
+        for parts in ((vehicle, name), (policy, name), (name,))
+    }
+    if metric not in shortened:
+        known_metric(metric, ["/".join(filter(None, place)) for place in places])
+
+
+def totals(scores: pl.DataFrame) -> pl.DataFrame:
+    """Sums over vehicles, per run, policy and metric; their vehicle is TOTAL.
+
+    Args:
+        scores: with the columns run, policy, vehicle, metric and value, like the result.
+    """
+    of_vehicles = scores.filter(pl.col("vehicle") != "").with_columns(vehicle=pl.lit(TOTAL))
+    return of_vehicles.group_by("run", *SCORE_KEYS).agg(pl.col("value").sum())
+
+
+def _titles(groups: Sequence[Sequence[Cell]]) -> list[str]:
+    """Environment and utility of each group of cells; equal titles also get the keys that differ."""
+    titles = [cells[0].experiment.title for cells in groups]
+    differing = varying_keys([cell.keys for cells in groups for cell in cells])
+    result = []
+    for title, cells in zip(titles, groups, strict=True):
+        keys = cells[0].keys
+        inside = varying_keys([cell.keys for cell in cells])
+        distinguishing = {key: keys[key] for key in differing if key in keys and key not in inside}
+        result.append(f"{title} ({label(distinguishing)})" if titles.count(title) > 1 else title)
+    return result
+
+
+# -------------------------------------------------------------------------------------------------------------- labels
+
+
+def varying_keys(cells: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The keys whose values differ between cells, in the order of the cells."""
+    keys = dict.fromkeys(key for cell in cells for key in cell)
+    return [key for key in keys if len({as_json(cell.get(key)) for cell in cells}) > 1]
+
+
+def short_names(keys: Sequence[str]) -> dict[str, str]:
+    """``learning_rate`` for ``algorithm.learning_rate``, unless another key has the same last part."""
+    last = Counter(key.rpartition(".")[2] for key in keys)
+    return {key: end if last[end := key.rpartition(".")[2]] == 1 else key for key in keys}
+
+
+def value_text(value: Any) -> str:
+    """The value of a key as text: strings as they are, anything else as JSON."""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def value_labels(values: Sequence[Any]) -> list[str]:
+    """Short texts of the values of a key; in full, as JSON, where two different values would look the same."""
+    texts = {as_json(value): _short_text(value) for value in values}
+    repeated = {text for text, times in Counter(texts.values()).items() if times > 1}
+    return [code if texts[code] in repeated else texts[code] for code in map(as_json, values)]
+
+
+def _short_text(value: Any) -> str:
+    """A section by its name, a number with four significant digits."""
+    if isinstance(value, Mapping) and isinstance(value.get("name", value.get("id")), str):
+        return str(value.get("name", value.get("id")))
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return value_text(value)
+
+
+def cell_labels(cells: Sequence[Cell], keys: Sequence[str]) -> list[str]:
+    """Labels of cells by the values of some keys, such as ``mo_a2c_linear, learning_rate 0.001, steps 16``."""
+    names = {**{key: f"{name} " for key, name in short_names(keys).items()}, "config": ""}
+    values = {key: value_labels([cell.keys.get(key) for cell in cells]) for key in keys}
+    labels = []
+    for i, cell in enumerate(cells):
+        parts = [] if cell.trial is None else [f"trial {cell.trial}"]
+        parts += [names[key] + values[key][i] for key in keys]
+        labels.append(", ".join(parts) or cell.experiment.algorithm.name)
+    return labels

@@ -11,7 +11,7 @@ from typing import Any
 from algorithms.reporting.training_log import MetricsFile
 from algorithms.runs.config import load_experiment
 from algorithms.runs.run_files import record_files
-from algorithms.studies.sweep_manifest import ManifestRow, run_id, write_manifest
+from algorithms.studies.manifest import ManifestRow, run_id, write_manifest
 from tests.helpers.paths import REPOSITORY
 
 Script = Callable[..., int]  # calls a script with arguments and returns its exit code
@@ -84,8 +84,3 @@ def make_sweep(sweep: Path, rows: Sequence[ManifestRow], points: int = 12) -> li
         end(sweep, row, {"greedy": numbers, "stochastic": {**numbers, "utility_esr": -score}})
     write_manifest(sweep, rows)
     return list(rows)
-
-
-def parts(sweep: Path) -> dict[str, int]:
-    """The parts of the metrics and when they were written."""
-    return {path.name: path.stat().st_mtime_ns for path in sorted((sweep / "collected/metrics").glob("*.parquet"))}

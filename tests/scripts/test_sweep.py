@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-import multiprocessing
 import os
 import shutil
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -20,8 +18,7 @@ import pytest
 from algorithms.runs import worker_pool
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job, perform
-from algorithms.runs.run_directory import InUse, Run
-from tests.helpers.short_runs import assert_same_run, job
+from tests.helpers.short_runs import job
 from tests.helpers.sweep_files import (
     assert_same_sweep,
     broken_utility,
@@ -124,13 +121,6 @@ def test_a_finished_sweep_is_left_alone_and_new_runs_are_added(call: Call, tmp_p
     assert states(sweep) == ["finished"] * 6
 
 
-def test_the_default_directory_is_named_after_the_file(call: Call, tmp_path: Path) -> None:
-    code, out, _ = call(write_sweep(tmp_path), "--on", "manifest")
-    assert code == 0
-    assert out == f"{Path('runs') / 'sweeps' / 'short' / 'manifest.jsonl'}: 2 runs\n"
-    assert len(runs(tmp_path / "runs" / "sweeps" / "short")) == 2
-
-
 # -------------------------------------------------------------------------------------------------------------- refused
 
 
@@ -138,13 +128,9 @@ def test_the_default_directory_is_named_after_the_file(call: Call, tmp_path: Pat
     ("options", "message"),
     [
         (["--workers", "0"], "--workers 0 must be at least 1"),
-        (["--workers", "2", "--on", "slurm"], "--workers is for --on local and ray, not slurm"),
         (["--address", "auto"], "--address is for --on ray, not local"),
-        (["--dry-run", "--on", "ray"], "--dry-run is for --on slurm, not ray"),
-        (["--no-wait"], "--no-wait is for --on slurm, not local"),
         (["--remake", "--on", "manifest"], "--remake is for --on local and ray and slurm, not manifest"),
         (["--status"], "is neither a sweep nor a study: it has no manifest.jsonl"),
-        (["--verify"], "is neither a sweep nor a study: it has no manifest.jsonl"),
         (["--output", "base.yaml"], "--output 'base.yaml'"),
     ],
 )
@@ -154,13 +140,6 @@ def test_an_option_that_does_not_fit_is_refused(call: Call, tmp_path: Path, opti
     assert error.startswith("error: ")
     assert message in error
     assert not (tmp_path / "runs").exists()
-
-
-def test_the_directory_is_enough_to_show_the_progress(
-    script: ModuleType, whole: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert script.main(["--output", str(whole), "--status"]) == 0
-    assert capfd.readouterr() == ("4 done, 0 running, 0 failed, 0 waiting of 4\n", "")
 
 
 @pytest.mark.parametrize("options", [["--status"], ["--output", "sweep", "--remake"]])
@@ -229,31 +208,6 @@ def test_a_failed_run_is_listed_with_its_reason_and_trained_once_that_is_fixed(
     assert all(after[path] == before[path] for path in before if bad not in path.parents)
 
 
-def test_the_reason_of_a_failure_is_shown_for_errors_that_cannot_be_pickled(call: Call, tmp_path: Path) -> None:
-    (tmp_path / "fussy.py").write_text(
-        "class Refused(Exception):\n"
-        "    def __init__(self, code, text):\n"
-        "        super().__init__(f'{text} ({code})')\n"
-        "def utility(returns):\n"
-        "    if returns.any():\n"
-        "        raise Refused(403, 'no licence')\n"
-        "    return returns[..., 0]\n"
-    )
-    file = write_sweep(tmp_path, grid={"utility.name": ["fussy:utility"]}, retries=2)
-    code, out, _ = call(file, "--output", "sweep")
-    assert code == 1
-    assert "Refused: no licence (403)" in failures(out)
-    assert "no licence (403)" in status(runs(tmp_path / "sweep")[0])["reason"]
-
-
-def test_runs_on_a_missing_device_fail_with_a_message(call: Call, tmp_path: Path) -> None:
-    file = write_sweep(tmp_path, grid={}, overrides={"training.device": "cuda:99"})
-    code, out, _ = call(file, "--output", "sweep")
-    assert code == 1
-    assert "training.device = 'cuda:99' does not exist" in failures(out)
-    assert not (tmp_path / "sweep" / "runs").exists()
-
-
 # --------------------------------------------------------------------------------------------------------------- verify
 
 
@@ -320,35 +274,6 @@ def test_a_run_is_evaluated_again_whose_final_evaluation_alone_is_broken(
     assert (runs(sweep)[1] / "versions.json").stat().st_mtime_ns == made
 
 
-def test_a_broken_run_is_not_deleted_through_a_link(call: Call, tmp_path: Path, whole: Path) -> None:
-    file = write_sweep(tmp_path, seeds=2)
-    sweep = tmp_path / "sweep"
-    shutil.copytree(whole, sweep)
-    (sweep / "runs").rename(tmp_path / "mine")
-    (sweep / "runs").symlink_to(tmp_path / "mine")
-    (runs(sweep)[0] / "checkpoint.safetensors").unlink()
-    code, _, error = call(file, "--output", sweep, "--remake")
-    assert (code, len(error.splitlines())) == (2, 1)
-    assert "nothing is written or deleted through a link inside a run or sweep" in error
-    assert len(list((tmp_path / "mine").iterdir())) == 4
-
-
-def test_a_search_refuses_a_changed_evaluation(call: Call, tmp_path: Path) -> None:
-    search = {"space": {RATE: [0.001, 0.003]}, "metric": "greedy/utility_esr", "trials": 2, "batch": 1}
-    file = write_sweep(tmp_path, search=search)
-    assert call(file, "--output", "sweep")[0] == 0
-    shutil.copytree("sweep", "copy")
-    run = runs(tmp_path / "sweep")[0]
-    score(run, 999.0)
-    code, _, error = call(file, "--output", "sweep")
-    assert code == 2
-    name = run.relative_to(tmp_path)
-    assert f"error: the search cannot use {name}: evaluation.json: " in error
-    assert error.endswith("; --remake makes it again\n")
-    assert call(file, "--output", "sweep", "--remake")[0] == 0
-    assert_same_sweep(tmp_path / "sweep", tmp_path / "copy")
-
-
 # ---------------------------------------------------------------------------------------------------------- interrupted
 
 
@@ -379,18 +304,6 @@ def test_a_sweep_that_was_interrupted_by_signals_resumes_to_the_same_results(cal
     assert call(file, *options)[0] == 0
     assert call(file, "--output", "whole")[0] == 0
     assert_same_sweep(sweep, tmp_path / "whole")
-
-
-def test_a_signal_while_the_workers_start_ends_the_command_without_a_traceback(tmp_path: Path) -> None:
-    sweep = tmp_path / "sweep"
-    with start_sweep(write_sweep(tmp_path), "--output", sweep, "--workers", "1") as process:
-        eventually((sweep / "manifest.jsonl").exists)
-        time.sleep(0.7)
-        os.killpg(process.pid, signal.SIGINT)
-        out, _ = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert states(sweep) == [None, None]
-    assert "Traceback" not in out
 
 
 # --------------------------------------------------------------------------------------------------------------- search
@@ -433,58 +346,6 @@ def test_a_search_proceeds_batch_by_batch_and_resumes_to_the_same_results(
     assert states(tmp_path / "second").count("finished") < 6
     assert call(file, "--output", "second", "--workers", "2")[0] == 0
     assert_same_sweep(first, tmp_path / "second")
-
-
-# ---------------------------------------------------------------------------------------- several processes at once
-
-
-def run_script(script: Any, arguments: list[str]) -> None:
-    """The script in a separate process."""
-    sys.exit(script.main(arguments))
-
-
-def test_two_processes_of_the_same_sweep_train_every_run_once(script: Any, tmp_path: Path, whole: Path) -> None:
-    file = write_sweep(tmp_path, seeds=2)
-    sweep = tmp_path / "sweep"
-    arguments = ["--config", str(file), "--output", str(sweep), "--workers", "2"]
-    context = multiprocessing.get_context("fork")
-    processes = [context.Process(target=run_script, args=(script, arguments)) for _ in range(2)]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join(120)
-    assert [process.exitcode for process in processes] == [0, 0]
-    assert_same_sweep(sweep, whole)
-    for run in runs(sweep):
-        files = [path.suffix == ".results" for path in (run / "tensorboard").iterdir()]
-        assert sorted(files) == [False, True]  # one for each time that it was started, and one of the results
-
-
-@pytest.mark.parametrize("other", ["trains", "has trained"])
-def test_a_run_that_another_process_starts_at_the_same_moment_is_not_a_failure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: str
-) -> None:
-    wanted = job(tmp_path)
-    make = Run.create
-    held: list[Run] = []
-
-    def too_late(*arguments: Any) -> Run:
-        monkeypatch.setattr(Run, "create", make)
-        if other == "trains":
-            held.append(Run.create(wanted.experiment, wanted.path))
-        else:
-            perform(wanted)
-        return make(*arguments)
-
-    monkeypatch.setattr(Run, "create", too_late)
-    if other == "trains":
-        with pytest.raises(InUse):
-            perform(wanted)
-        held[0].unlock()
-    else:
-        assert perform(wanted) == "already there"
-        perform(job(tmp_path / "alone"))
-        assert_same_run(wanted.path, tmp_path / "alone" / "seed0")
 
 
 # ------------------------------------------------------------------------------------------------------------ full disk

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from algorithms.studies.sweep_manifest import ManifestRow
+from algorithms.studies.manifest import ManifestRow
 from tests.helpers.made_up_sweeps import Script, config_of, make_row
 
 

@@ -14,6 +14,7 @@ from algorithms.commands.reproduce import main
 from algorithms.runs.jobs import Job
 from algorithms.studies import FIGURES
 from algorithms.studies import paper as paper_module
+from algorithms.studies.manifest import ManifestRow
 from algorithms.studies.paper import QUICK_SEEDS, Reproduction, load_paper, paper_plan
 from algorithms.studies.paper_claims import CLAIMS
 from algorithms.studies.paper_report import (
@@ -24,7 +25,6 @@ from algorithms.studies.paper_report import (
 )
 from algorithms.studies.paper_results import PaperResults
 from algorithms.studies.plan import StudyPlan
-from algorithms.studies.sweep_manifest import ManifestRow
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import PUBLISHED, SOLVED, TINY, evenly_spread, make_results, paper
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +11,11 @@ from algorithms.runs.config import make_experiment
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
 from algorithms.runs.run_directory import Run, read_status
-from algorithms.studies.sweep_manifest import write_manifest
 from algorithms.studies.sweep_settings import load_sweep
 from tests.helpers.short_runs import VALUES, quiet
 from tests.helpers.sweep_files import write_sweep
 
 pytest.importorskip("ray.tune", reason="Ray is not installed: pip install 'mo-deepdrive[sweep]'")
-
-
-def test_a_run_that_is_no_longer_in_the_manifest_fails_with_the_reason(tmp_path: Path) -> None:
-    from algorithms.studies.ray_tune import RunTrainable
-
-    write_manifest(tmp_path, [])
-    reports: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    RunTrainable._run_job({"sweep": str(tmp_path), "run": {"id": "gone"}}, reports, threading.Event())
-    reason = f"the manifest of sweep {str(tmp_path)!r} has changed: it no longer has this run"
-    assert reports.get() == {"done": True, "error": reason}
 
 
 def test_a_run_on_a_device_that_the_driver_does_not_have_is_pruned(

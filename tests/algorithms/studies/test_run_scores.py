@@ -12,7 +12,7 @@ import pytest
 
 from algorithms.reporting.run_records import final_metrics
 from algorithms.runs.jobs import Job, perform
-from algorithms.studies.run_scores import read_scores
+from algorithms.studies.execution import read_score
 from tests.helpers.short_runs import job
 
 METRIC = "greedy/utility_esr"
@@ -41,7 +41,7 @@ def test_the_score_of_a_finished_run_is_that_of_its_final_evaluation(finished: J
         written = {f"{row['policy']}/{row['metric']}": float(row["value"]) for row in csv.DictReader(file)}
     assert final_metrics(finished.path) == pytest.approx(written, nan_ok=True)
     for metric in (METRIC, "stochastic/return/distance"):
-        assert read_scores([finished], metric) == {"whole": pytest.approx(written[metric])}
+        assert read_score("whole", finished.path, metric) == {"whole": pytest.approx(written[metric])}
 
 
 def test_the_score_of_a_pruned_run_is_that_of_its_last_evaluation(finished: Job, pruned: Job) -> None:
@@ -50,10 +50,7 @@ def test_the_score_of_a_pruned_run_is_that_of_its_last_evaluation(finished: Job,
     last = [float(cell) for cell in cells if cell][-1]
     with (pruned.path / "metrics.csv").open("a") as file:
         file.write("99999" + "," * (len(file_columns(pruned)) - 1) + "\n")
-    assert read_scores([finished, pruned], METRIC) == {
-        "whole": final_metrics(finished.path)[METRIC],
-        "pruned": pytest.approx(last),
-    }
+    assert read_score("pruned", pruned.path, METRIC) == {"pruned": pytest.approx(last)}
 
 
 def file_columns(wanted: Job) -> list[str]:
@@ -67,14 +64,22 @@ def test_a_run_that_has_not_ended_has_no_score(pruned: Job, state: str | None) -
         (pruned.path / "status.json").unlink()
     else:
         (pruned.path / "status.json").write_text(json.dumps({"state": state, "step": 960}))
-    assert read_scores([pruned], METRIC) == {}
+    assert read_score("pruned", pruned.path, METRIC) == {}
 
 
 def test_an_unknown_metric_is_refused_with_the_nearest_ones(finished: Job, pruned: Job) -> None:
     for wanted in (finished, pruned):
         with pytest.raises(ValueError, match="is not among those of the runs; did you mean") as error:
-            read_scores([wanted], "greedy/utility_ers")
+            read_score("run", wanted.path, "greedy/utility_ers")
         assert METRIC in str(error.value)
+
+
+def test_a_changed_evaluation_is_refused(finished: Job, tmp_path: Path) -> None:
+    changed = shutil.copytree(finished.path, tmp_path / "changed")
+    path = changed / "evaluation.json"
+    path.write_text(path.read_text() + "\n")
+    with pytest.raises(ValueError, match=f"cannot use {changed}: evaluation.json: .*; --remake makes it again"):
+        read_score("run", changed, METRIC)
 
 
 def test_results_that_cannot_be_read_are_refused_with_what_to_do(finished: Job, pruned: Job, tmp_path: Path) -> None:
@@ -87,4 +92,4 @@ def test_results_that_cannot_be_read_are_refused_with_what_to_do(finished: Job, 
         with pytest.raises(
             ValueError, match=f"cannot use {wanted.path}: .*{fault}.*; delete it, and it is made again$"
         ):
-            read_scores([wanted], METRIC)
+            read_score("run", wanted.path, METRIC)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
-import pickle
+import shlex
 import shutil
 import subprocess
+import sys
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -24,9 +25,10 @@ from pathlib import Path
 
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
-from algorithms.studies import slurm, slurm_script
-from algorithms.studies import sweep_runner as runner
-from algorithms.studies.sweep_manifest import expand, read_manifest, write_manifest
+from algorithms.studies import slurm
+from algorithms.studies.backends import Backend
+from algorithms.studies.manifest import read_manifest
+from algorithms.studies.sweep import SweepRunner, expand
 from algorithms.studies.sweep_settings import SweepSettings, load_sweep
 
 
@@ -71,7 +73,7 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeSlurm:
     """A fake Slurm, whose jobs end only if a test says so."""
     found = FakeSlurm(tmp_path)
 
-    class Executor(slurm_script._ScriptWriter):
+    class Executor(slurm.TaskExecutor):
         @contextlib.contextmanager
         def batch(self, allow_implicit_submissions: bool = False) -> Iterator[None]:
             found.arrays.append([])
@@ -108,7 +110,7 @@ def test_tasks_beyond_the_maximum_size_of_an_array_go_to_further_arrays(
     settings = load_sweep(write_sweep(tmp_path, seeds=7, slurm={"runs_per_job": 2}))
     jobs = jobs_of(settings, tmp_path)
     monkeypatch.setattr(slurm, "MAX_ARRAY_TASKS", 3)
-    slurm.SlurmQueue(tmp_path).submit(slurm.array_tasks(jobs, settings), settings, tmp_path)
+    slurm.SlurmQueue(tmp_path).submit(jobs, settings)
     assert [len(array) for array in fake.arrays] == [3, 3, 1]
     submitted = json.loads((tmp_path / "slurm" / "jobs.json").read_text())
     assert [run for runs in submitted.values() for run in runs] == [job.id for job in jobs]
@@ -116,52 +118,43 @@ def test_tasks_beyond_the_maximum_size_of_an_array_go_to_further_arrays(
     assert slurm.SlurmQueue(tmp_path).jobs == submitted
 
 
-def test_two_commands_in_the_same_sweep_keep_each_others_jobs(tmp_path: Path, fake: FakeSlurm) -> None:
+# ----------------------------------------------------------------------------------------------------- the batch script
+
+
+def test_a_task_requests_the_resources_of_all_its_concurrent_runs(tmp_path: Path) -> None:
+    resources = {"cpus": 1.5, "gpus": 0.5, "memory_gb": 1.2, "minutes": 90}
+    settings = load_sweep(
+        write_sweep(tmp_path, resources=resources, slurm={"side_by_side": 3, "additional": {"nice": 1}})
+    )
+    wanted = slurm.sbatch_options(settings, "name")
+    assert (wanted["cpus_per_task"], wanted["gpus_per_node"], wanted["mem"], wanted["time"]) == (5, 2, "3687MB", 90)
+    assert wanted["additional_parameters"] == {"requeue": True, "nice": 1}
+    assert "partition" not in wanted
+    assert "mem" not in slurm.sbatch_options(load_sweep(write_sweep(tmp_path)), "name")
+
+
+def test_several_tasks_are_an_array_and_one_is_not(tmp_path: Path) -> None:
     settings = load_sweep(write_sweep(tmp_path))
-    first, second = slurm.array_tasks(jobs_of(settings, tmp_path), settings)
-    queues = [slurm.SlurmQueue(tmp_path), slurm.SlurmQueue(tmp_path)]
-    queues[0].submit([first], settings, tmp_path)
-    queues[1].submit([second], settings, tmp_path)
-    assert slurm.SlurmQueue(tmp_path).jobs == {"1_0": [first.jobs[0].id], "2_0": [second.jobs[0].id]}
+    assert "#SBATCH --array=0-2%" in slurm.batch_script(3, settings, tmp_path)
+    assert "#SBATCH --array=0-1%" in slurm.batch_script(2, settings, tmp_path)
+    assert "--array" not in slurm.batch_script(1, settings, tmp_path)
+
+
+def test_a_task_imports_the_package_even_where_the_working_directory_has_one_of_its_name(tmp_path: Path) -> None:
+    (tmp_path / "algorithms").mkdir()
+    (tmp_path / "algorithms" / "__init__.py").write_text("raise SystemExit('the wrong package')")
+    (tmp_path / "own.py").write_text("VALUE = 3")
+    script = slurm.batch_script(1, load_sweep(write_sweep(tmp_path)), tmp_path / "sweep")
+    *_, _, start, folder = shlex.split(script.splitlines()[-1])
+    assert (start, folder) == (slurm.START, str(tmp_path / "sweep" / "slurm"))
+    look = slurm.START.replace(
+        "submitit_main()", "import algorithms, own; print(algorithms.ALGORITHMS['pcn'].name, own.VALUE)"
+    )
+    done = subprocess.run([sys.executable, "-c", look], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout == "pcn 3\n", done.stderr
 
 
 # --------------------------------------------------------------------------------------------------------- the manifest
-
-
-def test_a_queued_task_trains_its_runs_after_the_manifest_has_changed(
-    tmp_path: Path, fake: FakeSlurm, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    settings = load_sweep(write_sweep(tmp_path, seeds=2))
-    write_manifest(tmp_path, expand(settings, {}))
-    jobs = jobs_of(settings, tmp_path)
-    assert run_on_slurm(settings, jobs, tmp_path, wait=False) == {}
-    queued = pickle.dumps(fake.arrays[0])
-    write_manifest(tmp_path, expand(load_sweep(write_sweep(tmp_path, seeds=[7])), {}))
-    trained: list[Job] = []
-
-    def perform_all(given: Sequence[Job], *_: Any, **__: Any) -> dict[Job, str]:
-        trained.extend(given)
-        return {}
-
-    monkeypatch.setattr(slurm, "perform_all", perform_all)
-    for task in pickle.loads(queued):
-        assert task() == []
-    assert trained == [job.without_code() for job in jobs]
-    assert {row.seed for row in read_manifest(tmp_path)} == {7}
-
-
-def test_the_process_of_a_task_needs_no_torch_which_its_workers_import(
-    tmp_path: Path, run_python: Callable[[str], str]
-) -> None:
-    settings = load_sweep(write_sweep(tmp_path))
-    (tmp_path / "task").write_bytes(pickle.dumps(slurm.array_tasks(jobs_of(settings, tmp_path), settings)[0]))
-    loaded = run_python(
-        "import pathlib, pickle, sys\n"
-        f"task = pickle.loads(pathlib.Path({str(tmp_path / 'task')!r}).read_bytes())\n"
-        "slow = [name for name in ('torch', 'numba', 'scipy.stats') if name in sys.modules]\n"
-        "print([job.done for job in task.jobs], slow)"
-    )
-    assert loaded == "[False] []\n"
 
 
 # ------------------------------------------------------------------------------------------------------ cancelled, lost
@@ -272,7 +265,7 @@ def test_without_waiting_a_search_goes_on_without_runs_that_failed(tmp_path: Pat
     fake.after_submission = lambda submitted: fake.states.update(dict.fromkeys(submitted, "RUNNING"))
 
     def submit() -> int:
-        return runner.SweepRunner(settings, tmp_path, runner.Backend("slurm", wait=False), quiet()).run()
+        return SweepRunner(settings, tmp_path, Backend("slurm", wait=False), quiet()).run()
 
     assert submit() == 0
     first, second = (row.job(tmp_path) for row in read_manifest(tmp_path))
@@ -313,19 +306,18 @@ def test_after_an_interrupt_the_command_that_cancels_the_jobs_is_shown_if_there_
     tmp_path: Path, fake: FakeSlurm, states: dict[str, str], message: str
 ) -> None:
     settings = load_sweep(write_sweep(tmp_path))
-    slurm.SlurmQueue(tmp_path).submit(slurm.array_tasks(jobs_of(settings, tmp_path), settings), settings, tmp_path)
+    slurm.SlurmQueue(tmp_path).submit(jobs_of(settings, tmp_path), settings)
     fake.states = states
-    sweep = runner.SweepRunner(settings, tmp_path, runner.Backend("slurm"), quiet())
-    assert sweep._after_interrupt() == message
+    assert Backend("slurm").after_interrupt(tmp_path) == message
 
 
 @pytest.mark.parametrize(("seeds", "note"), [(3, ""), (4, "4 tasks are submitted as 2 job arrays of at most 3 tasks")])
 def test_a_dry_run_says_how_many_arrays_are_submitted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], seeds: int, note: str
 ) -> None:
-    monkeypatch.setattr(slurm_script, "MAX_ARRAY_TASKS", 3)
+    monkeypatch.setattr(slurm, "MAX_ARRAY_TASKS", 3)
     settings = load_sweep(write_sweep(tmp_path, grid={}, seeds=seeds))
-    sweep = runner.SweepRunner(settings, tmp_path / "sweep", runner.Backend("slurm"), quiet())
+    sweep = SweepRunner(settings, tmp_path / "sweep", Backend("slurm"), quiet())
     assert sweep.print_batch_script() == 0
     said = capsys.readouterr()
     assert "#SBATCH --array=0-2%3\n" in said.out

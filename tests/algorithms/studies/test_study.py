@@ -17,11 +17,11 @@ import yaml
 from algorithms.commands.study import main
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
+from algorithms.studies.backends import Backend
+from algorithms.studies.manifest import read_manifest
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.runner import StudyRunner
 from algorithms.studies.settings import load_study
-from algorithms.studies.sweep_manifest import read_manifest
-from algorithms.studies.sweep_runner import Backend
 from mo_deepdrive.suite import read_rows
 from tests.helpers.short_runs import VALUES, printed, quiet
 from tests.helpers.sweep_files import broken_utility, forked_workers, status

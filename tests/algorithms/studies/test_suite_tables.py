@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from algorithms.commands.suite import main
+from algorithms.studies.manifest import read_manifest
 from algorithms.studies.suite_plan import plan_of
 from algorithms.studies.suite_tables import Scoreboard
-from algorithms.studies.sweep_manifest import read_manifest
 from mo_deepdrive import suite
 from mo_deepdrive.suite import Row, write_rows
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms.studies.sweep_collection import collect
-from algorithms.studies.sweep_manifest import ManifestRow, write_manifest
+from algorithms.studies.collection import collect
+from algorithms.studies.manifest import ManifestRow, write_manifest
 from algorithms.studies.sweep_plots import best_curves, varied_scores
-from algorithms.studies.sweep_ranking import rank
+from algorithms.studies.sweep_tables import rank
 from tests.helpers.made_up_sweeps import Script, config_of, end, log, make_row, make_sweep, scores_of
 
 
@@ -46,7 +46,7 @@ def test_curves_of_several_cells_have_greedy_and_sampled_evaluations(tmp_path: P
     for row in rows:
         log(tmp_path, row, [(step, dict.fromkeys(names, 1.0)) for step in (0, 10)])
     collection = collect(tmp_path)
-    groups = best_curves(collection, rank(collection.cells, collection.scores.collect()))
+    groups = best_curves(collection, rank(collection.cells, collection.scores))
     assert [{*columns} - {"step"} for group in groups for columns in group.runs] == [{*names[:2]}] * 2
 
 
@@ -100,7 +100,7 @@ def test_only_numbers_are_compared_as_numbers(tmp_path: Path, base: dict[str, An
     keys = ("algorithm.learning_rate", "algorithm.observe_discount", "config")
     make_sweep(tmp_path, [make_row(base, dict(zip(keys, point, strict=True)), 0) for point in points])
     collection = collect(tmp_path)
-    (ranking,) = rank(collection.cells, collection.scores.collect())
+    (ranking,) = rank(collection.cells, collection.scores)
     found = varied_scores(collection, ranking)
     assert found.values.tolist() == pytest.approx([1.0, 10.0, 1.0])
     assert np.array_equal(found.keys["learning_rate"], [1e-3, 1e-2, 1e-3])

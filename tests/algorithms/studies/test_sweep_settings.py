@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from algorithms.studies.sweep_manifest import expand
+from algorithms.studies.sweep import expand
 from algorithms.studies.sweep_settings import load_sweep
 from tests.helpers.sweep_files import write_sweep
 
@@ -27,15 +26,8 @@ def refused(folder: Path, **settings: Any) -> str:
     ("settings", "messages"),
     [
         ({"seedz": 3}, ["'seedz' is unknown", "did you mean 'seeds'?"]),
-        ({"slurm": {"partion": "x"}}, ["'slurm.partion' is unknown", "did you mean 'partition'?"]),
-        ({"ray": {"asha": {"metrik": "x"}}}, ["'ray.asha.metrik' is unknown", "did you mean 'metric'?"]),
-        (
-            {"search": {"space": {RATE: {"lo": 1}}, "metric": "m", "trials": 1}},
-            [f"'search.space.{RATE}.lo' is unknown", "did you mean 'low'?"],
-        ),
         ({"overrides": {RATE: 0.1}}, [f"'{RATE}' is in overrides and in grid"]),
         ({"grid": {"seed": [1, 2]}}, ["'seed' in grid: set seeds with the key 'seeds'"]),
-        ({"overrides": {"training.seed": 1}}, ["'training.seed' in overrides"]),
         ({"overrides": {"training": {"seed": 1}}}, ["'training.seed' in overrides: set seeds with the key 'seeds'"]),
         ({"grid": {"training": [{"seeds": [1]}]}}, ["'training.seeds' in grid: set seeds with the key 'seeds'"]),
         ({"overrides": {"algorithm": {"learning_rate": 1}}}, [f"'{RATE}' is in overrides and in grid"]),
@@ -45,23 +37,15 @@ def refused(folder: Path, **settings: Any) -> str:
             ["search.batch has no effect with the sampler 'random'"],
         ),
         ({"seeds": [3, 5, 3]}, ["[3, 5, 3] has a duplicate seed"]),
-        ({"seeds": 0}, ["'seeds' = 0"]),
-        ({"seeds": -2}, ["'seeds' = -2"]),
         ({"seeds": [2**31]}, [f"'seeds.0' = {2**31}"]),
         ({"seeds": True}, ["'seeds' = True"]),
         ({"grid": {RATE: []}}, [f"'grid.{RATE}' = []"]),
-        ({"grid": {RATE: 0.1}}, [f"'grid.{RATE}' = 0.1", "list"]),
-        ({"config": []}, ["'config' = []"]),
-        ({"retries": -1}, ["'retries' = -1"]),
         ({"resources": {"cpus": 0}}, ["'resources.cpus' = 0"]),
-        ({"resources": {"memory_gb": math.nan}}, ["'resources.memory_gb' = nan"]),
         (
             {"grid": {RATE: [1]}, "search": {"space": {RATE: [1, 2]}, "metric": METRIC, "trials": 1}},
             [f"'{RATE}' is in grid and in search.space"],
         ),
         ({"search": {"space": {RATE: [1, 2]}}}, ["'search.metric' is missing", "'search.trials' is missing"]),
-        ({"search": {"space": {}, "metric": METRIC, "trials": 1}}, ["'search.space' = {}"]),
-        ({"search": {"space": {RATE: [1]}, "metric": METRIC, "trials": 0}}, ["'search.trials' = 0"]),
     ],
 )
 def test_an_invalid_setting_is_refused_with_its_name(
@@ -90,25 +74,12 @@ def test_all_errors_in_a_file_are_reported_together(tmp_path: Path) -> None:
         ({"choices": [1, 2], "low": 0}, "'choices' excludes the other keys"),
         ([], "choices' = []"),
         ({"low": 1}, "needs 'low' and 'high'"),
-        ({"high": 1}, "needs 'low' and 'high', or 'choices'"),
-        ({"low": 0, "high": math.inf}, "= inf"),
-        (3, "= 3"),
     ],
 )
 def test_an_invalid_range_is_refused_with_its_key(tmp_path: Path, values: Any, message: str) -> None:
     said = refused(tmp_path, search={"space": {RATE: values}, "metric": METRIC, "trials": 1})
     assert f"search.space.{RATE}" in said
     assert message in said
-
-
-def test_a_seed_in_another_section_and_a_step_of_one_are_allowed(tmp_path: Path) -> None:
-    space = {"algorithm.steps": {"low": 1, "high": 9, "step": 1}}
-    arguments = {"utility.arguments": {"seed": 3}}
-    search = {"space": space, "metric": METRIC, "trials": 1}
-    settings = load_sweep(write_sweep(tmp_path, overrides=arguments, search=search))
-    assert settings.overrides == arguments
-    assert settings.search is not None
-    assert settings.search.space["algorithm.steps"].step == 1
 
 
 def test_a_number_of_seeds_is_short_for_that_many_from_zero(tmp_path: Path) -> None:
@@ -125,14 +96,6 @@ def test_a_single_config_and_a_list_of_choices_are_short_forms(tmp_path: Path) -
     assert settings.search.trials == 10
 
 
-def test_a_file_that_is_missing_or_not_a_mapping_is_refused_with_its_name(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"nothing\.yaml' does not exist"):
-        load_sweep(tmp_path / "nothing.yaml")
-    (tmp_path / "list.yaml").write_text("- 1\n")
-    with pytest.raises(ValueError, match=r"list\.yaml' holds a list"):
-        load_sweep(tmp_path / "list.yaml")
-
-
 def test_a_config_may_be_beside_the_file_of_the_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, elsewhere = tmp_path / "study", tmp_path / "elsewhere"
     for each in (folder, elsewhere):
@@ -147,23 +110,6 @@ def test_a_config_may_be_beside_the_file_of_the_sweep(tmp_path: Path, monkeypatc
     assert load_sweep("../study/sweep.yaml").config == ["base.yaml"]  # the working directory comes first
     monkeypatch.chdir(folder)
     assert load_sweep("sweep.yaml").config == ["base.yaml"]
-
-
-def test_a_config_that_does_not_exist_is_refused_with_the_places_looked_at(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "sweep.yaml").write_text("config: one_waypoint/mo_a2c_linera.yaml\n")
-    (tmp_path / "empty").mkdir()
-    monkeypatch.chdir(tmp_path / "empty")
-    with pytest.raises(ValueError, match="does not exist") as refusal:
-        load_sweep("../sweep.yaml")
-    message = str(refusal.value)
-    places = "one_waypoint/mo_a2c_linera.yaml and ../one_waypoint/mo_a2c_linera.yaml"
-    assert f"(looked for {places}); the nearest names of shipped ones: one_waypoint/mo_a2c_linear, " in message
-    (tmp_path / "empty" / "sweep.yaml").write_text("config: nn.yaml\n")
-    for same in ("sweep.yaml", tmp_path / "empty" / "sweep.yaml"):
-        with pytest.raises(ValueError, match=r"config file 'nn\.yaml' does not exist; the nearest names"):
-            load_sweep(same)
 
 
 def test_the_file_of_an_experiment_is_refused_with_the_command_for_it() -> None:

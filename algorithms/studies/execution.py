@@ -1,30 +1,26 @@
-"""Run a sweep: write its manifest and train its runs on a backend, batch after batch of a hyperparameter search."""
+"""Run a manifest: train its runs on a backend, batch after batch where scores decide which are next; verify them."""
 
 from __future__ import annotations
 
-import json
 import math
+import shutil
 import sys
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from algorithms.reporting.run_records import final_metrics
+from algorithms.reporting.training_log import read_metrics
 from algorithms.runs.console import print_line
 from algorithms.runs.dashboard import Dashboard, count_states, summary_of
 from algorithms.runs.interrupts import Interrupts
-from algorithms.runs.run_directory import imported_paths, is_run, read_status
-from algorithms.studies.run_scores import read_scores
-from algorithms.studies.sweep_manifest import (
-    ManifestRow,
-    expand,
-    is_sweep,
-    iterate_manifest,
-    read_manifest,
-    write_manifest,
-)
-from algorithms.studies.sweep_settings import SEED_KEYS, replaced_keys
-from algorithms.studies.sweep_verification import discard, verify
-from mo_deepdrive.support.machine import GIB, available_cores, available_memory, check_memory
+from algorithms.runs.run_directory import METRICS_FILE, imported_paths, is_run, read_status
+from algorithms.runs.run_files import RESULTS, changed_files
+from algorithms.studies.manifest import ManifestRow, is_sweep, iterate_manifest, read_manifest, write_manifest
+from mo_deepdrive.evaluation.front import EVALUATION_FILE
+from mo_deepdrive.evaluation.metrics import EVALUATION, known_metric
+from mo_deepdrive.support.atomic_io import own_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -33,28 +29,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.runs.jobs import Job
-    from algorithms.studies.hyperparameter_search import Scores
-    from algorithms.studies.sweep_settings import BackendSettings, SweepSettings
-
-
-WORKER_MEMORY = GIB / 4  # bytes of a process that trains, without its rollouts
-
-
-@dataclass(frozen=True)
-class Backend:
-    """What trains the runs of a sweep.
-
-    Attributes:
-        name: "local" for worker processes on this machine, "ray", "slurm", or "manifest" to only write the manifest.
-        workers: maximum number of concurrent runs (local, Ray); None for as many as there are cores or resources for.
-        address: of a running Ray cluster, or "auto"; None starts Ray in this process.
-        wait: whether to wait for the jobs after submitting them (Slurm).
-    """
-
-    name: str = "local"
-    workers: int | None = None
-    address: str | None = None
-    wait: bool = True
+    from algorithms.studies.backends import Backend
+    from algorithms.studies.manifest import Scores
+    from algorithms.studies.sweep_settings import BackendSettings
 
 
 class Runner(ABC):
@@ -123,9 +100,11 @@ class Runner(ABC):
             return 0
         with Interrupts() as interrupts:
             jobs = self._train(lambda: interrupts.received is not None)
-        self._report(jobs)
+        self._say(Dashboard(jobs, self._console).summary())
+        for job, error in self._failed.items():
+            self._say(f"FAILED {job.name}: {error}\n  {job.path}")
         if interrupts.received is not None:
-            print(f"interrupted; {self._after_interrupt()}", file=sys.stderr)
+            print(f"interrupted; {self._backend.after_interrupt(self._directory)}", file=sys.stderr)
             return 128 + interrupts.received
         return 1 if self._failed else 0
 
@@ -147,12 +126,10 @@ class Runner(ABC):
         Raises:
             ValueError: for an invalid sweep.
         """
-        from algorithms.studies.slurm import array_tasks
-        from algorithms.studies.slurm_script import MAX_ARRAY_TASKS, batch_script
+        from algorithms.studies.slurm import MAX_ARRAY_TASKS, batch_script
 
         jobs = [row.job(self._directory) for row in self._expand() if self.wanted(row)]
-        missing = [job for job in jobs if not job.done]
-        tasks = len(array_tasks(missing, self._settings))
+        tasks = math.ceil(sum(not job.done for job in jobs) / self._settings.slurm.runs_per_job)
         print(batch_script(tasks, self._settings, self._directory) if tasks else "all runs are done")
         arrays = math.ceil(tasks / MAX_ARRAY_TASKS)
         if arrays > 1:
@@ -185,12 +162,9 @@ class Runner(ABC):
         if self._settings.adaptive and is_sweep(self._directory):
             self._check_manifest()  # the scores of another sweep may not have the metric
             rows = read_manifest(self._directory)
-            by_metric: dict[str, list[Job]] = {}
             for row in rows:
                 if (metric := self.metric_of(row)) is not None:
-                    by_metric.setdefault(metric, []).append(row.job(self._directory))
-            for metric, jobs in by_metric.items():
-                scores |= read_scores(jobs, metric)
+                    scores |= read_score(row.id, self._directory / row.directory, metric)
             for row in self.settled(rows):
                 status = read_status(self._directory / row.directory)
                 if status.get("state") == "failed":
@@ -226,7 +200,11 @@ class Runner(ABC):
             rows = self._expand()
             while lines:
                 self._say(lines.pop(0))
-            self._report_removed_runs(rows)
+            removed = len({row.id for row in self._listed()} - {row.id for row in rows})
+            if removed:
+                self._say(
+                    f"{removed} runs of the previous manifest are no longer in the sweep; their directories are kept"
+                )
             write_manifest(self._directory, rows)
             jobs = [row.job(self._directory) for row in rows if self.wanted(row)]
             open_jobs = [job for job in jobs if job not in self._failed and not job.done]
@@ -234,136 +212,92 @@ class Runner(ABC):
                 return jobs
             self._say(f"{len(jobs)} runs, {len(jobs) - len(open_jobs)} of them done, in {self._directory}")
             with Dashboard(jobs, self._console, self._directory.name) as monitor:
-                failed = self._train_batch([job for job in jobs if job not in self._failed], monitor, stop)
+                batch = [job for job in jobs if job not in self._failed]
+                failed = self._backend.train(batch, self._settings, self._directory, monitor, stop)
             self._failed |= failed
             # Without waiting, failures may have been all that the next batch of a search was waiting for.
             if stop() or not self._settings.adaptive or not (self._backend.wait or failed):
                 return jobs
 
-    def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
-        """Train the runs on the backend; returns those that failed, each with its reason."""
-        backend, settings = self._backend, self._settings
-        # What trains is imported now, because it takes seconds; Ray and submitit are optional dependencies, too.
-        if backend.name == "local":
-            from algorithms.runs.worker_pool import perform_all
-
-            workers = self._local_workers([job for job in jobs if not job.done])
-            return perform_all(jobs, workers, monitor, retries=settings.retries, stop=stop)
-        if backend.name == "ray":
-            from algorithms.studies.ray_tune import run_on_ray
-
-            return run_on_ray(
-                jobs,
-                settings,
-                self._directory,
-                monitor,
-                stop=stop,
-                address=backend.address,
-                workers=backend.workers,
-            )
-        from algorithms.studies.slurm import run_on_slurm
-
-        return run_on_slurm(jobs, settings, self._directory, monitor, stop=stop, wait=backend.wait)
-
-    def _local_workers(self, jobs: Sequence[Job]) -> int:
-        """The number of workers: the given one, or as many as there are cores and memory for.
-
-        Raises:
-            ValueError: if the given ones take more memory than there is.
-        """
-        from algorithms.runs.build import training_memory
-
-        if not jobs:  # another process has just finished the last one
-            return 1
-        smallest = min((job.experiment for job in jobs), key=lambda experiment: experiment.training.num_envs)
-        num_envs = smallest.training.num_envs
-        each = WORKER_MEMORY + training_memory(smallest, num_envs)
-        if self._backend.workers is not None:
-            workers = min(self._backend.workers, len(jobs))
-            check_memory(f"--workers {workers} with training.num_envs = {num_envs}", workers * each)
-            return workers
-        cores = available_cores() / self._settings.resources.cpus
-        return max(1, math.floor(min(cores, available_memory() / each)))
-
-    def _report_removed_runs(self, rows: Sequence[ManifestRow]) -> None:
-        """Tell the user about runs of the previous manifest that the sweep no longer has."""
-        removed = len({row.id for row in self._listed()} - {row.id for row in rows})
-        if removed:
-            self._say(f"{removed} runs of the previous manifest are no longer in the sweep; their directories are kept")
-
-    def _report(self, jobs: Sequence[Job]) -> None:
-        """Print a summary of the runs, and the reasons of failures."""
-        self._say(Dashboard(jobs, self._console).summary())
-        for job, error in self._failed.items():
-            self._say(f"FAILED {job.name}: {error}\n  {job.path}")
-
-    def _after_interrupt(self) -> str:
-        """What the user can do after an interrupt."""
-        if self._backend.name != "slurm":
-            return "the runs in progress are saved: the same command resumes them"
-        from algorithms.studies.slurm import SlurmQueue
-
-        queue = SlurmQueue(self._directory)
-        queue.refresh()
-        cancel = queue.cancel_command()
-        if cancel is None:
-            return "no job is in Slurm's queue: the same command submits the runs that are not done"
-        return f"the jobs stay in Slurm's queue: the same command watches them again, `{cancel}` cancels them"
-
     def _say(self, text: str) -> None:
         print_line(self._console, text)
 
 
-class SweepRunner(Runner):
-    """Trains the runs of a sweep; those of a search batch after batch."""
+def read_score(name: str, run: Path, metric: str) -> dict[str, float | None]:
+    """The value of a metric of a run that has ended, by its id; empty for any other run.
 
-    _settings: SweepSettings
+    For a pruned run this is the value of its last evaluation; None if it has none.
 
-    def expand(self, scores: Scores) -> list[ManifestRow]:
-        """As of the base class."""
-        return expand(self._settings, scores)
-
-    def announcement(self) -> list[str]:
-        """As of the base class: all runs of a search, of which the manifest has one batch."""
-        search, settings = self._settings.search, self._settings
-        lines = replaced_keys(settings.config, SEED_KEYS)
-        if search is not None:
-            cells = len(settings.config) * math.prod(map(len, settings.grid.values()))
-            runs = cells * search.trials * len(settings.seeds)
-            lines.append(f"at most {runs} runs: {cells} searches of {search.trials} points, with every seed")
-        return lines
-
-    def metric_of(self, row: ManifestRow) -> str | None:
-        """As of the base class."""
-        del row
-        return None if self._settings.search is None else self._settings.search.metric
-
-    def settled(self, rows: Sequence[ManifestRow]) -> list[ManifestRow]:
-        """The runs of a cell's earlier batches: its later ones were chosen with their failures."""
-        search = self._settings.search
-        assert search is not None
-        cells = [json.dumps({key: row.cell[key] for key in row.cell if key not in search.space}) for row in rows]
-        batches = [(row.trial or 0) // search.points_at_a_time for row in rows]
-        last: dict[str, int] = {}  # every cell of the grid has a search of its own
-        for cell, batch in zip(cells, batches, strict=True):
-            last[cell] = max(batch, last.get(cell, 0))
-        return [row for row, cell, batch in zip(rows, cells, batches, strict=True) if batch < last[cell]]
+    Raises:
+        ValueError: if the run does not have the metric, or its results have changed since or cannot be read; with what
+            to do, because a search that leaves a run out would go another way.
+    """
+    state = read_status(run).get("state")
+    if state not in ("finished", "pruned"):
+        return {}
+    if changed := changed_files(run, [EVALUATION_FILE]):
+        raise ValueError(f"the search cannot use {run}: {changed[0]}; --remake makes it again")
+    try:
+        values = final_metrics(run) if state == "finished" else read_metrics(run / METRICS_FILE)
+    except ValueError as error:
+        raise ValueError(f"the search cannot use {run}: {error}; delete it, and it is made again") from None
+    history = np.atleast_1d(values[known_metric(metric if state == "finished" else EVALUATION + metric, values)])
+    known = history[np.isfinite(history)]
+    return {name: float(known[-1]) if len(known) else None}
 
 
-def show_status(directory: Path, console: Console) -> None:
-    """Print how many runs of the sweep in ``directory`` are done, running, failed and waiting.
+def verify(sweep: Path, say: Callable[[str], None]) -> list[tuple[ManifestRow, list[str]]]:
+    """Compare all files of the finished runs of a sweep with their recorded sizes and hashes.
+
+    Args:
+        sweep: its directory.
+        say: called with a line about each run that is broken, and with a summary.
+
+    Returns:
+        The broken runs, each with what is broken.
+
+    Raises:
+        ValueError: if the directory has no manifest.
+    """
+    finished = [row for row in iterate_manifest(sweep) if read_status(sweep / row.directory).get("state") == "finished"]
+    broken = []
+    for row in finished:
+        problems = changed_files(sweep / row.directory)
+        if problems:
+            broken.append((row, problems))
+            say(f"{sweep / row.directory}: {'; '.join(problems)}")
+    say(f"{len(finished)} finished runs: {len(broken)} broken")
+    return broken
+
+
+def discard(sweep: Path, row: ManifestRow, problems: list[str]) -> None:
+    """Make a broken run one that is not finished, so that training the sweep makes it again.
+
+    A run of which only the final evaluation is broken is evaluated again from its checkpoint; any other is deleted.
+
+    Args:
+        sweep: the directory of the sweep.
+        row: of the run.
+        problems: what is broken, from :func:`verify`.
+
+    Raises:
+        ValueError: if a link leads out of the sweep, or another process uses the run.
+        OSError: if it cannot be changed or deleted.
+    """
+    directory = own_path(sweep, row.directory)
+    if not {problem.partition(":")[0] for problem in problems} <= set(RESULTS):
+        shutil.rmtree(directory)
+        return
+    run = row.job(sweep).open()
+    run.lock()
+    run.set_status("trained", run.status.get("step", 0))
+    run.unlock()
+
+
+def progress(sweep: Path) -> str:
+    """How many runs of a sweep are done, running, failed and waiting.
 
     Raises:
         ValueError: if the directory has no manifest, or a broken one.
     """
-    states = (read_status(directory / row.directory).get("state") for row in iterate_manifest(directory))
-    print_line(console, summary_of(count_states(states)))
-
-
-def show_broken(directory: Path, console: Console) -> int:
-    """Print which finished runs of the sweep in ``directory`` are broken; the exit code, 1 if there are any.
-
-    Raises:
-        ValueError: if the directory has no manifest, or a broken one.
-    """
-    return int(bool(verify(directory, lambda line: print_line(console, line))))
+    return summary_of(count_states(read_status(sweep / row.directory).get("state") for row in iterate_manifest(sweep)))

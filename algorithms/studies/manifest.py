@@ -5,11 +5,11 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import product
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -17,18 +17,14 @@ from algorithms.reporting.run_records import INCIDENTAL
 from algorithms.runs.config import Experiment, check_loggers, make_experiment, override
 from algorithms.runs.jobs import Job
 from algorithms.runs.registry import directory_name, find_algorithm, peer_running
-from algorithms.runs.shipped import find_config
-from algorithms.studies.hyperparameter_search import Scores, propose_points
 from mo_deepdrive.support.atomic_io import atomic_write, own_path
 from mo_deepdrive.support.names import nearest_few
-from mo_deepdrive.support.yaml import read_mapping
 
-if TYPE_CHECKING:
-    from algorithms.studies.sweep_settings import SweepSettings
+# Score by run id; None for a run that failed or has no finite score.
+Scores = Mapping[str, float | None]
 
 FILE = "manifest.jsonl"
 RUNS = "runs"
-MAX_PROBLEMS = 5  # invalid cells that an error message lists
 ID_DIGITS = 12
 
 
@@ -59,9 +55,19 @@ class ManifestRow:
         """A readable name for messages."""
         return f"{label(self.cell)} seed {self.seed} ({self.id})".strip()
 
+    @cached_property
+    def experiment(self) -> Experiment:
+        """The experiment in ``config``, whose code is imported."""
+        return make_experiment(self.config, here=False)
+
     def job(self, sweep: Path) -> Job:
         """The job that trains this run of the sweep in the directory ``sweep``."""
-        return Job(self.name, make_experiment(self.config, here=False), sweep / self.directory, self.id)
+        return Job(self.name, self.experiment, sweep / self.directory, self.id)
+
+    def line(self) -> bytes:
+        """The row as a line of a manifest file."""
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return json.dumps(values, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
 def label(cell: Mapping[str, Any]) -> str:
@@ -89,65 +95,6 @@ def run_id(config: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:ID_DIGITS]
 
 
-def expand(settings: SweepSettings, scores: Scores) -> list[ManifestRow]:
-    """The runs of a sweep; every experiment is resolved, and every cell is built once to check it.
-
-    Args:
-        settings: the sweep.
-        scores: of the runs that have ended, by id. A search continues from them, so that the last rows are those of
-            its unfinished batch.
-
-    Raises:
-        ValueError: naming each invalid cell and its problem, or two cells with the same run.
-    """
-    bases = {path: read_mapping(find_config(path)) for path in settings.config}
-    names = short_names(settings.config)
-    rows: list[ManifestRow] = []
-    problems: list[str] = []
-    combinations = list(product(bases, *settings.grid.values()))
-    for path, *values in combinations:
-        grid = dict(zip(settings.grid, values, strict=True))
-        cell = {"config": names[path], **grid} if len(bases) > 1 else grid
-        try:
-            base = overridden(bases[path], {**settings.overrides, **grid}, cell)
-            if settings.search is not None:
-                rows += _search_rows(settings, cell, base, scores)
-            else:
-                asha = settings.ray.asha
-                rows += cell_rows(cell, base, settings.seeds, metric=None if asha is None else asha.metric)
-        except ValueError as error:
-            problems.append(str(error))
-    if problems:
-        more = len(problems) - MAX_PROBLEMS
-        shown = [*problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
-        raise ValueError(f"{len(problems)} of {len(combinations)} cells are invalid:\n  " + "\n  ".join(shown))
-    refuse_duplicates(rows)
-    return rows
-
-
-def _search_rows(
-    settings: SweepSettings, cell: dict[str, Any], base: dict[str, Any], scores: Scores
-) -> list[ManifestRow]:
-    """The rows of a hyperparameter search within one cell of the grid, which are scored on the validation split."""
-    search = settings.search
-    assert search is not None
-    evaluation = base.get("evaluation")
-    if not isinstance(evaluation, dict) or "split" not in evaluation:
-        base = overridden(base, {"evaluation.split": "validation"}, cell)
-    rows: list[ManifestRow] = []
-
-    def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
-        point_cell = {**cell, **point}
-        values = overridden(base, point, point_cell)
-        found = cell_rows(point_cell, values, settings.seeds, trial, metric=None if rows else search.metric)
-        known = {row.id for row in rows}  # a search may choose a point twice
-        rows.extend(row for row in found if row.id not in known)
-        return [row.id for row in found]
-
-    propose_points(search, runs_of, scores)
-    return rows
-
-
 def cell_rows(
     cell: dict[str, Any],
     values: Mapping[str, Any],
@@ -171,7 +118,8 @@ def cell_rows(
         ValueError: naming the cell and its problem.
     """
     where = _cell_name(cell)
-    experiment = make_experiment(overridden(values, {"training.seed": seeds[0]}, cell), where, here=False)
+    values = _sorted(overridden(values, {"training.seed": seeds[0]}, cell))
+    experiment = make_experiment(values, where, here=False)
     if trial is not None and experiment.evaluation.split != "validation":
         raise ValueError(
             f"{where}: evaluation.split = {experiment.evaluation.split!r}: settings are chosen by the final scores, "
@@ -185,7 +133,10 @@ def cell_rows(
         config = {**resolved, "training": {**resolved["training"], "seed": seed}}
         name = run_id(config)
         directory = f"{RUNS}/{directory_name(experiment.algorithm.name)}-seed{seed}-{name}"
-        rows.append(ManifestRow(name, directory, cell, seed, trial, config))
+        row = ManifestRow(name, directory, cell, seed, trial, config)
+        training = experiment.training.model_copy(update={"seed": seed})
+        vars(row)["experiment"] = experiment.model_copy(update={"training": training})  # parsed once for all seeds
+        rows.append(row)
     return rows
 
 
@@ -231,7 +182,7 @@ def overridden(values: Mapping[str, Any], changes: Mapping[str, Any], cell: Mapp
 def _sorted(value: Any) -> Any:
     """The value with the keys of all its mappings in alphabetical order."""
     if isinstance(value, Mapping):
-        return {key: _sorted(value[key]) for key in sorted(value)}
+        return {key: _sorted(value[key]) for key in sorted(value, key=str)}
     return [_sorted(each) for each in value] if isinstance(value, list) else value
 
 
@@ -257,11 +208,6 @@ def refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
             )
 
 
-def manifest_lines(rows: Iterable[ManifestRow]) -> Iterator[bytes]:
-    """The lines of a manifest file."""
-    return (json.dumps(vars(row), separators=(",", ":"), allow_nan=False).encode() + b"\n" for row in rows)
-
-
 def write_manifest(sweep: Path, rows: Sequence[ManifestRow]) -> Path:
     """Write the manifest into a sweep's directory, atomically; returns its path.
 
@@ -273,7 +219,7 @@ def write_manifest(sweep: Path, rows: Sequence[ManifestRow]) -> Path:
     path = own_path(sweep, FILE)
     for row in rows:
         own_path(sweep, row.directory)
-    atomic_write(path, manifest_lines(rows))
+    atomic_write(path, (row.line() for row in rows))
     return path
 
 

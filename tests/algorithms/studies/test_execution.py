@@ -7,17 +7,17 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
-from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
-from algorithms.studies.sweep_manifest import read_manifest
-from algorithms.studies.sweep_runner import Backend, SweepRunner
+from algorithms.studies.backends import Backend
+from algorithms.studies.manifest import read_manifest
+from algorithms.studies.sweep import SweepRunner
 from algorithms.studies.sweep_settings import load_sweep
 from tests.helpers.sweep_files import write_sweep
 
@@ -25,16 +25,13 @@ RATE = "algorithm.learning_rate"
 SEARCH = {"space": {RATE: {"low": 1e-4, "high": 1e-2}}, "metric": "greedy/utility_esr", "trials": 6, "batch": 2}
 
 
-class MadeUpRuns(SweepRunner):
-    """A runner whose runs end at once, with a score, or with an error if their number is in ``failing``."""
+class MadeUpBackend(Backend):
+    """A backend whose runs end at once, with a score, or with an error if their number is in ``failing``."""
 
-    def __init__(self, directory: Path, file: Path, *failing: int, **backend: Any):
-        self.said = io.StringIO()
-        super().__init__(load_sweep(file), directory, Backend(**backend), Console(file=self.said, width=200))
-        self.failing = failing
-        self.batches: list[list[str]] = []
+    failing: tuple[int, ...]
+    batches: list[list[str]]
 
-    def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+    def train(self, jobs: Sequence[Job], *_: Any) -> dict[Job, str]:
         numbers = {row.id: i for i, row in enumerate(read_manifest(jobs[0].path.parents[1]))}
         self.batches.append([])
         failed: dict[Job, str] = {}
@@ -54,45 +51,38 @@ class MadeUpRuns(SweepRunner):
         return failed
 
 
+class MadeUpRuns(SweepRunner):
+    """A runner with this backend."""
+
+    def __init__(self, directory: Path, file: Path, *failing: int, **backend: Any):
+        self.said = io.StringIO()
+        self.batches: list[list[str]] = []
+        made_up = MadeUpBackend(**backend)
+        vars(made_up).update(failing=failing, batches=self.batches)
+        super().__init__(load_sweep(file), directory, made_up, Console(file=self.said, width=200))
+
+
 def ids(directory: Path) -> list[str]:
     return [row.id for row in read_manifest(directory)]
 
 
 def test_what_trains_is_not_imported_to_show_the_status() -> None:
-    code = "import sys, algorithms.studies.sweep_runner; print([m for m in ('torch', 'numba') if m in sys.modules])"
+    code = "import sys, algorithms.studies.sweep; print([m for m in ('torch', 'numba') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
-
-
-def test_all_runs_are_made_once(tmp_path: Path) -> None:
-    file, sweep = write_sweep(tmp_path, seeds=3), tmp_path / "sweep"
-    runner = MadeUpRuns(sweep, file)
-    assert runner.run() == 0
-    assert runner.batches == [ids(sweep)]
-    assert len(ids(sweep)) == 6
-    assert "6 runs, 0 of them done" in runner.said.getvalue()
-    again = MadeUpRuns(sweep, file)
-    assert again.run() == 0
-    assert again.batches == []
 
 
 def test_a_failed_run_is_reported_and_repeated_by_the_next_command(tmp_path: Path) -> None:
     file, sweep = write_sweep(tmp_path, seeds=2), tmp_path / "sweep"
     runner = MadeUpRuns(sweep, file, 1)
     assert runner.run() == 1
+    assert runner.batches == [ids(sweep)]
+    assert "4 runs, 0 of them done" in runner.said.getvalue()
     assert "made to fail" in runner.said.getvalue()
     again = MadeUpRuns(sweep, file)
     assert again.run() == 0
     assert again.batches == [[ids(sweep)[1]]]
     assert "4 runs, 3 of them done" in again.said.getvalue()
-
-
-def test_runs_that_the_sweep_no_longer_has_are_counted(tmp_path: Path) -> None:
-    sweep = tmp_path / "sweep"
-    MadeUpRuns(sweep, write_sweep(tmp_path, seeds=3)).run()
-    fewer = MadeUpRuns(sweep, write_sweep(tmp_path, seeds=2))
-    assert fewer.run() == 0
-    assert "2 runs of the previous manifest are no longer in the sweep" in fewer.said.getvalue()
 
 
 def test_the_directory_of_another_sweep_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
@@ -122,6 +112,7 @@ def test_a_sweep_is_extended_by_seeds_and_cells(tmp_path: Path) -> None:
     assert runner.run() == 0
     assert len(runner.batches[0]) == 3
     assert set(first) & set(ids(sweep)) == {first[1]}
+    assert "1 runs of the previous manifest are no longer in the sweep" in runner.said.getvalue()
 
 
 def test_a_search_refuses_another_sweep_whatever_its_scores_are(tmp_path: Path) -> None:
@@ -149,14 +140,16 @@ def test_the_directory_of_a_run_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_exit_code_after_a_signal_is_that_of_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    class Interrupted(MadeUpRuns):
-        def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+    class Interrupted(Backend):
+        def train(self, *arguments: Any) -> dict[Job, str]:
+            stop = arguments[-1]
             assert not stop()
             signal.raise_signal(signal.SIGTERM)
             assert stop()
             return {}
 
-    assert Interrupted(tmp_path / "sweep", write_sweep(tmp_path)).run() == 128 + signal.SIGTERM
+    runner = SweepRunner(load_sweep(write_sweep(tmp_path)), tmp_path / "sweep", Interrupted(), Console(quiet=True))
+    assert runner.run() == 128 + signal.SIGTERM
     assert "the same command resumes them" in capsys.readouterr().err
 
 
@@ -177,16 +170,6 @@ def test_failed_points_of_a_search_are_repeated_only_while_no_later_points_depen
     assert again.run() == 1
     assert again.batches == [[ids(sweep)[5]]]
     assert again.said.getvalue().count("made to fail") == 2
-
-
-def test_failed_points_of_a_random_search_are_all_repeated(tmp_path: Path) -> None:
-    pytest.importorskip("optuna")
-    search = {**{key: value for key, value in SEARCH.items() if key != "batch"}, "sampler": "random"}
-    file, sweep = write_sweep(tmp_path, search=search), tmp_path / "sweep"
-    assert MadeUpRuns(sweep, file, 0, 3, 5).run() == 1
-    again = MadeUpRuns(sweep, file)
-    assert again.run() == 0
-    assert again.batches == [[ids(sweep)[i] for i in (0, 3, 5)]]
 
 
 def test_failed_points_of_a_cell_are_repeated_whatever_batch_the_other_cells_have_reached(tmp_path: Path) -> None:

@@ -1,0 +1,247 @@
+"""The results of a sweep as Parquet files: correct, updated incrementally, never half written."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from algorithms.reporting.training_log import read_metrics
+from algorithms.studies import collection
+from algorithms.studies.collection import collect
+from algorithms.studies.manifest import ManifestRow, write_manifest
+from tests.helpers.made_up_sweeps import end, log, make_row, make_sweep, record, scores_of
+
+# -------------------------------------------------------------------------------------------------------------- content
+
+
+@pytest.mark.slow
+def test_the_files_have_the_metrics_and_scores_of_all_runs(tmp_path: Path, grid: list[ManifestRow]) -> None:
+    rows = make_sweep(tmp_path, grid)
+    found = collect(tmp_path)
+    assert found.remarks == []
+    for row in rows:
+        mine = found.metrics.filter(pl.col("run") == row.id).drop("run")
+        plain = read_metrics(tmp_path / row.directory / "metrics.csv")
+        assert set(mine.columns) == set(plain)
+        for name, column in plain.items():
+            np.testing.assert_array_equal(mine[name].cast(pl.Float64).fill_null(np.nan).to_numpy(), column)
+    scores = pl.read_parquet(tmp_path / "collected/scores.parquet")
+    assert len(scores) == len(rows) * 6
+    one = scores.filter(run=rows[4].id, policy="stochastic", metric="utility_esr").row(0, named=True)
+    assert one == {
+        "run": rows[4].id,
+        "policy": "stochastic",
+        "vehicle": "",
+        "metric": "utility_esr",
+        "value": -scores_of(rows[4]),
+        "low": -scores_of(rows[4]) - 1.0,
+        "high": None,
+        "cell": "algorithm.learning_rate=0.0001 algorithm.steps=32",
+        "trial": None,
+        "seed": 1,
+        "state": "finished",
+        "algorithm.learning_rate": 1e-4,
+        "algorithm.steps": 32,
+    }
+    runs = found.runs
+    assert runs["run"].to_list() == [row.id for row in rows]
+    assert runs["rows"].unique().to_list() == [24]
+
+
+def test_columns_of_keys_keep_their_types(tmp_path: Path, base: dict[str, Any]) -> None:
+    cells: list[dict[str, Any]] = [
+        {"algorithm.hidden": [8], "algorithm.observe_discount": True, "algorithm.gamma": 1, "config": "a"},
+        {"algorithm.hidden": None, "algorithm.observe_discount": False, "algorithm.gamma": 0.5, "config": "b"},
+    ]
+    make_sweep(tmp_path, [make_row(base, cell, 0) for cell in cells])
+    runs = collect(tmp_path).runs.select(*cells[0])
+    assert runs.dtypes == [pl.String, pl.Boolean, pl.Float64, pl.String]
+    assert runs.rows() == [("[8]", True, 1.0, "a"), ("null", False, 0.5, "b")]
+
+
+# --------------------------------------------------------------------------------------------------- incremental update
+
+
+def test_only_changed_files_are_read_again(
+    tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = make_sweep(tmp_path, grid)
+    stored = tmp_path / "collected" / "metrics.parquet"
+    read: list[str] = []
+    read_rows = collection._read_rows
+    monkeypatch.setattr(collection, "_read_rows", lambda path: read.append(path.parent.name) or read_rows(path))
+    collect(tmp_path)
+    assert read == [Path(row.directory).name for row in rows]
+    written = stored.stat().st_mtime_ns
+    read.clear()
+    collect(tmp_path)
+    assert (read, stored.stat().st_mtime_ns) == ([], written)
+    longer, edited = (tmp_path / row.directory / "metrics.csv" for row in rows[7:9])
+    with longer.open("a") as file:
+        file.write("500,1.0,,,\n")
+    before = edited.stat()
+    edited.write_text(edited.read_text().replace("0.5", "0.7"))
+    os.utime(edited, ns=(before.st_atime_ns, before.st_mtime_ns + 1))
+    assert edited.stat().st_size == before.st_size
+    metrics = collect(tmp_path).metrics
+    assert read == [longer.parent.name, edited.parent.name]
+    assert len(metrics.filter(run=rows[7].id)) == 25
+    assert metrics.filter(run=rows[8].id)["loss/policy"].max() == 0.7
+    assert len(metrics) == 18 * 24 + 1
+    assert pl.read_parquet(stored).equals(metrics)
+
+
+def test_added_and_removed_runs(tmp_path: Path, grid: list[ManifestRow]) -> None:
+    rows = make_sweep(tmp_path, grid)
+    for part in (rows[:6], rows[5:]):
+        write_manifest(tmp_path, part)
+        assert set(collect(tmp_path).metrics["run"]) == {row.id for row in part}
+    shutil.rmtree(tmp_path / rows[5].directory)
+    assert len(collect(tmp_path).metrics) == 12 * 24
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:1000], lambda data: data[:4] + b"\0" * 400 + data[404:]])
+def test_a_damaged_file_is_made_again(
+    tmp_path: Path, grid: list[ManifestRow], damage: Callable[[bytes], bytes]
+) -> None:
+    make_sweep(tmp_path, grid)
+    before = collect(tmp_path).metrics
+    stored = tmp_path / "collected" / "metrics.parquet"
+    stored.write_bytes(damage(stored.read_bytes()))
+    assert collect(tmp_path).metrics.equals(before)
+    assert pl.read_parquet(stored).equals(before)
+
+
+def test_a_sweep_that_cannot_be_written_is_still_shown(
+    tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_sweep(tmp_path, grid)
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    found = collect(tmp_path)
+    said: list[str] = []
+    found.report_problems(said.append)
+    assert said == ["the collected results are not stored: [Errno 28] No space left on device"]
+    assert len(found.metrics) == 18 * 24
+    assert list((tmp_path / "collected").iterdir()) == []
+
+
+def test_nothing_is_collected_through_a_link(tmp_path: Path, grid: list[ManifestRow]) -> None:
+    make_sweep(tmp_path / "sweep", grid[:1])
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (tmp_path / "sweep" / "collected").symlink_to(mine)
+    with pytest.raises(ValueError, match=rf"leads to '{mine}.*; nothing is written or deleted through a link inside a"):
+        collect(tmp_path / "sweep")
+    assert list(mine.iterdir()) == []
+    (tmp_path / "sweep" / "collected").unlink()
+    (tmp_path / "link").symlink_to(tmp_path / "sweep")
+    assert len(collect(tmp_path / "link").scored) == 1
+
+
+# --------------------------------------------------------------------------------------------- broken and missing files
+
+
+def test_incomplete_lines_are_dropped_and_broken_files_are_named(tmp_path: Path, grid: list[ManifestRow]) -> None:
+    rows = make_sweep(tmp_path, grid)
+    files = [tmp_path / row.directory / "metrics.csv" for row in rows]
+    with files[0].open("a") as file:
+        file.write("120,3.5,-1")
+    lines = files[1].read_text().splitlines(keepends=True)
+    files[1].write_text("".join([*lines[:3], "25,1.0\n", *lines[3:]]))
+    files[2].write_text("step,a,b\n")
+    files[3].write_text("step,a")
+    files[4].unlink()
+    files[5].write_text("a,step\n1,2\n")
+    files[6].write_text("step,a\n0,nan\n1,word\n")
+    files[8].write_bytes(b"step,a\n0,\xff\n")
+    files[7].write_text("step,a\n0,nan\n1,inf\n2,\n3,1e-3\n")
+    for _ in range(2):  # also when nothing is read again
+        found = collect(tmp_path)
+        heights = dict(found.metrics.group_by("run").len().rows())
+        assert [heights.get(row.id, 0) for row in rows[:10]] == [24, 24, 0, 0, 0, 0, 0, 4, 0, 24]
+        (remark,) = found.remarks
+        assert remark.startswith("3 files cannot be read: metrics file")
+        assert "has no column 'step'" in remark
+        assert "'word'" in remark
+        assert "can't decode" in remark
+    values = found.metrics.filter(pl.col("run") == rows[7].id).select("a")["a"].to_list()
+    assert values == [None, np.inf, None, 1e-3]
+
+
+def test_runs_without_rows_add_no_rows(tmp_path: Path, grid: list[ManifestRow]) -> None:
+    rows = make_sweep(tmp_path / "a [sweep] *", grid)
+    for row in rows:
+        (tmp_path / "a [sweep] *" / row.directory / "metrics.csv").write_text("broken\n")
+    with pytest.raises(ValueError, match="has any metrics yet"):
+        _ = collect(tmp_path / "a [sweep] *").metrics
+    log(tmp_path / "a [sweep] *", rows[3], [(0, {"a": 1.0})])
+    assert collect(tmp_path / "a [sweep] *").metrics.rows() == [(rows[3].id, 0, 1.0)]
+
+
+def test_unfinished_and_missing_runs_are_counted_and_the_first_ones_named(
+    tmp_path: Path, grid: list[ManifestRow]
+) -> None:
+    rows = make_sweep(tmp_path, grid)
+    end(tmp_path, rows[0], {}, "running")
+    (tmp_path / rows[0].directory / "evaluation.json").unlink()
+    for row in rows[1:4]:
+        shutil.rmtree(tmp_path / row.directory)
+    end(tmp_path, rows[4], {}, "failed")
+    found = collect(tmp_path)
+    assert found.remarks == [
+        "5 of 18 runs have no final evaluation (3 waiting, 1 running, 1 failed): "
+        f"{rows[0].directory}, {rows[1].directory}, {rows[2].directory}, and 2 more"
+    ]
+    assert rows[4].id not in found.scored  # the score from before it was trained again does not count
+    assert found.metrics.filter(pl.col("run") == rows[0].id).height == 24
+    states = dict(found.runs.select("run", "state").rows())
+    assert [states[row.id] for row in rows[:5]] == ["running", "waiting", "waiting", "waiting", "failed"]
+    for broken in ("{", "{}", '{"policies": []}', '{"policies": {"greedy": {"success": 1}}}'):
+        (tmp_path / rows[5].directory / "evaluation.json").write_text(broken)
+        assert collect(tmp_path).remarks[1].startswith("1 files cannot be read")
+
+
+def test_runs_whose_scores_have_changed_are_left_out(tmp_path: Path, grid: list[ManifestRow]) -> None:
+    rows = make_sweep(tmp_path, grid[:3])
+    for row in rows:
+        record(tmp_path, row)
+    assert collect(tmp_path).remarks == []
+    path = tmp_path / rows[0].directory / "evaluation.json"
+    path.write_text(path.read_text().replace('"value": 0.1', '"value": 9.9'))
+    found = collect(tmp_path)
+    assert found.remarks == [
+        f"1 files cannot be read: {rows[0].directory}: evaluation.json: changed since the run finished; "
+        "mo-deepdrive sweep --remake makes it again"
+    ]
+    assert found.scored == {row.id for row in rows[1:]}
+
+
+# --------------------------------------------------------------------------------------------------------------- curves
+
+
+def test_curves_are_averaged_over_intervals_of_steps(tmp_path: Path, base: dict[str, Any]) -> None:
+    (row,) = make_sweep(tmp_path, [make_row(base, {}, 0)], points=1000)
+    names = ["eval/greedy/utility_esr", "train/utility"]
+    found = collect(tmp_path).curves([row.id], names, points=50)[row.id]
+    plain = read_metrics(tmp_path / row.directory / "metrics.csv")
+    width = int(plain["step"].max()) // 50 + 1
+    for name in names:
+        known = np.isfinite(plain[name])
+        steps, values = plain["step"][known], plain[name][known]
+        bins = steps // width
+        wanted = [(steps[bins == b].mean(), values[bins == b].mean()) for b in np.unique(bins)]
+        there = np.isfinite(found[name])
+        assert there.sum() == 50
+        np.testing.assert_allclose(np.stack([found["step"], found[name]], axis=1)[there], wanted)
