@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from mo_deepdrive.simulation.philox import STREAM
 from mo_deepdrive.simulation.state import PARAMS
 from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.support.machine import GIB, check_device, check_memory
-from mo_deepdrive.world.batch import WorldBatch
+from mo_deepdrive.world.batch import Transition, WorldBatch
 from mo_deepdrive.world.limits import check_state
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.world.observation import layout
@@ -33,31 +33,6 @@ _MODES = {
     AutoresetMode.DISABLED: DISABLED,
 }
 _ALIGNMENT = 16  # bytes
-
-
-class Outputs(NamedTuple):
-    """What a decision writes.
-
-    Attributes:
-        observations: (N, V, size) float32 for the next decision.
-        final_observations: (N, V, size) after this one: others where an episode was over and the next one has begun in
-            the same step; ``observations`` themselves in other autoreset modes.
-        rewards: (N, V, d) float32; zero for vehicles that had ended before.
-        acted: (N, V) bool, which vehicles were on the road before the decision.
-        terminated: (N, V) bool, after it, before a reset in the same step.
-        truncated: (N, V) bool, likewise.
-        over: (N,) bool, where no vehicle was on the road after it.
-        ends: (N, V) int8, why vehicles have ended: positions in :data:`mo_deepdrive.simulation.state.ENDS`.
-    """
-
-    observations: torch.Tensor
-    final_observations: torch.Tensor
-    rewards: torch.Tensor
-    acted: torch.Tensor
-    terminated: torch.Tensor
-    truncated: torch.Tensor
-    over: torch.Tensor
-    ends: torch.Tensor
 
 
 class TensorWorlds:
@@ -80,7 +55,7 @@ class TensorWorlds:
         continuous: whether actions are continuous.
         choices: how many discrete actions there are.
         allowed_actions: in words.
-        outputs: all that a decision writes; also attributes by the names in :class:`Outputs`.
+        outputs: all that a decision writes; also attributes by the names in :class:`Transition`.
         waiting: (N,) bool, where an episode is over and its world has not been reset.
         fault: (1,) int64, not zero if something went wrong.
 
@@ -172,14 +147,14 @@ class TensorWorlds:
     def _zeros(self, dtype: torch.dtype, *shape: int) -> torch.Tensor:
         return torch.zeros(shape, dtype=dtype, device=self.device)
 
-    def _views(self, block: torch.Tensor) -> Outputs:
+    def _views(self, block: torch.Tensor) -> Transition:
         typed = {dtype: block.view(dtype) for dtype in (torch.float32, torch.bool, torch.int8)}
         views = {
             name: typed[dtype].as_strided(shape, strides, start)
             for name, (dtype, shape, strides, start) in self._places.items()
         }
         views.setdefault("final_observations", views["observations"])
-        return Outputs(**views)
+        return Transition(**views)
 
     def _make_launcher(self, host: WorldBatch) -> Launcher:
         """What moves the worlds, with all that it reads and writes."""
@@ -254,7 +229,7 @@ class TensorWorlds:
         self._actions.copy_(actions)
         self._launcher.step()
 
-    def snapshot(self) -> Outputs:
+    def snapshot(self) -> Transition:
         """The outputs in tensors of their own, which no later call changes."""
         return self._views(self._block.clone())
 

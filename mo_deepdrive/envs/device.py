@@ -10,13 +10,13 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
-from mo_deepdrive.device.worlds import Outputs, TensorWorlds, make_streams
+from mo_deepdrive.device.worlds import TensorWorlds, make_streams
 from mo_deepdrive.envs.options import checked_options, make_pins
 from mo_deepdrive.envs.vector_base import VectorBase, check_forms, needs_reset
 from mo_deepdrive.simulation import philox
 from mo_deepdrive.simulation.philox import STREAM
 from mo_deepdrive.simulation.state import ARRIVED
-from mo_deepdrive.world.batch import Draws, WorldBatch
+from mo_deepdrive.world.batch import Draws, Transition, WorldBatch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -219,7 +219,7 @@ class DeviceVectorEnv(VectorBase):
         )
         return observations, rewards, terminated, truncated, self._infos(taken)
 
-    def _infos(self, taken: Outputs) -> dict[str, Any]:
+    def _infos(self, taken: Transition) -> dict[str, Any]:
         over = taken.over
         arrived = taken.ends == ARRIVED
         ends = {"end": self._shaped(taken.ends), "_end": over}

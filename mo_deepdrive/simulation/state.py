@@ -80,6 +80,20 @@ OTHER_VEHICLE = ENDS.index("other_vehicle")
 
 NEVER = -1  # of ``entered``
 
+# The square on which scenarios are drawn, and the crossing in its middle (m). The original draws on a 1000 px square
+# with a 50 px margin.
+PIXELS_PER_METRE = 405 / LENGTH / 4
+MAP_UNIT = 900 / PIXELS_PER_METRE
+MAP_ORIGIN = 50 / PIXELS_PER_METRE
+MAP_CENTRE = MAP_ORIGIN + MAP_UNIT / 2
+MAP_SIZE = 1000 / PIXELS_PER_METRE
+HALF_LANE = LANE_WIDTH / 2
+
+# Up to 16 worlds are computed side by side, in lanes: two vectors of AVX-512, or four of AVX2. A loop over the lanes
+# without branches and calls becomes vector instructions. Each lane is computed as if it were alone, so results do not
+# depend on which worlds share a block.
+LANES = 16
+
 _FLOAT = np.float64
 
 # What is drawn of the driver of a car, and hidden (m/s, s, m/s^2, s): how hard it brakes for a left-turner at most, see
@@ -231,6 +245,11 @@ def with_room(dtype: np.dtype[Any], obstacles: int, cars: int, delay: int) -> np
     }
     fields = ((name, dtype[name].base, shapes.get(name, dtype[name].shape)) for name in dtype.names or ())
     return aligned(np.dtype(list(fields)))
+
+
+def in_lanes(*names: str) -> np.dtype[Any]:
+    """A scratch record with an array (LANES,) of float64 for every name."""
+    return np.dtype((np.record, [(name, np.float64, (LANES,)) for name in names]))
 
 
 # A straight or an arc, from its start (m, rad). Curvature is positive to the left (1/m), ``along`` is how far along the

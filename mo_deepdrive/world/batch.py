@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -62,26 +62,36 @@ class Draws:
 
 # The fields of the state that telemetry reports.
 TELEMETRY = (
-    "x",
-    "y",
-    "heading",
-    "speed",
-    "steer",
-    "throttle",
-    "brake",
-    "g_force",
-    "jerk",
-    "route_distance",
-    "travelled",
-    "left_lane_distance",
-    "right_lane_distance",
-    "vx",
-    "vy",
-    "ax",
-    "ay",
+    *("x", "y", "heading", "speed", "steer", "throttle", "brake", "g_force", "jerk", "route_distance", "travelled"),
+    *("left_lane_distance", "right_lane_distance", "vx", "vy", "ax", "ay"),
 )
 # Of every oncoming car.
 CAR_TELEMETRY = ("x", "y", "speed", "acceleration", "present")
+
+
+class Transition(NamedTuple):
+    """One decision of N worlds with V vehicles each: arrays of NumPy, or tensors.
+
+    Attributes:
+        observations: (N, V, size) float32 for the next decision.
+        final_observations: (N, V, size) after this one: others where an episode was over and the next one has begun in
+            the same step; ``observations`` themselves in other autoreset modes.
+        rewards: (N, V, d) float32; zero for vehicles that had ended before.
+        acted: (N, V) bool, which vehicles were on the road before the decision.
+        terminated: (N, V) bool, after it, before a reset in the same step.
+        truncated: (N, V) bool, likewise.
+        over: (N,) bool, where no vehicle was on the road after it.
+        ends: (N, V) why vehicles have ended: positions in :data:`mo_deepdrive.simulation.state.ENDS`.
+    """
+
+    observations: Any
+    final_observations: Any
+    rewards: Any
+    acted: Any
+    terminated: Any
+    truncated: Any
+    over: Any
+    ends: Any
 
 
 @dataclass(frozen=True)
@@ -271,15 +281,10 @@ class WorldBatch:
         self._threads.close()
 
     def _checked(self, actions: NDArray[Any]) -> NDArray[Any]:
-        kinds, dtype, allowed = (
-            ("fiu", np.float64, "finite numbers")
-            if self.continuous
-            else (
-                "iu",
-                np.int64,
-                f"integers in [0, {len(self.table)})",
-            )
-        )
+        if self.continuous:
+            kinds, dtype, allowed = "fiu", np.float64, "finite numbers"
+        else:
+            kinds, dtype, allowed = "iu", np.int64, f"integers in [0, {len(self.table)})"
         given = actions
         if given.dtype.kind not in kinds:
             first = given.reshape(-1)[0]
@@ -295,21 +300,9 @@ class WorldBatch:
     def _run(self, part: Part, actions: NDArray[Any]) -> None:
         """Move the worlds of one part."""
         self.step_function(
-            part.worlds,
-            actions[part.rows],
-            self.table,
-            self.params,
-            part.controls,
-            part.motion,
-            part.cars,
-            part.path,
-            part.sight,
-            part.observations,
-            part.rewards,
-            part.acted,
-            part.terminated,
-            part.truncated,
-        )
+            part.worlds, actions[part.rows], self.table, self.params, part.controls, part.motion, part.cars, part.path,
+            part.sight, part.observations, part.rewards, part.acted, part.terminated, part.truncated,
+        )  # fmt: skip
 
     def over(self) -> NDArray[np.bool_]:
         """The worlds without a vehicle on the road, shape (worlds,)."""

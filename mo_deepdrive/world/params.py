@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mo_deepdrive.simulation import roads
-from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.state import (
     BRAKE_FRICTION,
     KERNEL_NAMES,
+    MAP_CENTRE,
     MAX_OBJECTIVES,
     PARAMS,
     SPEED_FRICTION,

@@ -11,8 +11,7 @@ import numpy as np
 from mo_deepdrive.evaluation.drives import POSE, READINGS
 from mo_deepdrive.evaluation.metrics import name_and_unit
 from mo_deepdrive.evaluation.statistics import rate
-from mo_deepdrive.simulation.map import MAP_CENTRE
-from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, WIDTH
+from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, MAP_CENTRE, WIDTH
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -15,8 +15,7 @@ import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.drawing import rendering
 from mo_deepdrive.drawing.canvas import ASPHALT, TRAFFIC_PAINT
 from mo_deepdrive.drawing.rendering import EpisodeTrace, Panel, Viewer
-from mo_deepdrive.simulation.map import MAP_SIZE
-from mo_deepdrive.simulation.state import ENDS, LENGTH
+from mo_deepdrive.simulation.state import ENDS, LENGTH, MAP_SIZE
 from mo_deepdrive.world.batch import Draws, WorldBatch
 from mo_deepdrive.world.config import EnvConfig, parse
 

@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 from llvmlite.binding import get_host_cpu_features
 
 from mo_deepdrive.simulation.dynamics import drive, make_scratch
-from mo_deepdrive.simulation.lanes import LANES
 from mo_deepdrive.simulation.observation import SIGHT, look
-from mo_deepdrive.simulation.state import ENDS, VEHICLE
+from mo_deepdrive.simulation.state import ENDS, LANES, VEHICLE
 from mo_deepdrive.simulation.trigonometry import LARGEST, angle_of, sine_cosine
 from mo_deepdrive.world.config import EnvConfig
 from mo_deepdrive.world.params import make_params

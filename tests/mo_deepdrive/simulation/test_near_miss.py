@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from mo_deepdrive.simulation.geometry import boxes_overlap, time_to_collision
-from mo_deepdrive.simulation.map import MAP_CENTRE
-from mo_deepdrive.simulation.state import CONFLICT_TIME, LENGTH, WIDTH
+from mo_deepdrive.simulation.state import CONFLICT_TIME, LENGTH, MAP_CENTRE, WIDTH
 
 NORTH, WEST, SOUTH = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)  # cosine and sine of headings
 LANE_X = MAP_CENTRE - 1.524
