@@ -8,17 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_TRAIN = (
-    "PIL",
-    "imageio",
-    "matplotlib",
-    "polars",
-    "rich",
-    "safetensors",
-    "tensorboard",
-    "torch",
-    "vl_convert",
-)
+_TRAIN = ("PIL", "imageio", "matplotlib", "polars", "rich", "safetensors", "tensorboard", "torch", "vl_convert")
 # The extra that brings a package, by the name under which the package is imported.
 EXTRAS = {
     **dict.fromkeys(_TRAIN, "train"),

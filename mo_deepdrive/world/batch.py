@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,7 +17,6 @@ from mo_deepdrive.simulation.kernel import batch_step, observe_batch
 from mo_deepdrive.simulation.placing import pin_nothing
 from mo_deepdrive.simulation.state import ENDS, PARAMS, SPAWN, with_room
 from mo_deepdrive.support.machine import check_memory
-from mo_deepdrive.support.thread_pool import ThreadPool
 from mo_deepdrive.world import actions as action_sets
 from mo_deepdrive.world.limits import check_state
 from mo_deepdrive.world.measures import make_measures
@@ -23,7 +24,7 @@ from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.params import chosen_objectives, make_params, vehicle_record
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -111,6 +112,37 @@ class Part:
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     acted: NDArray[np.bool_]
+
+
+class ThreadPool:
+    """Threads that are started when they are needed; a copy of the pool, or a forked process, starts its own."""
+
+    def __init__(self) -> None:
+        self._executor: ThreadPoolExecutor | None = None
+        self._process = 0
+
+    def __reduce__(self) -> tuple[type[ThreadPool], tuple[()]]:
+        return ThreadPool, ()
+
+    def run(self, function: Callable[[Part], None], parts: Sequence[Part]) -> None:
+        """Call ``function`` for every part at the same time, the first in this thread."""
+        first, *rest = parts
+        if rest and (self._executor is None or self._process != os.getpid()):
+            # A forked child inherits the executor without its threads, and would wait for them for ever.
+            self._executor, self._process = ThreadPoolExecutor(len(rest)), os.getpid()
+        others = [self._executor.submit(function, part) for part in rest] if self._executor is not None else []
+        try:
+            function(first)
+        finally:
+            wait(others)  # nobody writes to the parts any more, even after an error
+        for other in others:
+            other.result()
+
+    def close(self) -> None:
+        """End the threads; another call would start new ones."""
+        if self._executor is not None and self._process == os.getpid():
+            self._executor.shutdown()
+        self._executor = None
 
 
 class WorldBatch:

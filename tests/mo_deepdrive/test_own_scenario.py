@@ -17,7 +17,6 @@ from pettingzoo.test import parallel_api_test
 
 import mo_deepdrive
 from mo_deepdrive import Route, Scenario, Segment, register_scenario
-from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv, make_play_env
 from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 from mo_deepdrive.wrappers import UtilityReward
@@ -115,26 +114,6 @@ def test_every_bicycle_is_drawn_by_itself_and_fair(two_bicycles: ModuleType, mak
             assert shapes.gap(destinations[world][None], bicycle) > 0.5
 
 
-def test_a_batch_row_is_the_single_environment_with_its_seed(
-    two_bicycles: ModuleType, make_single: Any, make_vector: Any
-) -> None:
-    vector = make_vector("two_bicycles", 3, autoreset_mode="SameStep", time_limit=0.7)
-    vector.reset(seed=6)
-    vector.action_space.seed(0)
-    singles = [make_single("two_bicycles", time_limit=0.7) for _ in range(3)]
-    for i, env in enumerate(singles):
-        env.reset(seed=6 + i)
-    for _ in range(150):  # more episodes than random numbers are drawn ahead for
-        actions = vector.action_space.sample()
-        observations, rewards, *_ = vector.step(actions)
-        for i, env in enumerate(singles):
-            observation, reward, terminated, truncated, _ = env.step(actions[i])
-            if terminated or truncated:
-                observation, _ = env.reset()
-            np.testing.assert_array_equal(observations[i], observation)
-            np.testing.assert_array_equal(rewards[i], reward)
-
-
 @pytest.mark.parametrize(
     ("bicycles", "before"),
     [((FIRST, ASIDE), 15.0), ((ASIDE, FIRST), 15.0), ((ASIDE, SECOND), 25.0), ((ASIDE, ASIDE), None)],
@@ -186,34 +165,9 @@ def test_reset_options_without_a_valid_scenario_are_refused(
         make_single("two_bicycles").reset(seed=0, options=options)
 
 
-def test_its_state_is_restored_exactly(two_bicycles: ModuleType, make_vector: Any) -> None:
-    env = make_vector("two_bicycles", 4, autoreset_mode="SameStep")
-    env.reset(seed=1)
-    env.action_space.seed(1)
-    drives = [env.action_space.sample() for _ in range(60)]
-    for actions in drives[:20]:
-        env.step(actions)
-    fresh = make_vector("two_bicycles", 4, autoreset_mode="SameStep")
-    fresh.set_state(env.get_state())
-    for actions in drives[20:]:
-        for ours, theirs in zip(fresh.step(actions)[:4], env.step(actions)[:4], strict=True):
-            np.testing.assert_array_equal(ours, theirs)
-    assert fresh.get_state()["state"].tobytes() == env.get_state()["state"].tobytes()
-    with pytest.raises(ValueError, match="state 'state' is uint8 of shape"):
-        fresh.set_state(make_vector("static_obstacle", 4).get_state())
-
-
 def test_it_passes_gymnasiums_and_pettingzoos_checks(two_bicycles: ModuleType, make_single: Any) -> None:
     check_env(UtilityReward(make_single("two_bicycles"), "static_obstacle_linear"), skip_render_check=True)
     parallel_api_test(mo_deepdrive.parallel_env(scenario="two_bicycles"), num_cycles=30)
-
-
-def test_people_can_drive_in_it(two_bicycles: ModuleType) -> None:
-    env = HumanPlayEnv(make_play_env(ID), [0])
-    env.reset(seed=0)
-    rewards = sum(env.step(np.array([1, 0, 0, 0, 0], dtype=np.int8))[1] for _ in range(9 * FRAMES_PER_DECISION))
-    assert rewards[0, 0] > 0.0
-    assert env.render().shape == (720, 1056, 3)
 
 
 @pytest.mark.slow

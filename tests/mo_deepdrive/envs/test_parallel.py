@@ -92,17 +92,6 @@ def test_momalands_tests_of_aec_environments_pass(arguments: dict[str, Any], kee
         seed_test(lambda: mo_deepdrive.env(keep_finished=keep_finished, **arguments), num_cycles=50)
 
 
-@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle", "left_turn"])
-def test_the_other_scenarios_have_one_agent(scenario: str) -> None:
-    env = mo_deepdrive.parallel_env(scenario=scenario)
-    assert env.possible_agents == ["vehicle_0"]
-    assert str(env) == env.metadata["name"] == f"mo_deepdrive_{scenario}_v0"
-    with pytest.warns(UserWarning, match="unknown reset option 'options'"):
-        parallel_api_test(env, num_cycles=100)
-    with pytest.warns(UserWarning, match="unknown reset option 'options'"):
-        api_test(mo_deepdrive.env(scenario=scenario), num_cycles=100)
-
-
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 def test_results_are_in_their_spaces_and_may_be_changed_by_the_caller(action_type: str) -> None:
     env, modified = (mo_deepdrive.parallel_env(action_type=action_type) for _ in range(2))

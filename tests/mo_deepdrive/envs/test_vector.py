@@ -6,7 +6,6 @@ import copy
 import io
 import math
 import re
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -193,26 +192,6 @@ def test_the_first_reset_seeds_all_worlds_whatever_its_options(make_vector: Make
     assert pinned.np_random_seed == plain.np_random_seed == (5, 6, 7)
 
 
-def workers() -> set[threading.Thread]:
-    return {thread for thread in threading.enumerate() if thread.name.startswith("ThreadPoolExecutor")}
-
-
-def test_threads_end_when_the_environment_is_closed(make_vector: Make) -> None:
-    before = workers()
-    env = make_vector("one_waypoint", 6, threads=3)
-    env.reset(seed=0)
-    assert workers() <= before, "threads start with the first step"
-    action = env.action_space.sample()
-    env.step(action)
-    env.step(action)
-    assert len(workers() - before) in (1, 2)
-    env.close()
-    assert workers() <= before
-    env.close()
-    make_vector("one_waypoint", 6, threads=3).close()
-    assert workers() <= before
-
-
 def test_a_forked_child_steps_with_threads_of_its_own(run_python: Callable[[str], str]) -> None:
     # A child that waits for the threads of its parent is killed by its alarm.
     snippet = """
@@ -271,22 +250,6 @@ def test_a_saved_state_resumes_exactly_in_a_new_environment(
         assert_equal(fresh.reset(), env.reset())
         assert_equal(fresh.get_state(), env.get_state())
     assert (pending > 0) == (mode == "NextStep"), "a finished world, which the next step resets, is saved, too"
-
-
-def test_a_saved_state_is_a_copy(make_vector: Make) -> None:
-    env = make_vector("static_obstacle", 2)
-    env.reset(seed=0)
-    saved = env.get_state()
-    kept = copy.deepcopy(saved)
-    for action in sticky_actions(env, 30, seed=0):
-        env.step(action)
-    env.reset()
-    assert_equal(saved, kept)
-    env.set_state(saved)
-    first = [env.step(action) for action in sticky_actions(env, 30, seed=1)]
-    assert_equal(saved, kept)
-    env.set_state(saved)
-    assert_equal([env.step(action) for action in sticky_actions(env, 30, seed=1)], first)
 
 
 def raw_flags(*values: int) -> np.ndarray:
@@ -407,32 +370,6 @@ def test_unseeded_environments_differ(make_vector: Make, scenario: str) -> None:
 # ------------------------------------------------------------------------------------------------------ Intersection
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-@pytest.mark.parametrize("action_type", ACTION_TYPES)
-def test_one_intersection_is_a_row_of_many(make_vector: Make, action_type: str, mode: str) -> None:
-    options = {"action_type": action_type, "autoreset_mode": mode, "time_limit": 5.0}
-    many = make_vector("intersection", 4, **options)
-    actions = sticky_actions(many, 300, seed=11)
-    batch = rollout(many, actions, seed=30)
-    restarted = 0
-    for i in range(4):
-        alone = rollout(make_vector("intersection", 1, **options), [action[i : i + 1] for action in actions], 30 + i)
-        assert_equal(alone[0][0][0], batch[0][0][i])
-        for one, row in zip(alone[1:], batch[1:], strict=True):
-            for ours, theirs in zip(one[:4], row[:4], strict=True):
-                assert_equal(ours[0], theirs[i])
-            infos = one[4].get("final_info", one[4]) if mode == "SameStep" else one[4]
-            theirs = row[4].get("final_info", row[4]) if mode == "SameStep" else row[4]
-            if "end" in infos:
-                restarted += 1
-                assert infos["end"][0].tolist() == theirs["end"][i].tolist()
-                assert infos["success"][0].tolist() == theirs["success"][i].tolist()
-                if mode == "SameStep":
-                    assert_equal(one[4]["final_obs"][0], row[4]["final_obs"][i])
-            assert_equal(one[4]["acted"][0], row[4]["acted"][i])
-    assert restarted >= 4 * 5
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("end_together", [False, True])
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
@@ -530,24 +467,6 @@ def test_a_vehicle_that_was_never_placed_has_not_acted(make_vector: Make) -> Non
     idle = np.zeros((2, 2), dtype=np.int64)
     assert env.step(idle)[4]["acted"].tolist() == [[True, True], [False, False]]
     assert env.step(idle)[4]["acted"].all()
-
-
-def test_a_later_reset_leaves_a_transition_as_it_was(make_vector: Make) -> None:
-    env = make_vector("one_waypoint", 2, autoreset_mode="Disabled", time_limit=0.1)
-    env.reset(seed=0)
-    taken = env.advance(np.zeros((2, 1), dtype=np.int64))
-    env.reset()
-    assert taken.over.all()
-
-
-@pytest.mark.parametrize("look", ["np_random", "np_random_seed", "get_state"])
-def test_reading_an_environment_does_not_replace_its_first_reset(make_vector: Make, look: str) -> None:
-    env = make_vector("one_waypoint", 2)
-    found = getattr(env, look)
-    if callable(found):
-        found()
-    with pytest.raises(ResetNeeded):
-        env.step(env.action_space.sample())
 
 
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
