@@ -22,6 +22,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mo_deepdrive.world.scenarios import VERSIONS
+from tests.helpers.equality import assert_equal
 
 OPEN = ("one_waypoint", "static_obstacle")
 SCENARIOS = (*OPEN, "intersection", "left_turn", "roundabout_solo")
@@ -72,24 +73,6 @@ def rollout(env: Env, actions: list[Any], seed: int | None) -> list[Any]:
         if out[-1][2] or out[-1][3]:
             out.append(env.reset())
     return out
-
-
-def assert_equal(first: Any, second: Any) -> None:
-    """Deep equality, arrays bit for bit."""
-    assert type(first) is type(second)
-    if isinstance(first, np.ndarray):
-        assert first.dtype == second.dtype
-        assert first.tobytes() == second.tobytes()
-    elif isinstance(first, (tuple, list)):
-        assert len(first) == len(second)
-        for one, two in zip(first, second, strict=True):
-            assert_equal(one, two)
-    elif isinstance(first, dict):
-        assert first.keys() == second.keys()
-        for name in first:
-            assert_equal(first[name], second[name])
-    else:
-        assert first == second
 
 
 # ------------------------------------------------------------------------------------------------------ conformance
@@ -264,23 +247,16 @@ def assert_refuses(env: Env, call: Callable[[], Any], error: type[Exception], me
 
 BAD_CONTINUOUS = {
     "NaN": ([0.0, math.nan, 0.0], "not allowed"),
-    "infinite": ([0.0, 0.0, -math.inf], "not allowed"),
     "too short": ([0.0, 0.0], "shape"),
-    "too long": ([0.0] * 4, "shape"),
     "batched": ([[0.0] * 3], "shape"),
-    "a scalar": (0.5, "shape"),
     "strings": (["left", "fast", "no"], "dtype"),
     "complex": ([1j, 0.0, 0.0], "dtype"),
-    "None": (None, "shape"),
 }
 BAD_DISCRETE = {
     "too large": (22, "not allowed"),
     "negative": (-1, "not allowed"),
-    "huge": (2**63 - 1, "not allowed"),
     "huge unsigned": (np.uint64(2**64 - 1), "not allowed"),
     "a float": (3.0, "dtype"),
-    "NaN": (math.nan, "dtype"),
-    "a list": ([3], "shape"),
     "a pair": (np.array([3, 4]), "shape"),
     "a string": ("left", "dtype"),
     "a bool": (True, "dtype"),
@@ -328,17 +304,10 @@ def test_a_step_before_the_first_reset_or_after_the_end_is_refused(make_single: 
 GOOD = {"start": (0.0, 0.0, -math.pi / 2), "destination": (30.0, 0.0)}
 BAD_OPTIONS = {
     "the destination on the bicycle": ({**GOOD, "obstacle": ((30.0, -1.0), (30.0, 1.0))}, "no valid scenario"),
-    "the destination within 1 m of it": ({**GOOD, "obstacle": ((30.99, -1.0), (30.99, 1.0))}, "no valid scenario"),
     "the start inside the car": ({**GOOD, "obstacle": ((0.1, 0.0), (0.2, 0.1))}, "no valid scenario"),
-    "the start at the bicycle": ({**GOOD, "obstacle": ((2.5, -5.0), (2.5, 5.0))}, "no valid scenario"),
-    "a NaN in the start": ({"start": (0.0, math.nan, 0.0)}, "'start'.*finite"),
-    "an infinite destination": ({"destination": (math.inf, 0.0)}, "'destination'.*finite"),
     "a NaN in the bicycle": ({"obstacle": ((1.0, math.nan), (2.0, 2.0))}, "'obstacle'.*finite"),
     "a start without heading": ({"start": (0.0, 0.0)}, "'start'.*x, y, heading"),
-    "a destination of one number": ({"destination": 3.0}, "'destination'.*x, y"),
     "a bicycle with one end": ({"obstacle": (1.0, 2.0)}, "'obstacle'"),
-    "a start of strings": ({"start": ("a", "b", "c")}, "'start'"),
-    "a destination of None": ({"destination": None}, "'destination'"),
     "a start far away": (
         {"start": (1e6, 0.0, 0.0)},
         r"'start' = \(1000000.0, 0.0, 0.0\) must have coordinates in \[-250, 250\] m",
@@ -374,31 +343,12 @@ BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "an unknown action type": ("one_waypoint", {"action_type": "discreet"}, "action_type.*'discreet'"),
     "an unknown objective": ("one_waypoint", {"objectives": ("jrek",)}, "'jrek'; did you mean 'jerk'"),
     "an objective of another scenario": ("one_waypoint", {"objectives": ("collision",)}, "OneWaypoint does not have"),
-    "an objective twice": ("one_waypoint", {"objectives": ("jerk", "jerk")}, "distinct names"),
     "no objectives": ("one_waypoint", {"objectives": ()}, "one or more distinct names"),
     "a time limit of zero": ("one_waypoint", {"time_limit": 0}, "time_limit.*greater than 0"),
-    "a negative time limit": ("one_waypoint", {"time_limit": -1.0}, "time_limit.*greater than 0"),
     "a time limit below a decision": ("one_waypoint", {"time_limit": 0.04}, "at least one decision"),
-    "a time limit that is not a number": ("one_waypoint", {"time_limit": math.nan}, "time_limit"),
-    "a time limit as a string": ("one_waypoint", {"time_limit": "60"}, "time_limit"),
     "a frequency that is not a divisor": ("one_waypoint", {"decision_frequency": 7}, "must be a multiple"),
-    "a decision frequency above the simulation frequency": (
-        "one_waypoint",
-        {"simulation_frequency": 5},
-        "must be a multiple",
-    ),
-    "a frequency of zero": ("one_waypoint", {"decision_frequency": 0}, "decision_frequency.*equal to 1"),
-    "a harmful g-force of zero": ("one_waypoint", {"harmful_g_force": 0.0}, "harmful_g_force.*greater than 0"),
-    "an unknown cost sign": ("one_waypoint", {"cost_sign": "minus"}, "cost_sign"),
     "a flag as a number": ("one_waypoint", {"ignore_brake": 1}, "ignore_brake"),
     "a lane margin without lanes": ("one_waypoint", {"lane_margin": 0.5}, "lane_margin.*no effect in OneWaypoint"),
-    "an end on lane violation without lanes": (
-        "static_obstacle",
-        {"end_on_lane_violation": True},
-        "no effect in Static",
-    ),
-    "a yield rule without another vehicle": ("one_waypoint", {"yield_to_oncoming": False}, "no effect in OneWaypoint"),
-    "an end together with one vehicle": ("static_obstacle", {"end_together": True}, "no effect in StaticObstacle"),
     "an unknown render mode": ("one_waypoint", {"render_mode": "ascii"}, "render_mode = 'ascii'"),
 }
 

@@ -27,7 +27,6 @@ STRAIGHT = ((C - 1.524, 4.139197872452702),)
 LEFT_X = 27.0770290995851
 MAX_ACCELERATION = 3.625
 
-IDLE = 0
 OPEN = ("one_waypoint", "static_obstacle")
 EXACT = {"rtol": 1e-12, "atol": 1e-12}
 SINGLE = {"rtol": 2e-7, "atol": 2e-6}  # float32
