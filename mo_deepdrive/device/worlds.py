@@ -11,12 +11,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from mo_deepdrive.device.kernels import NO_FAULT, RESET_NEEDED, WRONG_ACTION, Buffers, Form, Launcher, host_launcher
-from mo_deepdrive.simulation.autoreset import DISABLED, NEXT_STEP, SAME_STEP
+from mo_deepdrive.simulation.autoreset import SAME_STEP
 from mo_deepdrive.simulation.philox import STREAM
 from mo_deepdrive.simulation.state import PARAMS
 from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.support.machine import GIB, check_device, check_memory
-from mo_deepdrive.world.batch import Transition, WorldBatch
+from mo_deepdrive.world.batch import MODES, Transition, WorldBatch
 from mo_deepdrive.world.limits import check_state
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.world.observation import layout
@@ -27,11 +27,6 @@ if TYPE_CHECKING:
 
     from mo_deepdrive.world.config import EnvConfig
 
-_MODES = {
-    AutoresetMode.NEXT_STEP: NEXT_STEP,
-    AutoresetMode.SAME_STEP: SAME_STEP,
-    AutoresetMode.DISABLED: DISABLED,
-}
 _ALIGNMENT = 16  # bytes
 
 
@@ -86,7 +81,7 @@ class TensorWorlds:
         self.allowed_actions = "finite numbers" if self.continuous else f"integers in [0, {self.choices})"
         self._waypoints = host.params["n_waypoints"][0, : self.vehicles]
         self._record = vehicle_record(config)
-        self._mode = _MODES[autoreset]
+        self._mode = MODES[autoreset]
         self._shapes = self._output_shapes()
         self._check_memory()
         # One block holds all outputs, so that one copy keeps them.

@@ -74,8 +74,6 @@ class DeviceVectorEnv(VectorBase):
 
     Attributes:
         device: where the tensors are.
-        objectives: names of the d components of a vehicle's reward, in order.
-        observation_scales: (size,) nominal magnitudes of the observation of a vehicle, by which learners divide.
 
     Raises:
         ImportError: if the device needs packages that are not installed.

@@ -63,7 +63,7 @@ class DrivingEnv(WorldEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start a new episode; ``options`` set parts of the scenario (see the class)."""
+        """Start a new episode; ``options`` set parts of the scenario."""
         self._start(seed, options)
         self._running = True
         return self.batch.observations[0, 0].copy(), {}

@@ -83,7 +83,7 @@ class TurnBasedEnv(WorldEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start a new episode with the first turn of vehicle 0; ``options`` set its start (see the class)."""
+        """Start a new episode with the first turn of vehicle 0; ``options`` set its start."""
         self._start(seed, options)
         self._turns = list(range(self.vehicles))
         self._moved = False

@@ -11,16 +11,15 @@ from gymnasium.vector import AutoresetMode
 from mo_deepdrive.envs.options import checked_options, make_pins
 from mo_deepdrive.envs.streams import Streams
 from mo_deepdrive.envs.vector_base import VectorBase, check_forms, needs_reset, positive
-from mo_deepdrive.simulation.autoreset import DISABLED, NEXT_STEP, SAME_STEP
+from mo_deepdrive.simulation.autoreset import SAME_STEP
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
 from mo_deepdrive.support.extras import needed_for
-from mo_deepdrive.world.batch import Transition, WorldBatch
+from mo_deepdrive.world.batch import MODES, Transition, WorldBatch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 END_NAMES = np.array(ENDS, dtype=object)
-_MODES = {AutoresetMode.NEXT_STEP: NEXT_STEP, AutoresetMode.DISABLED: DISABLED}
 
 
 class DrivingVectorEnv(VectorBase):
@@ -64,10 +63,6 @@ class DrivingVectorEnv(VectorBase):
         render_mode: None or "rgb_array" (``render()`` returns one frame per world).
         max_episode_steps: number of decisions after which an episode is truncated, unless ``time_limit`` is shorter.
         **options: fields of :class:`mo_deepdrive.world.config.EnvConfig`.
-
-    Attributes:
-        objectives: names of the d components of a vehicle's reward, in order.
-        observation_scales: (size,) nominal magnitudes of the observation of a vehicle, by which learners divide.
 
     Raises:
         TypeError: for unknown arguments.
@@ -192,7 +187,7 @@ class DrivingVectorEnv(VectorBase):
         batch.step(actions)
         at_once = self.autoreset_mode is AutoresetMode.SAME_STEP
         if not at_once:
-            batch.reset(_MODES[self.autoreset_mode], self._over, self.streams)
+            batch.reset(MODES[self.autoreset_mode], self._over, self.streams)
         over = batch.over()
         observations = batch.observations.copy()
         taken = Transition(

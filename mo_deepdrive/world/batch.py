@@ -8,10 +8,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from mo_deepdrive.simulation import observation, traffic
 from mo_deepdrive.simulation.actions import find_infinite, find_unknown
-from mo_deepdrive.simulation.autoreset import DONE, MAX_REDRAWS, NEEDS_DRAWS, NEXT_STEP, reset_batch
+from mo_deepdrive.simulation.autoreset import (
+    DISABLED,
+    DONE,
+    MAX_REDRAWS,
+    NEEDS_DRAWS,
+    NEXT_STEP,
+    SAME_STEP,
+    reset_batch,
+)
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import batch_step, observe_batch
 from mo_deepdrive.simulation.placing import pin_nothing
@@ -60,6 +69,9 @@ class Draws:
                 self._generators[i].random(out=self.blocks[i])
         self.cursors[empty] = 0
 
+
+# Of Gymnasium, as the compiled reset takes them.
+MODES = {AutoresetMode.NEXT_STEP: NEXT_STEP, AutoresetMode.SAME_STEP: SAME_STEP, AutoresetMode.DISABLED: DISABLED}
 
 # The fields of the state that telemetry reports.
 TELEMETRY = (
