@@ -278,12 +278,6 @@ def test_a_row_may_have_arrays_and_be_registered_twice(registries: None) -> None
         register_scenario(row())
 
 
-def test_a_span_widens_only_what_is_drawn_with_it(registries: None) -> None:
-    # The start moves along y, and the last waypoint of the first route along x and y.
-    first = Route((240.0, 0.0, 0.0), ((-240.0, 0.0), (20.0, 230.0)), start_span=240.0)
-    register_scenario(row(routes=(first, Route((0.0, 0.0, 0.0), ((0.0, 245.0),))), destination_span=(200.0, 20.0)))
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -500,12 +500,6 @@ def test_returns_of_another_length_are_refused(utility: Utility, off: int) -> No
             utility(returns)
 
 
-@pytest.mark.parametrize("number", [np.array(1.0), torch.tensor(1.0)], ids=["numpy", "torch"])
-def test_a_scalar_is_refused_as_a_return(number: np.ndarray | torch.Tensor) -> None:
-    with pytest.raises(ValueError, match="objectives"):
-        make_utility("one_waypoint_linear", ONE_WAYPOINT)(number)
-
-
 @pytest.mark.parametrize("zeros", [np.zeros, torch.zeros])
 def test_every_utility_passes_the_check_of_users_utilities(zeros: Any) -> None:
     for name in (*LINEAR, *NONLINEAR):

@@ -104,21 +104,6 @@ def test_each_car_shows_in_its_colour_where_it_is(scenario: str) -> None:
         assert not resembles(colour_at(frame, *ahead_of(vehicle, LENGTH)), colour)
 
 
-@pytest.mark.parametrize("heading", [0.0, 0.7, -np.pi / 2, 3.0])
-def test_headlights_shine_in_front_and_brake_lights_behind_when_braking(heading: float) -> None:
-    batch, viewer = start("one_waypoint")
-    vehicle = batch.state[0, 0]
-    vehicle.x, vehicle.y, vehicle.heading = 20.0, 12.0, heading
-    coasting = viewer.draw(batch.state[0])
-    vehicle.brake = 1.0
-    braking = viewer.draw(batch.state[0])
-    for side in (-0.75, 0.75):
-        front, rear = ahead_of(vehicle, 2.3, side), ahead_of(vehicle, -2.4, side)
-        assert resembles(colour_at(coasting, *front), YELLOW)
-        assert not resembles(colour_at(coasting, *rear), RED)
-        assert resembles(colour_at(braking, *rear), RED)
-
-
 def test_the_destination_and_the_bicycle_show_where_they_are() -> None:
     batch, viewer = start("static_obstacle")
     vehicle = batch.state[0, 0]

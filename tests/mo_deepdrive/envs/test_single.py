@@ -13,7 +13,6 @@ from collections.abc import Callable
 from typing import Any
 
 import gymnasium
-import mo_gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
@@ -216,18 +215,6 @@ def test_observations_and_rewards_never_leave_their_spaces(make_single: Make, sc
                     return
 
     check()
-
-
-# ---------------------------------------------------------------------------------------------------------- wrappers
-
-
-# ----------------------------------------------------------------------------------------------------- fresh imports
-
-
-def test_mo_gymnasium_makes_the_ids() -> None:
-    env = mo_gymnasium.make("mo_deepdrive:mo-deepdrive-one-waypoint-v0", disable_env_checker=True, cost_sign="paper")
-    env.reset(seed=0)
-    assert (env.step(3)[1] >= 0).all()
 
 
 # --------------------------------------------------------------------------------------------------------- bad input

@@ -138,6 +138,3 @@ def test_an_invalid_action_changes_neither_the_turn_nor_the_pending_choice(make_
         assert results[0].tobytes() == expected[0].tobytes()
         assert results[1].tobytes() == expected[1].tobytes()
     assert env.batch.state.tobytes() == before.batch.state.tobytes()
-
-
-# ---------------------------------------------------------------------------------------------------------- rendering
