@@ -71,9 +71,9 @@ class Utility:
 
     def unchecked(self) -> Utility:
         """The same without a check that utilities are finite, for which a GPU would have to be waited for."""
-        found = copy.copy(self)
-        found._checked = False
-        return found
+        utility = copy.copy(self)
+        utility._checked = False
+        return utility
 
     def _check_finite(self, returns: Any, values: Any) -> None:
         try:
@@ -432,7 +432,8 @@ def _make_utility(name: str, objectives: tuple[str, ...], cost_sign: str, argume
     needed = tuple(LINEAR[name]) if name in LINEAR else NONLINEAR[name][0]
     if absent := [objective for objective in needed if objective not in objectives]:
         raise ValueError(f"utility {name!r} needs {', '.join(absent)}; the environment has {objectives}")
-    signs = {each: 1.0 if cost_sign == "paper" else float(OBJECTIVES[INDEX[each]].sign) for each in needed}
+    paper = cost_sign == "paper"
+    signs = {objective: 1.0 if paper else float(OBJECTIVES[INDEX[objective]].sign) for objective in needed}
     if name in LINEAR:
         weights = [LINEAR[name][each] * signs[each] if each in signs else 0.0 for each in objectives]
         return Utility(name, objectives, partial(_weighted_sum, weights), weights)
@@ -500,9 +501,9 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
         number = np.asarray(values).dtype.kind in "fiu" if library == "numpy" else isinstance(values, type(returns))
         if not number:
             raise ValueError(f"utility {utility.name!r} gives {values!r} for {given}, not numbers of {library}")
-        found = tuple(np.shape(values)) if library == "numpy" else tuple(values.shape)
-        if found != shape[:-1]:
-            raise ValueError(f"utility {utility.name!r} gives shape {found} for {given}, not {shape[:-1]}")
+        given_shape = tuple(np.shape(values)) if library == "numpy" else tuple(values.shape)
+        if given_shape != shape[:-1]:
+            raise ValueError(f"utility {utility.name!r} gives shape {given_shape} for {given}, not {shape[:-1]}")
 
 
 class _Named:

@@ -222,8 +222,8 @@ class VectorEpisodeStatistics(VectorWrapper):  # not generic in Gymnasium 1.2
         self._lengths += ~self._only_reset
         over: Any = (terminated | truncated).reshape(self.num_envs, -1).all(axis=1)
         if over.any():
-            found = {"r": self._returns.copy(), "dr": self._discounted.copy(), "l": self._lengths.copy()}
-            infos = {**infos, "episode": found, "_episode": over}
+            statistics = {"r": self._returns.copy(), "dr": self._discounted.copy(), "l": self._lengths.copy()}
+            infos = {**infos, "episode": statistics, "_episode": over}
             self._restart(over)
         self._only_reset = over & (self.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP)
         return observations, rewards, terminated, truncated, infos

@@ -143,8 +143,8 @@ def shipped(scenario: str, action_type: str) -> tuple[KnownPolicy, ...]:
     """
     file = _file(scenario, action_type)
     if not file.is_file():
-        found = [each.name for each in DATA.iterdir() if each.name.startswith("front_")]
-        known = sorted(name.removeprefix("front_").removesuffix(".json") for name in found)
+        files = [entry.name for entry in DATA.iterdir() if entry.name.startswith("front_")]
+        known = sorted(name.removeprefix("front_").removesuffix(".json") for name in files)
         raise ValueError(
             f"no best-known front is shipped for scenario = {scenario!r} with action_type = {action_type!r}; "
             f"known: {', '.join(known)}"

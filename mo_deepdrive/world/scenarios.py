@@ -327,6 +327,6 @@ def _is_count(value: Any) -> bool:
 
 def _with_tuples(scenario: Scenario) -> Scenario:
     """The same scenario with nested tuples, which can be compared, instead of arrays and lists."""
-    objectives, span = tuple(scenario.objectives), tuple(float(each) for each in scenario.destination_span)
+    objectives, span = tuple(scenario.objectives), tuple(float(number) for number in scenario.destination_span)
     routes = tuple(map(as_tuples, scenario.routes))
     return replace(scenario, routes=routes, objectives=objectives, destination_span=(span[0], span[1]))
