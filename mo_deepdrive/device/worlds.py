@@ -110,7 +110,7 @@ class TensorWorlds:
         seen = (torch.float32, (*pairs, len(layout(self.scenario))))
         shapes = {
             "observations": seen,
-            "final_observations": seen,
+            "final": seen,
             "rewards": (torch.float32, (*pairs, len(self.objectives))),
             "acted": (torch.bool, pairs),
             "terminated": (torch.bool, pairs),
@@ -119,7 +119,7 @@ class TensorWorlds:
             "ends": (torch.int8, pairs),
         }
         if self._mode != SAME_STEP:
-            del shapes["final_observations"]
+            del shapes["final"]
         return shapes
 
     def _check_memory(self) -> None:
@@ -148,7 +148,7 @@ class TensorWorlds:
             name: typed[dtype].as_strided(shape, strides, start)
             for name, (dtype, shape, strides, start) in self._places.items()
         }
-        views.setdefault("final_observations", views["observations"])
+        views.setdefault("final", views["observations"])
         return Transition(**views)
 
     def _make_launcher(self, host: WorldBatch) -> Launcher:

@@ -228,7 +228,7 @@ class DeviceVectorEnv(VectorBase):
             infos |= {"acted": taken.acted, "_acted": torch.ones_like(over)}
             infos |= {"arrived": arrived & ended, "_arrived": ended.any(dim=1)}
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            infos |= {"final_obs": self._shaped(taken.final_observations), "_final_obs": over}
+            infos |= {"final_obs": self._shaped(taken.final), "_final_obs": over}
             return {**infos, "final_info": ends, "_final_info": over}
         return infos | ends
 

@@ -122,7 +122,8 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
 
     def render(self) -> NDArray[np.uint8] | None:
         """An RGB frame (height, width, 3) for "rgb_array"; draws in a window for "human"."""
-        return self.parallel.render()
+        frame: NDArray[np.uint8] | None = self.parallel.render()
+        return frame
 
     def close(self) -> None:
         """Close the renderer."""

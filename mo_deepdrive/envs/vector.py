@@ -162,7 +162,7 @@ class DrivingVectorEnv(VectorBase):
         if taken.over.any():
             ends = self._ends(taken)
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
-                infos["final_obs"], infos["_final_obs"] = self._shaped(taken.final_observations), taken.over
+                infos["final_obs"], infos["_final_obs"] = self._shaped(taken.final), taken.over
                 infos["final_info"], infos["_final_info"] = ends, taken.over
             else:
                 infos.update(ends)

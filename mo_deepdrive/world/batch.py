@@ -87,7 +87,7 @@ class Transition(NamedTuple):
 
     Attributes:
         observations: (N, V, size) float32 for the next decision.
-        final_observations: (N, V, size) after this one: others where an episode was over and the next one has begun in
+        final: (N, V, size) after this one: others where an episode was over and the next one has begun in
             the same step; ``observations`` themselves in other autoreset modes.
         rewards: (N, V, d) float32; zero for vehicles that had ended before.
         acted: (N, V) bool, which vehicles were on the road before the decision.
@@ -98,7 +98,7 @@ class Transition(NamedTuple):
     """
 
     observations: Any
-    final_observations: Any
+    final: Any
     rewards: Any
     acted: Any
     terminated: Any
@@ -325,10 +325,8 @@ class WorldBatch:
         self._threads.close()
 
     def _checked(self, actions: NDArray[Any]) -> NDArray[Any]:
-        if self.continuous:
-            kinds, dtype, allowed = "fiu", np.float64, "finite numbers"
-        else:
-            kinds, dtype, allowed = "iu", np.int64, f"integers in [0, {len(self.table)})"
+        kinds, dtype = ("fiu", np.float64) if self.continuous else ("iu", np.int64)
+        allowed = "finite numbers" if self.continuous else f"integers in [0, {len(self.table)})"
         given = actions
         if given.dtype.kind not in kinds:
             first = given.reshape(-1)[0]
