@@ -71,9 +71,9 @@ class Utility:
 
     def unchecked(self) -> Utility:
         """The same without a check that utilities are finite, for which a GPU would have to be waited for."""
-        found = copy.copy(self)
-        found._checked = False
-        return found
+        utility = copy.copy(self)
+        utility._checked = False
+        return utility
 
     def _check_finite(self, returns: Any, values: Any) -> None:
         try:
@@ -203,48 +203,26 @@ class RiskAversion:
 COMFORTABLE_BRAKING = 4.05  # m/s^2
 COMFORTABLE_JERK = 8.37  # m/s^3
 
+_INTERSECTION = {
+    **{"distance": 0.5, "destination": 10.0, "collision": -4.0},
+    **{"g_force": -0.03, "jerk": -0.0006, "lane_violation": -0.06},
+}
 # Linear utilities: weights of the magnitudes. Those of the first three scenarios are the paper's.
 LINEAR: dict[str, dict[str, float]] = {
     "one_waypoint_linear": {"distance": 0.5, "destination": 1.0, "g_force": -0.03, "jerk": -3.3e-5},
     "static_obstacle_linear": {
-        "distance": 0.3,
-        "destination": 1.0,
-        "collision": -1.0,
-        "g_force": -0.03,
-        "jerk": -3.3e-5,
+        **{"distance": 0.3, "destination": 1.0, "collision": -1.0},
+        **{"g_force": -0.03, "jerk": -3.3e-5},
     },
-    "intersection_linear": {
-        "distance": 0.5,
-        "destination": 10.0,
-        "collision": -4.0,
-        "g_force": -0.03,
-        "jerk": -0.0006,
-        "lane_violation": -0.06,
-    },
+    "intersection_linear": _INTERSECTION,
     # A second costs a tenth of an arrival: where time is free, a driver who waits until everybody must have gone is the
     # best, and needs to see nobody.
-    "intersection_hurried": {
-        "distance": 0.5,
-        "destination": 10.0,
-        "collision": -4.0,
-        "g_force": -0.03,
-        "jerk": -0.0006,
-        "lane_violation": -0.06,
-        "time": -1.0,
-    },
-    # Those of the intersection, but for two. A collision costs as much as an arrival gives, so that it is worse than
-    # never arriving. A second costs 0.1: waiting for one more gap (4.5 s in the mean) is worth two collisions in a
-    # hundred episodes (2% of 10 for the collision and of 10 for the arrival forgone), and even the 60 s of the time
-    # limit (6) cost less than an arrival gives.
-    "left_turn_linear": {
-        "distance": 0.5,
-        "destination": 10.0,
-        "collision": -10.0,
-        "g_force": -0.03,
-        "jerk": -0.0006,
-        "lane_violation": -0.06,
-        "time": -0.1,
-    },
+    "intersection_hurried": {**_INTERSECTION, "time": -1.0},
+    # A collision costs as much as an arrival gives, so that it is worse than never arriving. A second costs 0.1:
+    # waiting for one more gap (4.5 s in the mean) is worth two collisions in a hundred episodes (2% of 10 for the
+    # collision and of 10 for the arrival forgone), and even the 60 s of the time limit (6) cost less than an arrival
+    # gives.
+    "left_turn_linear": {**_INTERSECTION, "collision": -10.0, "time": -0.1},
     # The way there pays as much as getting there: 0.1 per metre of about 100. Prices of collisions, lanes and time are
     # those of left_turn_linear. A decision on a limit of comfort costs 0.02, and forcing somebody to brake on it for a
     # second 2; a near miss, which is below nuPlan's least time to collision of 0.95 s, costs 0.5.
@@ -285,10 +263,7 @@ COMFORT_BUDGETS: dict[str, ComfortBudget] = {
     ),
     # Tighter, and dearer beyond: here a linear price of comfort cannot recover what is best.
     "static_obstacle_tight_budget": ComfortBudget(
-        g_force=5.0,
-        jerk=60.0,
-        prices={"collision": 10.0, "time": 0.2},
-        excess_prices={"g_force": 5.0, "jerk": 0.2},
+        5.0, 60.0, prices={"collision": 10.0, "time": 0.2}, excess_prices={"g_force": 5.0, "jerk": 0.2}
     ),
 }
 
@@ -457,7 +432,8 @@ def _make_utility(name: str, objectives: tuple[str, ...], cost_sign: str, argume
     needed = tuple(LINEAR[name]) if name in LINEAR else NONLINEAR[name][0]
     if absent := [objective for objective in needed if objective not in objectives]:
         raise ValueError(f"utility {name!r} needs {', '.join(absent)}; the environment has {objectives}")
-    signs = {each: 1.0 if cost_sign == "paper" else float(OBJECTIVES[INDEX[each]].sign) for each in needed}
+    paper = cost_sign == "paper"
+    signs = {objective: 1.0 if paper else float(OBJECTIVES[INDEX[objective]].sign) for objective in needed}
     if name in LINEAR:
         weights = [LINEAR[name][each] * signs[each] if each in signs else 0.0 for each in objectives]
         return Utility(name, objectives, partial(_weighted_sum, weights), weights)
@@ -525,9 +501,9 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
         number = np.asarray(values).dtype.kind in "fiu" if library == "numpy" else isinstance(values, type(returns))
         if not number:
             raise ValueError(f"utility {utility.name!r} gives {values!r} for {given}, not numbers of {library}")
-        found = tuple(np.shape(values)) if library == "numpy" else tuple(values.shape)
-        if found != shape[:-1]:
-            raise ValueError(f"utility {utility.name!r} gives shape {found} for {given}, not {shape[:-1]}")
+        given_shape = tuple(np.shape(values)) if library == "numpy" else tuple(values.shape)
+        if given_shape != shape[:-1]:
+            raise ValueError(f"utility {utility.name!r} gives shape {given_shape} for {given}, not {shape[:-1]}")
 
 
 class _Named:

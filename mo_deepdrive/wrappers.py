@@ -222,8 +222,8 @@ class VectorEpisodeStatistics(VectorWrapper):  # not generic in Gymnasium 1.2
         self._lengths += ~self._only_reset
         over: Any = (terminated | truncated).reshape(self.num_envs, -1).all(axis=1)
         if over.any():
-            found = {"r": self._returns.copy(), "dr": self._discounted.copy(), "l": self._lengths.copy()}
-            infos = {**infos, "episode": found, "_episode": over}
+            statistics = {"r": self._returns.copy(), "dr": self._discounted.copy(), "l": self._lengths.copy()}
+            infos = {**infos, "episode": statistics, "_episode": over}
             self._restart(over)
         self._only_reset = over & (self.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP)
         return observations, rewards, terminated, truncated, infos
@@ -265,16 +265,12 @@ class ParallelUtilityReward(BaseParallelWrapper[str, Any, Any]):  # type: ignore
         super().__init__(env)
         agents = list(env.possible_agents)
         given = dict(utility) if isinstance(utility, Mapping) else dict.fromkeys(agents, utility)
-        for agent in given:
-            if agent not in agents:
-                raise ValueError(f"utility is given for {agent!r}, which is unknown; {nearest(agent, agents)}")
+        check_agents("utility", given, agents)
         space_of = getattr(env, "reward_space", lambda _agent: None)
         # Not every wrapper passes attributes on.
         names = getattr(env, "objectives", getattr(env.unwrapped, "objectives", None))
         self.utilities: dict[str, Utility] = {}
         for agent in agents:
-            if agent not in given:
-                raise ValueError(f"utility is missing for {agent!r}; expected one for each of {agents}")
             self.utilities[agent] = _fitting_utility(given[agent], env, space_of(agent), names, arguments)
         self.reward_spaces = {agent: _scalar_space() for agent in agents}
         self._scalar_rewards = _ScalarRewards(of)
@@ -307,6 +303,20 @@ class ParallelUtilityReward(BaseParallelWrapper[str, Any, Any]):  # type: ignore
         self._scalar_rewards.deciding.difference_update(agent for agent, info in infos.items() if "end" in info)
         infos = {agent: {**infos.get(agent, {}), "vector_reward": vector} for agent, vector in vectors.items()}
         return observations, rewards, terminated, truncated, infos
+
+
+def check_agents(name: str, given: Mapping[str, Any], agents: Sequence[str]) -> None:
+    """Refuse what is not ``given`` for all agents, or for others.
+
+    Raises:
+        ValueError: with the ``name`` of what is given, and the first agent that is unknown or missing.
+    """
+    for agent in given:
+        if agent not in agents:
+            raise ValueError(f"{name} is given for {agent!r}, which is unknown; {nearest(agent, agents)}")
+    for agent in agents:
+        if agent not in given:
+            raise ValueError(f"{name} is missing for {agent!r}; expected one for each of {agents}")
 
 
 class _ScalarRewards:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -11,12 +11,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from mo_deepdrive.device.kernels import NO_FAULT, RESET_NEEDED, WRONG_ACTION, Buffers, Form, Launcher, host_launcher
-from mo_deepdrive.simulation.autoreset import DISABLED, NEXT_STEP, SAME_STEP
+from mo_deepdrive.simulation.autoreset import SAME_STEP
 from mo_deepdrive.simulation.philox import STREAM
 from mo_deepdrive.simulation.state import PARAMS
 from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.support.machine import GIB, check_device, check_memory
-from mo_deepdrive.world.batch import WorldBatch
+from mo_deepdrive.world.batch import MODES, Transition, WorldBatch
 from mo_deepdrive.world.limits import check_state
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.world.observation import layout
@@ -27,37 +27,7 @@ if TYPE_CHECKING:
 
     from mo_deepdrive.world.config import EnvConfig
 
-_MODES = {
-    AutoresetMode.NEXT_STEP: NEXT_STEP,
-    AutoresetMode.SAME_STEP: SAME_STEP,
-    AutoresetMode.DISABLED: DISABLED,
-}
 _ALIGNMENT = 16  # bytes
-
-
-class Outputs(NamedTuple):
-    """What a decision writes.
-
-    Attributes:
-        observations: (N, V, size) float32 for the next decision.
-        final_observations: (N, V, size) after this one: others where an episode was over and the next one has begun in
-            the same step; ``observations`` themselves in other autoreset modes.
-        rewards: (N, V, d) float32; zero for vehicles that had ended before.
-        acted: (N, V) bool, which vehicles were on the road before the decision.
-        terminated: (N, V) bool, after it, before a reset in the same step.
-        truncated: (N, V) bool, likewise.
-        over: (N,) bool, where no vehicle was on the road after it.
-        ends: (N, V) int8, why vehicles have ended: positions in :data:`mo_deepdrive.simulation.state.ENDS`.
-    """
-
-    observations: torch.Tensor
-    final_observations: torch.Tensor
-    rewards: torch.Tensor
-    acted: torch.Tensor
-    terminated: torch.Tensor
-    truncated: torch.Tensor
-    over: torch.Tensor
-    ends: torch.Tensor
 
 
 class TensorWorlds:
@@ -80,7 +50,7 @@ class TensorWorlds:
         continuous: whether actions are continuous.
         choices: how many discrete actions there are.
         allowed_actions: in words.
-        outputs: all that a decision writes; also attributes by the names in :class:`Outputs`.
+        outputs: all that a decision writes; also attributes by the names in :class:`Transition`.
         waiting: (N,) bool, where an episode is over and its world has not been reset.
         fault: (1,) int64, not zero if something went wrong.
 
@@ -111,7 +81,7 @@ class TensorWorlds:
         self.allowed_actions = "finite numbers" if self.continuous else f"integers in [0, {self.choices})"
         self._waypoints = host.params["n_waypoints"][0, : self.vehicles]
         self._record = vehicle_record(config)
-        self._mode = _MODES[autoreset]
+        self._mode = MODES[autoreset]
         self._shapes = self._output_shapes()
         self._check_memory()
         # One block holds all outputs, so that one copy keeps them.
@@ -140,7 +110,7 @@ class TensorWorlds:
         seen = (torch.float32, (*pairs, len(layout(self.scenario))))
         shapes = {
             "observations": seen,
-            "final_observations": seen,
+            "final": seen,
             "rewards": (torch.float32, (*pairs, len(self.objectives))),
             "acted": (torch.bool, pairs),
             "terminated": (torch.bool, pairs),
@@ -149,7 +119,7 @@ class TensorWorlds:
             "ends": (torch.int8, pairs),
         }
         if self._mode != SAME_STEP:
-            del shapes["final_observations"]
+            del shapes["final"]
         return shapes
 
     def _check_memory(self) -> None:
@@ -172,14 +142,14 @@ class TensorWorlds:
     def _zeros(self, dtype: torch.dtype, *shape: int) -> torch.Tensor:
         return torch.zeros(shape, dtype=dtype, device=self.device)
 
-    def _views(self, block: torch.Tensor) -> Outputs:
+    def _views(self, block: torch.Tensor) -> Transition:
         typed = {dtype: block.view(dtype) for dtype in (torch.float32, torch.bool, torch.int8)}
         views = {
             name: typed[dtype].as_strided(shape, strides, start)
             for name, (dtype, shape, strides, start) in self._places.items()
         }
-        views.setdefault("final_observations", views["observations"])
-        return Outputs(**views)
+        views.setdefault("final", views["observations"])
+        return Transition(**views)
 
     def _make_launcher(self, host: WorldBatch) -> Launcher:
         """What moves the worlds, with all that it reads and writes."""
@@ -254,7 +224,7 @@ class TensorWorlds:
         self._actions.copy_(actions)
         self._launcher.step()
 
-    def snapshot(self) -> Outputs:
+    def snapshot(self) -> Transition:
         """The outputs in tensors of their own, which no later call changes."""
         return self._views(self._block.clone())
 

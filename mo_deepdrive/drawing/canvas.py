@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mo_deepdrive.drawing.quiet_pygame import gfxdraw, pygame
-from mo_deepdrive.simulation.map import MAP_CENTRE
-from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, LANE_WIDTH, LENGTH, RUNNING
+from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, LANE_WIDTH, LENGTH, MAP_CENTRE, RUNNING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

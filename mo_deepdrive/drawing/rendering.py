@@ -25,8 +25,16 @@ from mo_deepdrive.drawing.canvas import (
 )
 from mo_deepdrive.drawing.quiet_pygame import INVISIBLE_DRIVERS, pygame
 from mo_deepdrive.simulation.kernel import batch_rewards
-from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
-from mo_deepdrive.simulation.state import ARRIVED, ENDS, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
+from mo_deepdrive.simulation.state import (
+    ARRIVED,
+    ENDS,
+    MAP_CENTRE,
+    MAP_SIZE,
+    MAX_WAYPOINTS,
+    OTHER_VEHICLE,
+    RUNNING,
+    TIME_LIMIT,
+)
 from mo_deepdrive.world.measures import make_measures
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES, signs
 from mo_deepdrive.world.params import chosen_objectives, make_params

@@ -10,13 +10,13 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
-from mo_deepdrive.device.worlds import Outputs, TensorWorlds, make_streams
+from mo_deepdrive.device.worlds import TensorWorlds, make_streams
 from mo_deepdrive.envs.options import checked_options, make_pins
 from mo_deepdrive.envs.vector_base import VectorBase, check_forms, needs_reset
 from mo_deepdrive.simulation import philox
 from mo_deepdrive.simulation.philox import STREAM
 from mo_deepdrive.simulation.state import ARRIVED
-from mo_deepdrive.world.batch import Draws, WorldBatch
+from mo_deepdrive.world.batch import Draws, Transition, WorldBatch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -74,8 +74,6 @@ class DeviceVectorEnv(VectorBase):
 
     Attributes:
         device: where the tensors are.
-        objectives: names of the d components of a vehicle's reward, in order.
-        observation_scales: (size,) nominal magnitudes of the observation of a vehicle, by which learners divide.
 
     Raises:
         ImportError: if the device needs packages that are not installed.
@@ -219,7 +217,7 @@ class DeviceVectorEnv(VectorBase):
         )
         return observations, rewards, terminated, truncated, self._infos(taken)
 
-    def _infos(self, taken: Outputs) -> dict[str, Any]:
+    def _infos(self, taken: Transition) -> dict[str, Any]:
         over = taken.over
         arrived = taken.ends == ARRIVED
         ends = {"end": self._shaped(taken.ends), "_end": over}
@@ -230,7 +228,7 @@ class DeviceVectorEnv(VectorBase):
             infos |= {"acted": taken.acted, "_acted": torch.ones_like(over)}
             infos |= {"arrived": arrived & ended, "_arrived": ended.any(dim=1)}
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            infos |= {"final_obs": self._shaped(taken.final_observations), "_final_obs": over}
+            infos |= {"final_obs": self._shaped(taken.final), "_final_obs": over}
             return {**infos, "final_info": ends, "_final_info": over}
         return infos | ends
 

@@ -27,11 +27,8 @@ DRIVERS: dict[str, tuple[str, tuple[float, float], str]] = {
     "yielding": ("yielding", YIELDINGS, "m/s^2"),
 }
 # The same on roads of segments.
-ROAD_DRIVERS: dict[str, tuple[str, tuple[float, float], str]] = {
-    "desired_speeds": ("desired_speed", DESIRED_SPEEDS, "m/s"),
-    "headways": ("headway", HEADWAYS, "s"),
-    "accepted_gaps": ("accepted_gap", ACCEPTED_GAPS, "s"),
-}
+ROAD_DRIVERS = {name: DRIVERS[name] for name in ("desired_speeds", "headways")}
+ROAD_DRIVERS["accepted_gaps"] = ("accepted_gap", ACCEPTED_GAPS, "s")
 
 
 def option_names(scenario: Scenario) -> tuple[str, ...]:
@@ -55,16 +52,6 @@ def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.nda
         turned = f"[-{MOST_TURNED:g}, {MOST_TURNED:g}] rad"
         raise ValueError(f"reset option {name!r} = {value!r} must have headings in {turned}")
     return numbers
-
-
-def _pin_cars(pins: Any, options: Mapping[str, Any], config: EnvConfig) -> None:
-    """Set the number of oncoming cars and what is known of their drivers, the first car first."""
-    scenario = config.row
-    allowed = f"a number of oncoming cars from 0 to {scenario.cars}"
-    given = options.get("cars", cars_in_traffic(config))
-    cars = whole_number("reset option 'cars'", given, 0, scenario.cars, allowed)
-    pins.n_cars = cars
-    _pin_drivers(pins, options, cars, DRIVERS)
 
 
 def _pin_drivers(pins: Any, options: Mapping[str, Any], cars: int, known: Mapping[str, Any]) -> None:
@@ -145,5 +132,8 @@ def make_pins(options: Mapping[str, Any] | None, config: EnvConfig) -> np.ndarra
         _pin_queues(pins, options, scenario)
         _pin_drivers(pins, options, scenario.cars, ROAD_DRIVERS)
     elif scenario.cars:
-        _pin_cars(pins, options, config)
+        allowed = f"a number of oncoming cars from 0 to {scenario.cars}"
+        given = options.get("cars", cars_in_traffic(config))
+        pins.n_cars = cars = whole_number("reset option 'cars'", given, 0, scenario.cars, allowed)
+        _pin_drivers(pins, options, cars, DRIVERS)
     return array

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from pettingzoo.utils.wrappers import BaseWrapper
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import checked_options, option_names
 from mo_deepdrive.envs.streams import checked_seed
-from mo_deepdrive.envs.world import RENDER_MODES, World
+from mo_deepdrive.envs.world import World
 from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.support.names import nearest
 from mo_deepdrive.world.config import parse_arguments
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float32]
 
 
-class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # PettingZoo has no types
+class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # PettingZoo has no types
     """The vehicles as PettingZoo agents with vector rewards, by MOMAland's conventions.
 
     ## Description
@@ -74,9 +73,8 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
     """
 
     metadata: dict[str, Any] = {
+        **World.metadata,
         "name": "mo_deepdrive_v0",
-        "render_modes": RENDER_MODES,
-        "render_fps": 10,
         "is_parallelizable": True,
         "central_observation": True,
     }
@@ -91,24 +89,14 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
         if not isinstance(keep_finished, (bool, np.bool_)):
             raise ValueError(f"keep_finished = {keep_finished!r} must be True or False")
         config = parse_arguments(scenario, {**VERSIONS.get(str(scenario), {"v0": {}})["v0"], **options})
-        self.config = config
-        self.render_mode = render_mode
+        super().__init__(config, render_mode)
         self.keep_finished = bool(keep_finished)
-        self.world = World(config, render_mode)
-        self.batch = self.world.batch
-        self.metadata = {
-            **copy.deepcopy(type(self).metadata),
-            "name": f"mo_deepdrive_{scenario}_v0",
-            "render_fps": config.decision_frequency,
-        }
-        self.objectives = self.batch.objectives
-        self.reward_dim = len(self.objectives)
+        self.metadata["name"] = f"mo_deepdrive_{scenario}_v0"
         vehicles = self.batch.scenario.vehicles
         self.possible_agents = [f"vehicle_{v}" for v in range(vehicles)]
         self.agents: list[str] = []
         self._index = {agent: v for v, agent in enumerate(self.possible_agents)}
         self.observation_spaces = {agent: env_spaces.observation_space(config) for agent in self.possible_agents}
-        self.observation_scales = env_spaces.observation_scales(config)
         self.action_spaces = {agent: env_spaces.action_space(config) for agent in self.possible_agents}
         self.reward_spaces = {agent: env_spaces.reward_space(config) for agent in self.possible_agents}
         self.state_space = env_spaces.joint_observation_space(config)
@@ -116,7 +104,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
         # For each vehicle: whether it is on the road, and its last observation if it is not.
         self._driving = [True] * vehicles
         self._last = [np.zeros_like(row) for row in self.batch.observations[0]]
-        self._joint = self.world.joint_action()
+        self._joint = self.joint_action()
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The observations of ``agent``: float32 in SI units."""
@@ -161,7 +149,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
         generator = self._np_random
         if seed is not None or generator is None:
             generator, _ = seeding.np_random(checked_seed(seed))
-        self.world.place(generator, {name: value for name, value in given.items() if name in known})
+        self.place(generator, {name: value for name, value in given.items() if name in known})
         self._np_random = generator
         self.agents = list(self.possible_agents)
         self._driving = [True] * len(self.agents)
@@ -186,7 +174,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
         if not self.agents:
             raise ResetNeeded("step() before reset() or after the end of an episode")
         self._choose(actions)
-        self.world.step(self._joint)
+        self.move(self._joint)
         batch = self.batch
         terminated, truncated = batch.terminated[0].tolist(), batch.truncated[0].tolist()
         observations, rewards, terminations, truncations = {}, {}, {}, {}
@@ -196,7 +184,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
             if self._driving[v] and (terminated[v] or truncated[v]):
                 self._driving[v] = False
                 self._last[v] = batch.observations[0, v].copy()
-                infos[agent] = self.world.end_info(v)
+                infos[agent] = self.end_info(v)
             observations[agent] = self._observation(v).copy()
             rewards[agent] = batch.rewards[0, v].copy()
             terminations[agent], truncations[agent] = terminated[v], truncated[v]
@@ -223,19 +211,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
             ]
             raise ValueError(f"actions {' and '.join(wrong)}; expected one for each of {self.agents} and no more")
         for agent in self.agents:
-            self._joint[0, self._index[agent]] = self.world.checked(actions[agent], agent)
-
-    def telemetry(self) -> tuple[dict[str, float], ...]:
-        """A dict per vehicle: pose, motion, controls, comfort and progress, in SI units."""
-        return self.world.telemetry()
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """An RGB frame (height, width, 3) for "rgb_array"; draws in a window for "human"."""
-        return self.world.render()
-
-    def close(self) -> None:
-        """Close the renderer."""
-        self.world.close()
+            self._joint[0, self._index[agent]] = self.checked(actions[agent], agent)
 
 
 class CheckedSteps(BaseWrapper[str, Array, Any]):  # type: ignore[misc]  # PettingZoo has no types
@@ -252,7 +228,7 @@ class CheckedSteps(BaseWrapper[str, Array, Any]):  # type: ignore[misc]  # Petti
             raise ResetNeeded("step() before reset() or after the end of an episode")
         agent = self.agent_selection
         if not (self.terminations[agent] or self.truncations[agent]):
-            self.unwrapped.world.checked(action, agent)
+            self.unwrapped.checked(action, agent)
         elif action is not None:
             raise ValueError(f"action {action!r} of {agent}, which has ended, must be None")
         super().step(action)

@@ -17,6 +17,7 @@ from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.support.names import nearest
 from mo_deepdrive.utilities import Utility, make_utility
 from mo_deepdrive.world.config import EnvConfig, UtilityChoice, parse
+from mo_deepdrive.wrappers import ParallelUtilityReward, check_agents
 
 with needed_for("mo_deepdrive.envs.rllib", extra="rllib"):
     from ray.rllib.env.multi_agent_env import MultiAgentEnv
@@ -66,18 +67,20 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
             if key not in KEYS:
                 raise ValueError(f"unknown key {key!r} in the env config; {nearest(key, KEYS)}")
         utility = options.pop("utility", None)
-        self.parallel = DrivingParallelEnv(**options)
-        self.metadata = self.parallel.metadata
-        self.render_mode = self.parallel.render_mode
-        self.objectives = self.parallel.objectives
-        self.reward_dim = self.parallel.reward_dim
-        self.possible_agents = list(self.parallel.possible_agents)
+        env = DrivingParallelEnv(**options)
+        self.config = env.config
+        self.metadata = env.metadata
+        self.render_mode = env.render_mode
+        self.objectives = env.objectives
+        self.reward_dim = env.reward_dim
+        self.possible_agents = list(env.possible_agents)
         self.agents: list[str] = []
-        self.observation_spaces = self.parallel.observation_spaces
-        self.observation_scales = self.parallel.observation_scales
-        self.action_spaces = self.parallel.action_spaces
-        self.reward_spaces = self.parallel.reward_spaces
-        self.utilities = _make_utilities(utility, self.parallel)
+        self.observation_spaces = env.observation_spaces
+        self.observation_scales = env.observation_scales
+        self.action_spaces = env.action_spaces
+        self.reward_spaces = env.reward_spaces
+        self.parallel = ParallelUtilityReward(env, _utilities(utility, env))
+        self.utilities = self.parallel.utilities
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -88,7 +91,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
             ValueError: for unknown options and for options without a valid scenario; nothing changes.
         """
         # The parallel environment would ignore unknown ones.
-        make_pins(options, self.parallel.config)
+        make_pins(options, self.config)
         observations, infos = self.parallel.reset(seed=seed, options=options)
         self.agents = list(self.parallel.agents)
         return observations, infos
@@ -111,47 +114,35 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
             ResetNeeded: before the first reset and after the end of an episode.
             ValueError: for missing or other agents and for actions outside the action space; nothing changes.
         """
-        observations, vectors, terminations, truncations, infos = self.parallel.step(action_dict)
+        observations, rewards, terminations, truncations, infos = self.parallel.step(action_dict)
         self.agents = list(self.parallel.agents)
         truncated = any(truncations.values())
-        for agent, vector in vectors.items():
-            infos[agent]["vector_reward"] = vector
-        return (
-            observations,
-            {agent: float(self.utilities[agent](vector)) for agent, vector in vectors.items()},
-            {**terminations, "__all__": not self.agents and not truncated},
-            {"__all__": truncated},
-            infos,
-        )
+        flags = {**terminations, "__all__": not self.agents and not truncated}, {"__all__": truncated}
+        return observations, rewards, *flags, infos
 
     def render(self) -> NDArray[np.uint8] | None:
         """An RGB frame (height, width, 3) for "rgb_array"; draws in a window for "human"."""
-        return self.parallel.render()
+        frame: NDArray[np.uint8] | None = self.parallel.render()
+        return frame
 
     def close(self) -> None:
         """Close the renderer."""
         self.parallel.close()
 
 
-def _make_utilities(choice: Any, env: DrivingParallelEnv) -> dict[str, Utility]:
+def _utilities(choice: Any, env: DrivingParallelEnv) -> dict[str, Utility]:
     """The utility of every vehicle, from the "utility" of an env config."""
     if choice is None:
         choice = f"{env.config.scenario}_linear"
-    agents = env.possible_agents
     if isinstance(choice, str) or (isinstance(choice, Mapping) and "name" in choice):
-        choice = dict.fromkeys(agents, choice)
+        choice = dict.fromkeys(env.possible_agents, choice)
     if not isinstance(choice, Mapping):
         raise ValueError(f"utility = {choice!r} must be a name, a dict with 'name' and 'arguments', or one per vehicle")
-    for agent in choice:
-        if agent not in agents:
-            raise ValueError(f"utility is given for {agent!r}, which is unknown; {nearest(agent, agents)}")
-    for agent in agents:
-        if agent not in choice:
-            raise ValueError(f"utility is missing for {agent!r}; expected one for each of {agents}")
-    return {agent: _make_utility(choice[agent], agent, env) for agent in agents}
+    check_agents("utility", choice, env.possible_agents)
+    return {agent: _utility(each, agent, env) for agent, each in choice.items()}
 
 
-def _make_utility(choice: Any, agent: str, env: DrivingParallelEnv) -> Utility:
+def _utility(choice: Any, agent: str, env: DrivingParallelEnv) -> Utility:
     if isinstance(choice, str):
         choice = {"name": choice}
     if not isinstance(choice, Mapping):

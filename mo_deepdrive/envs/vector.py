@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,40 +11,15 @@ from gymnasium.vector import AutoresetMode
 from mo_deepdrive.envs.options import checked_options, make_pins
 from mo_deepdrive.envs.streams import Streams
 from mo_deepdrive.envs.vector_base import VectorBase, check_forms, needs_reset, positive
-from mo_deepdrive.simulation.autoreset import DISABLED, NEXT_STEP, SAME_STEP
+from mo_deepdrive.simulation.autoreset import SAME_STEP
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
 from mo_deepdrive.support.extras import needed_for
-from mo_deepdrive.world.batch import WorldBatch
+from mo_deepdrive.world.batch import MODES, Transition, WorldBatch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 END_NAMES = np.array(ENDS, dtype=object)
-_MODES = {AutoresetMode.NEXT_STEP: NEXT_STEP, AutoresetMode.DISABLED: DISABLED}
-
-
-@dataclass
-class Transition:
-    """One decision of all worlds, without infos; no later step overwrites the arrays.
-
-    Attributes:
-        observations: (N, V, size) for the next decision.
-        final: (N, V, size) after this one, before worlds whose episode is over were reset.
-        rewards: (N, V, d).
-        terminated, truncated: (N, V), before the reset.
-        acted: (N, V) which vehicles were on the road before the decision.
-        over: (N,) worlds without a vehicle on the road after it.
-        ends: (N, V) codes of why vehicles have ended, before the reset.
-    """
-
-    observations: NDArray[np.float32]
-    final: NDArray[np.float32]
-    rewards: NDArray[np.float32]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    acted: NDArray[np.bool_]
-    over: NDArray[np.bool_]
-    ends: NDArray[np.int64]
 
 
 class DrivingVectorEnv(VectorBase):
@@ -89,10 +63,6 @@ class DrivingVectorEnv(VectorBase):
         render_mode: None or "rgb_array" (``render()`` returns one frame per world).
         max_episode_steps: number of decisions after which an episode is truncated, unless ``time_limit`` is shorter.
         **options: fields of :class:`mo_deepdrive.world.config.EnvConfig`.
-
-    Attributes:
-        objectives: names of the d components of a vehicle's reward, in order.
-        observation_scales: (size,) nominal magnitudes of the observation of a vehicle, by which learners divide.
 
     Raises:
         TypeError: for unknown arguments.
@@ -203,6 +173,8 @@ class DrivingVectorEnv(VectorBase):
     def advance(self, actions: NDArray[Any]) -> Transition:
         """What :meth:`step` does, without infos, which take as long as the physics, and with an axis of one vehicle.
 
+        No later step overwrites the arrays.
+
         Args:
             actions: (N, V) or (N, V, 3).
 
@@ -215,15 +187,23 @@ class DrivingVectorEnv(VectorBase):
         batch.step(actions)
         at_once = self.autoreset_mode is AutoresetMode.SAME_STEP
         if not at_once:
-            batch.reset(_MODES[self.autoreset_mode], self._over, self.streams)
+            batch.reset(MODES[self.autoreset_mode], self._over, self.streams)
         over = batch.over()
-        final = observations = batch.observations.copy()
-        flags = batch.terminated.copy(), batch.truncated.copy(), batch.acted.copy(), over
-        ends = batch.state["end"].copy()
+        observations = batch.observations.copy()
+        taken = Transition(
+            observations,
+            observations,
+            batch.rewards.copy(),
+            batch.acted.copy(),
+            batch.terminated.copy(),
+            batch.truncated.copy(),
+            over,
+            batch.state["end"].copy(),
+        )
         if at_once and over.any():
             batch.reset(SAME_STEP, self._over, self.streams)
-            observations = batch.observations.copy()
-        return Transition(observations, final, batch.rewards.copy(), *flags, ends)
+            taken = taken._replace(observations=batch.observations.copy())
+        return taken
 
     def check_ready(self) -> None:
         """Refuse to step worlds that have to be reset first.

@@ -58,14 +58,6 @@ def needs_reset(worlds: Any) -> ResetNeeded:
 class VectorBase(KnownFront, VectorEnv):
     """N independent worlds of one scenario; a subclass makes the worlds, and then the spaces.
 
-    Args:
-        num_envs: N.
-        scenario: name of the scenario.
-        autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED.
-        render_mode: None or "rgb_array".
-        max_episode_steps: number of decisions after which an episode is truncated, unless the time limit is shorter.
-        options: fields of :class:`mo_deepdrive.world.config.EnvConfig`.
-
     Attributes:
         objectives: names of the d components of a vehicle's reward, in order.
         observation_scales: (size,) nominal magnitudes of the observation of a vehicle, by which learners divide.

@@ -1,4 +1,4 @@
-"""One world: what all environments with a single world share."""
+"""What all environments with a single world share."""
 
 from __future__ import annotations
 
@@ -26,22 +26,33 @@ RENDER_MODES = ["rgb_array", "human"]
 
 
 class World:
-    """A batch of one world, with a renderer and checks of actions.
+    """One world of a scenario, a batch of one row, with a renderer and checks of actions: a base of environments.
 
     Args:
         config: the environment's settings.
         render_mode: None, "rgb_array" or "human" (a window that follows every reset and step).
 
+    Attributes:
+        objectives: names of the reward's d components, in order.
+        reward_dim: d.
+        observation_scales: (size,) nominal magnitudes of the observation of a vehicle, by which learners divide.
+
     Raises:
         ValueError: for an unknown ``render_mode``.
     """
+
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 10}
 
     def __init__(self, config: EnvConfig, render_mode: str | None):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode = {render_mode!r} must be None or one of {RENDER_MODES}")
         self.config = config
         self.render_mode = render_mode
+        self.metadata = {**copy.deepcopy(type(self).metadata), "render_fps": config.decision_frequency}
         self.batch = WorldBatch(config, 1)
+        self.objectives = self.batch.objectives
+        self.reward_dim = len(self.objectives)
+        self.observation_scales = observation_scales(config)
         self._viewer: Any = None
         space = action_space(config)
         self._shape = space.shape or ()
@@ -65,8 +76,14 @@ class World:
         if self.render_mode == "human":
             self.render()
 
+    def move(self, actions: NDArray[Any]) -> None:
+        """Move every vehicle on the road by one decision; see :meth:`joint_action`."""
+        self.batch.step(actions)
+        if self.render_mode == "human":
+            self.render()
+
     def joint_action(self) -> NDArray[Any]:
-        """Zeros in the form that :meth:`step` takes: (1, vehicles) integers or (1, vehicles, 3) floats."""
+        """Zeros in the form that :meth:`move` takes: (1, vehicles) integers or (1, vehicles, 3) floats."""
         shape = (1, self.batch.scenario.vehicles, *self._shape)
         return np.zeros(shape, dtype=np.int64 if self._choices else np.float64)
 
@@ -93,12 +110,6 @@ class World:
         if not (0 <= values < self._choices if self._choices else all(map(math.isfinite, values))):
             raise ValueError(f"action {action!r} of {agent} is not allowed; expected {self._allowed}")
         return values
-
-    def step(self, actions: NDArray[Any]) -> None:
-        """Move every vehicle on the road by one decision; see :meth:`joint_action`."""
-        self.batch.step(actions)
-        if self.render_mode == "human":
-            self.render()
 
     def end_info(self, vehicle: int) -> dict[str, Any]:
         """The info of a vehicle that has ended: why it ended, and whether it arrived."""
@@ -156,48 +167,18 @@ class KnownFront:
         return pareto_front(self.config, gamma)
 
 
-class WorldEnv(KnownFront, gymnasium.Env[NDArray[np.float32], Any]):
-    """Base of the Gymnasium environments with a single world; a subclass implements ``reset`` and ``step``.
-
-    Args:
-        config: the environment's settings.
-        render_mode: as in :class:`World`.
-
-    Attributes:
-        objectives: names of the reward's d components, in order.
-        observation_scales: (size,) nominal magnitudes of the observation, by which learners divide.
-    """
-
-    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 10}
+class WorldEnv(KnownFront, World, gymnasium.Env[NDArray[np.float32], Any]):
+    """Base of the Gymnasium environments with a single world; a subclass implements ``reset`` and ``step``."""
 
     def __init__(self, config: EnvConfig, render_mode: str | None):
-        self.config = config
-        self.render_mode = render_mode
-        self.metadata = {**copy.deepcopy(type(self).metadata), "render_fps": config.decision_frequency}
-        self.world = World(config, render_mode)
-        self.batch = self.world.batch
-        self.objectives = self.batch.objectives
+        super().__init__(config, render_mode)
         self.observation_space = observation_space(config)  # type: ignore[assignment]
-        self.observation_scales = observation_scales(config)
         self.action_space = action_space(config)
         self.reward_space = reward_space(config)
-        self.reward_dim = len(self.objectives)
 
-    def _place(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
+    def _start(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
         """Start a new episode. If ``seed`` or ``options`` are refused, the random stream is unchanged, too."""
         seed = checked_seed(seed)
         generator, used = (self.np_random, self._np_random_seed) if seed is None else seeding.np_random(seed)
-        self.world.place(generator, options)
+        self.place(generator, options)
         self._np_random, self._np_random_seed = generator, used
-
-    def telemetry(self) -> tuple[dict[str, float], ...]:
-        """A dict per vehicle: pose, motion, controls, comfort and progress, in SI units."""
-        return self.world.telemetry()
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """An RGB frame (height, width, 3) for "rgb_array"; draws in a window for "human"."""
-        return self.world.render()
-
-    def close(self) -> None:
-        """Close the renderer."""
-        self.world.close()

@@ -11,8 +11,7 @@ from gymnasium.vector import AutoresetMode
 
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import find_spec
-from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
-from mo_deepdrive.simulation.state import ENDS
+from mo_deepdrive.simulation.state import ENDS, MAP_CENTRE, MAP_SIZE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

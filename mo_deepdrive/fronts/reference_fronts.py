@@ -143,8 +143,8 @@ def shipped(scenario: str, action_type: str) -> tuple[KnownPolicy, ...]:
     """
     file = _file(scenario, action_type)
     if not file.is_file():
-        found = [each.name for each in DATA.iterdir() if each.name.startswith("front_")]
-        known = sorted(name.removeprefix("front_").removesuffix(".json") for name in found)
+        files = [entry.name for entry in DATA.iterdir() if entry.name.startswith("front_")]
+        known = sorted(name.removeprefix("front_").removesuffix(".json") for name in files)
         raise ValueError(
             f"no best-known front is shipped for scenario = {scenario!r} with action_type = {action_type!r}; "
             f"known: {', '.join(known)}"
@@ -168,15 +168,8 @@ def write(scenario: str, action_type: str, policies: Sequence[KnownPolicy]) -> s
         "objectives": SCENARIOS[scenario].objectives,
         "gamma": GAMMA,
     }
-    rows = [
-        {
-            "undiscounted": policy.undiscounted,
-            "discounted": policy.discounted,
-            "source": policy.source,
-            "actions": policy.actions,
-        }
-        for policy in policies
-    ]
+    columns = ("undiscounted", "discounted", "source", "actions")
+    rows = [{name: getattr(policy, name) for name in columns} for policy in policies]
     lines = ",\n".join(json.dumps(row) for row in rows)
     return json.dumps(head)[:-1] + ', "policies": [\n' + lines + "\n]}\n"
 
@@ -184,9 +177,7 @@ def write(scenario: str, action_type: str, policies: Sequence[KnownPolicy]) -> s
 @functools.cache
 def _rewards(scenario: str, action_type: str, charge_remaining_time: bool) -> NDArray[np.float32]:
     policies = shipped(scenario, action_type)
-    timed = {
-        "objectives": (*SCENARIOS[scenario].objectives, TIME),
-        "charge_remaining_time": charge_remaining_time,
-    }
+    objectives = (*SCENARIOS[scenario].objectives, TIME)
+    timed = {"objectives": objectives, "charge_remaining_time": charge_remaining_time}
     config = front_config(scenario, action_type).model_copy(update=timed)
     return replay(config, [decode(policy.actions, action_type) for policy in policies])

@@ -83,16 +83,16 @@ def reference_point(
         point for point in table["points"] if scenario in point["scenarios"] and action_type in point["action_types"]
     ]
     if known:
-        found = next((point for point in known if point["gamma"] == gamma), None)
-        if found is None:
+        agreed = next((point for point in known if point["gamma"] == gamma), None)
+        if agreed is None:
             gammas = ", ".join(str(point["gamma"]) for point in known)
             raise ValueError(f"gamma = {gamma!r} has no reference point; known: {gammas}")
-        values |= found["values"]
+        values |= agreed["values"]
         reasons |= table["reasons"]
     for name in names:
-        own = OBJECTIVES[INDEX[name]].reference
-        if own is not None:
-            values.setdefault(name, own)
+        registered = OBJECTIVES[INDEX[name]].reference
+        if registered is not None:
+            values.setdefault(name, registered)
         if name not in values:
             raise ValueError(f"objective {name!r} has no reference value in {scenario!r}; register it with one")
     return ReferencePoint(

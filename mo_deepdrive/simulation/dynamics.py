@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.lanes import in_lanes
 from mo_deepdrive.simulation.state import (
     AXLE_A,
     AXLE_B,
@@ -34,6 +33,7 @@ from mo_deepdrive.simulation.state import (
     TOP_SPEED,
     Record,
     Records,
+    in_lanes,
 )
 from mo_deepdrive.simulation.trigonometry import sine_cosine
 

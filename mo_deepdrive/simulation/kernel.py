@@ -15,7 +15,6 @@ from mo_deepdrive.simulation.actions import decode
 from mo_deepdrive.simulation.collision import find_collisions
 from mo_deepdrive.simulation.dynamics import drive
 from mo_deepdrive.simulation.jit import jit, separate_jit
-from mo_deepdrive.simulation.lanes import LANES
 from mo_deepdrive.simulation.state import (
     ARRIVED,
     BACKWARDS,
@@ -27,6 +26,7 @@ from mo_deepdrive.simulation.state import (
     HARMFUL_JERK,
     KERNEL_NAMES,
     LANE_TOLERANCE,
+    LANES,
     OFF_LANE,
     OTHER_VEHICLE,
     RUNNING,

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 from mo_deepdrive.simulation import geometry, neighbours, traffic
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.lanes import in_lanes
-from mo_deepdrive.simulation.state import MAX_WAYPOINTS, NEAREST_CARS, RUNNING, Record, Records
+from mo_deepdrive.simulation.state import MAX_WAYPOINTS, NEAREST_CARS, RUNNING, Record, Records, in_lanes
 
 if TYPE_CHECKING:
     import numpy as np

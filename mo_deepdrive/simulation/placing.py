@@ -9,10 +9,11 @@ import numpy as np
 
 from mo_deepdrive.simulation import geometry, progress, road_traffic, roads, traffic
 from mo_deepdrive.simulation.jit import jit, separate_jit
-from mo_deepdrive.simulation.map import HALF_LANE, MAP_UNIT
 from mo_deepdrive.simulation.state import (
     ARRIVAL_RADIUS,
+    HALF_LANE,
     LENGTH,
+    MAP_UNIT,
     MAX_WAYPOINTS,
     NEVER,
     RUNNING,

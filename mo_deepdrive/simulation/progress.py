@@ -5,8 +5,7 @@ from __future__ import annotations
 from mo_deepdrive.simulation import geometry
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.map import HALF_LANE
-from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, Record
+from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, HALF_LANE, LANE_WIDTH, Record
 
 
 @jit

@@ -80,119 +80,90 @@ OTHER_VEHICLE = ENDS.index("other_vehicle")
 
 NEVER = -1  # of ``entered``
 
+# The square on which scenarios are drawn, and the crossing in its middle (m). The original draws on a 1000 px square
+# with a 50 px margin.
+PIXELS_PER_METRE = 405 / LENGTH / 4
+MAP_UNIT = 900 / PIXELS_PER_METRE
+MAP_ORIGIN = 50 / PIXELS_PER_METRE
+MAP_CENTRE = MAP_ORIGIN + MAP_UNIT / 2
+MAP_SIZE = 1000 / PIXELS_PER_METRE
+HALF_LANE = LANE_WIDTH / 2
+
+# Up to 16 worlds are computed side by side, in lanes: two vectors of AVX-512, or four of AVX2. A loop over the lanes
+# without branches and calls becomes vector instructions. Each lane is computed as if it were alone, so results do not
+# depend on which worlds share a block.
+LANES = 16
+
 _FLOAT = np.float64
+
+
+def _fields(kind: Any, *names: str, shape: tuple[int, ...] = ()) -> list[tuple[Any, ...]]:
+    """The fields of a record that have one type and shape."""
+    return [(name, kind, shape) for name in names]
+
+
+def _record(*fields: tuple[Any, ...]) -> np.dtype[Any]:
+    return np.dtype((np.record, list(fields)))
+
 
 # What is drawn of the driver of a car, and hidden (m/s, s, m/s^2, s): how hard it brakes for a left-turner at most, see
 # traffic.py, and which gap it accepts to enter, see road_traffic.py.
-DRIVER = np.dtype(
-    (np.record, [("desired_speed", _FLOAT), ("headway", _FLOAT), ("yielding", _FLOAT), ("accepted_gap", _FLOAT)])
-)
+DRIVER = _record(*_fields(_FLOAT, "desired_speed", "headway", "yielding", "accepted_gap"))
 
 # One car with a scripted driver, which drives down its lane or along its route (m, m/s, m/s^2). It is present until it
 # has left the map, or arrived.
-CAR = np.dtype(
-    (
-        np.record,
-        [
-            ("x", _FLOAT),
-            ("y", _FLOAT),
-            ("speed", _FLOAT),
-            ("acceleration", _FLOAT),
-            ("cos_heading", _FLOAT),
-            ("sin_heading", _FLOAT),
-            # on roads of segments: as of a vehicle
-            ("route", np.int64),
-            ("route_distance", _FLOAT),
-            ("entered", np.int64),
-            ("driver", DRIVER),
-            ("present", np.bool_),
-        ],
-    )
+CAR = _record(
+    *_fields(_FLOAT, "x", "y", "speed", "acceleration", "cos_heading", "sin_heading"),
+    # on roads of segments: as of a vehicle
+    ("route", np.int64),
+    ("route_distance", _FLOAT),
+    ("entered", np.int64),
+    ("driver", DRIVER),
+    ("present", np.bool_),
 )
 
-VEHICLE = np.dtype(
-    (
-        np.record,
-        [
-            # pose and motion (m, rad, m/s, rad per physics step, m/s^2, m/s^3)
-            ("x", _FLOAT),
-            ("y", _FLOAT),
-            ("heading", _FLOAT),
-            ("speed", _FLOAT),
-            ("yaw_step", _FLOAT),
-            ("vx", _FLOAT),
-            ("vy", _FLOAT),
-            ("ax", _FLOAT),
-            ("ay", _FLOAT),
-            ("g_force", _FLOAT),
-            ("jerk", _FLOAT),
-            # cosine and sine of the heading, and of the heading one physics step ago
-            ("cos_heading", _FLOAT),
-            ("sin_heading", _FLOAT),
-            ("cos_before", _FLOAT),
-            ("sin_before", _FLOAT),
-            # held controls (rad, m/s^2, 1) and the speed at the previous decision
-            ("steer", _FLOAT),
-            ("throttle", _FLOAT),
-            ("brake", _FLOAT),
-            ("previous_speed", _FLOAT),
-            # progress along the route (m, rad)
-            ("front_x", _FLOAT),
-            ("front_y", _FLOAT),
-            ("travelled", _FLOAT),
-            ("next_distance", _FLOAT),
-            ("route_distance", _FLOAT),
-            ("furthest", _FLOAT),
-            ("start_heading", _FLOAT),
-            ("lane_centre", _FLOAT),
-            ("left_lane_distance", _FLOAT),
-            ("right_lane_distance", _FLOAT),
-            ("next_waypoint", np.int64),
-            ("n_waypoints", np.int64),
-            ("crossing", np.bool_),
-            ("approaching", np.bool_),
-            # on roads of segments: route and segment, how far the front is to the left of the line, and the heading
-            # from its direction (m, rad); the decision on which the front reached the stretch with right of way, or -1
-            ("route", np.int64),
-            ("segment", np.int64),
-            ("lane_offset", _FLOAT),
-            ("heading_error", _FLOAT),
-            ("entered", np.int64),
-            # the episode so far
-            ("decisions", np.int64),
-            ("end", np.int64),
-            ("objectives", _FLOAT, (len(KERNEL_NAMES),)),
-            # the scenario drawn at reset: waypoints, distance along the route to each, the obstacle's two ends
-            ("waypoints", _FLOAT, (MAX_WAYPOINTS, 2)),
-            ("along", _FLOAT, (MAX_WAYPOINTS,)),
-            ("obstacle", _FLOAT, (2, 2)),
-            # the actions on their way, that of decision t in the row t mod delay: the number of a discrete one, or the
-            # controls of a continuous one; zeros idle
-            ("pending", _FLOAT, (0, 3)),
-            # the cars with scripted drivers, oncoming ones the first one first; of vehicle 0
-            ("cars", CAR, (0,)),
-        ],
-    )
+VEHICLE = _record(
+    # pose and motion (m, rad, m/s, rad per physics step, m/s^2, m/s^3)
+    *_fields(_FLOAT, "x", "y", "heading", "speed", "yaw_step", "vx", "vy", "ax", "ay", "g_force", "jerk"),
+    # cosine and sine of the heading, and of the heading one physics step ago
+    *_fields(_FLOAT, "cos_heading", "sin_heading", "cos_before", "sin_before"),
+    # held controls (rad, m/s^2, 1) and the speed at the previous decision
+    *_fields(_FLOAT, "steer", "throttle", "brake", "previous_speed"),
+    # progress along the route (m, rad)
+    *_fields(_FLOAT, "front_x", "front_y", "travelled", "next_distance", "route_distance", "furthest", "start_heading"),
+    *_fields(_FLOAT, "lane_centre", "left_lane_distance", "right_lane_distance"),
+    *_fields(np.int64, "next_waypoint", "n_waypoints"),
+    *_fields(np.bool_, "crossing", "approaching"),
+    # on roads of segments: route and segment, how far the front is to the left of the line, and the heading
+    # from its direction (m, rad); the decision on which the front reached the stretch with right of way, or -1
+    *_fields(np.int64, "route", "segment"),
+    *_fields(_FLOAT, "lane_offset", "heading_error"),
+    ("entered", np.int64),
+    # the episode so far
+    *_fields(np.int64, "decisions", "end"),
+    ("objectives", _FLOAT, (len(KERNEL_NAMES),)),
+    # the scenario drawn at reset: waypoints, distance along the route to each, the obstacle's two ends
+    ("waypoints", _FLOAT, (MAX_WAYPOINTS, 2)),
+    ("along", _FLOAT, (MAX_WAYPOINTS,)),
+    ("obstacle", _FLOAT, (2, 2)),
+    # the actions on their way, that of decision t in the row t mod delay: the number of a discrete one, or the
+    # controls of a continuous one; zeros idle
+    ("pending", _FLOAT, (0, 3)),
+    # the cars with scripted drivers, oncoming ones the first one first; of vehicle 0
+    ("cars", CAR, (0,)),
 )
 
 # One scenario, ready to be placed in a world: poses (x, y, heading), waypoints and the obstacle's two ends (m, rad),
 # the number of oncoming cars and their drivers. On roads of segments, of the vehicles and then the cars: routes, and
 # where along them the fronts are (m); of every entry how many wait there, and where the next front can be (m).
-SPAWN = np.dtype(
-    (
-        np.record,
-        [
-            ("routes", _FLOAT, (MAX_VEHICLES,)),
-            ("distances", _FLOAT, (MAX_VEHICLES,)),
-            ("waiting", _FLOAT, (MAX_ROUTES,)),
-            ("room", _FLOAT, (MAX_ROUTES,)),
-            ("starts", _FLOAT, (MAX_VEHICLES, 3)),
-            ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
-            ("obstacle", _FLOAT, (2, 2)),
-            ("n_cars", _FLOAT),
-            ("drivers", DRIVER, (0,)),
-        ],
-    )
+SPAWN = _record(
+    *_fields(_FLOAT, "routes", "distances", shape=(MAX_VEHICLES,)),
+    *_fields(_FLOAT, "waiting", "room", shape=(MAX_ROUTES,)),
+    ("starts", _FLOAT, (MAX_VEHICLES, 3)),
+    ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
+    ("obstacle", _FLOAT, (2, 2)),
+    ("n_cars", _FLOAT),
+    ("drivers", DRIVER, (0,)),
 )
 
 
@@ -233,86 +204,63 @@ def with_room(dtype: np.dtype[Any], obstacles: int, cars: int, delay: int) -> np
     return aligned(np.dtype(list(fields)))
 
 
+def in_lanes(*names: str) -> np.dtype[Any]:
+    """A scratch record with an array (LANES,) of float64 for every name."""
+    return _record(*_fields(_FLOAT, *names, shape=(LANES,)))
+
+
 # A straight or an arc, from its start (m, rad). Curvature is positive to the left (1/m), ``along`` is how far along the
 # route it begins, and the half angle is half of what the arc turns by.
-SEGMENT = np.dtype(
-    (
-        np.record,
-        [
-            (name, _FLOAT)
-            for name in (
-                *("x", "y", "heading", "cos_heading", "sin_heading"),
-                *("length", "curvature", "along", "cos_half_angle", "sin_half_angle"),
-            )
-        ],
-    )
+SEGMENT = _record(
+    *_fields(_FLOAT, "x", "y", "heading", "cos_heading", "sin_heading"),
+    *_fields(_FLOAT, "length", "curvature", "along", "cos_half_angle", "sin_half_angle"),
 )
 
 # The part of an environment's configuration that the kernel needs.
-PARAMS = np.dtype(
-    (
-        np.record,
-        [
-            ("dt", _FLOAT),
-            ("physics_steps", np.int64),
-            ("yaw_friction", _FLOAT),
-            ("speed_friction", _FLOAT),
-            ("log_brake_friction", _FLOAT),
-            ("max_decisions", np.int64),
-            ("harmful_g_force", _FLOAT),
-            ("harmful_jerk", _FLOAT),
-            ("lane_margin", _FLOAT),
-            ("constrain_controls", np.bool_),
-            ("ignore_brake", np.bool_),
-            ("end_on_lane_violation", np.bool_),
-            ("yield_to_oncoming", np.bool_),
-            ("end_together", np.bool_),
-            ("charge_remaining_time", np.bool_),
-            ("has_obstacle", np.bool_),
-            ("has_lanes", np.bool_),
-            # the objectives that are emitted: columns of the reward, and signs; first the ``n_objectives`` that the
-            # kernel measures, with their indices, then those with a measure of their own
-            ("n_objectives", np.int64),
-            ("objective_index", np.int64, (len(KERNEL_NAMES),)),
-            ("objective_column", np.int64, (MAX_OBJECTIVES,)),
-            ("objective_sign", _FLOAT, (MAX_OBJECTIVES,)),
-            # the scenario: see scenarios.py
-            ("vehicles", np.int64),
-            ("conflict_time", _FLOAT),
-            ("n_waypoints", np.int64, (MAX_VEHICLES,)),
-            ("starts", _FLOAT, (MAX_VEHICLES, 3)),
-            ("start_span", _FLOAT, (MAX_VEHICLES,)),
-            ("lane_centre", _FLOAT, (MAX_VEHICLES,)),
-            ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
-            ("destination_span", _FLOAT, (2,)),
-            ("destination_draw", np.int64),
-            ("fixed_destination", np.bool_),
-            ("fixed_obstacle", np.bool_),
-            ("map_centre", _FLOAT),
-            ("n_cars", np.int64),
-            ("observed_cars", np.int64),
-            ("mean_headway", _FLOAT),
-            ("driver_draw", np.int64),
-            # the routes of segments, none where routes are waypoints: which entry each begins at, its segments, length,
-            # the stretch on which it has right of way, half the width of its lane (m), and where along every other
-            # route it joins that one (NaN if it does not)
-            ("n_routes", np.int64),
-            ("entry", np.int64, (MAX_ROUTES,)),
-            ("n_segments", np.int64, (MAX_ROUTES,)),
-            ("segments", SEGMENT, (MAX_ROUTES, MAX_SEGMENTS)),
-            ("route_length", _FLOAT, (MAX_ROUTES,)),
-            ("priority", _FLOAT, (MAX_ROUTES, 2)),
-            ("half_lane", _FLOAT, (MAX_ROUTES,)),
-            ("joins", _FLOAT, (MAX_ROUTES, MAX_ROUTES)),
-            # the entries: the first of its routes and their number, how many vehicles it has room for, the range of
-            # where each starts behind the one ahead, and where the first front is at most (m)
-            ("n_entries", np.int64),
-            ("first_route", np.int64, (MAX_ROUTES,)),
-            ("n_routes_there", np.int64, (MAX_ROUTES,)),
-            ("entry_room", np.int64, (MAX_ROUTES,)),
-            ("entry_span", _FLOAT, (MAX_ROUTES,)),
-            ("entry_length", _FLOAT, (MAX_ROUTES,)),
-        ],
-    )
+PARAMS = _record(
+    ("dt", _FLOAT),
+    ("physics_steps", np.int64),
+    *_fields(_FLOAT, "yaw_friction", "speed_friction", "log_brake_friction"),
+    ("max_decisions", np.int64),
+    *_fields(_FLOAT, "harmful_g_force", "harmful_jerk", "lane_margin"),
+    *_fields(
+        np.bool_, "constrain_controls", "ignore_brake", "end_on_lane_violation", "yield_to_oncoming", "end_together"
+    ),
+    *_fields(np.bool_, "charge_remaining_time", "has_obstacle", "has_lanes"),
+    # the objectives that are emitted: columns of the reward, and signs; first the ``n_objectives`` that the
+    # kernel measures, with their indices, then those with a measure of their own
+    ("n_objectives", np.int64),
+    ("objective_index", np.int64, (len(KERNEL_NAMES),)),
+    ("objective_column", np.int64, (MAX_OBJECTIVES,)),
+    ("objective_sign", _FLOAT, (MAX_OBJECTIVES,)),
+    # the scenario: see scenarios.py
+    ("vehicles", np.int64),
+    ("conflict_time", _FLOAT),
+    ("n_waypoints", np.int64, (MAX_VEHICLES,)),
+    ("starts", _FLOAT, (MAX_VEHICLES, 3)),
+    *_fields(_FLOAT, "start_span", "lane_centre", shape=(MAX_VEHICLES,)),
+    ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
+    ("destination_span", _FLOAT, (2,)),
+    ("destination_draw", np.int64),
+    *_fields(np.bool_, "fixed_destination", "fixed_obstacle"),
+    ("map_centre", _FLOAT),
+    *_fields(np.int64, "n_cars", "observed_cars"),
+    ("mean_headway", _FLOAT),
+    ("driver_draw", np.int64),
+    # the routes of segments, none where routes are waypoints: which entry each begins at, its segments, length,
+    # the stretch on which it has right of way, half the width of its lane (m), and where along every other
+    # route it joins that one (NaN if it does not)
+    ("n_routes", np.int64),
+    *_fields(np.int64, "entry", "n_segments", shape=(MAX_ROUTES,)),
+    ("segments", SEGMENT, (MAX_ROUTES, MAX_SEGMENTS)),
+    ("route_length", _FLOAT, (MAX_ROUTES,)),
+    ("priority", _FLOAT, (MAX_ROUTES, 2)),
+    ("half_lane", _FLOAT, (MAX_ROUTES,)),
+    ("joins", _FLOAT, (MAX_ROUTES, MAX_ROUTES)),
+    # the entries: the first of its routes and their number, how many vehicles it has room for, the range of
+    # where each starts behind the one ahead, and where the first front is at most (m)
+    ("n_entries", np.int64),
+    *_fields(np.int64, "first_route", "n_routes_there", "entry_room", shape=(MAX_ROUTES,)),
+    *_fields(_FLOAT, "entry_span", "entry_length", shape=(MAX_ROUTES,)),
 )
 PARAMS = aligned(PARAMS)

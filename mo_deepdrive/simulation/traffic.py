@@ -21,17 +21,19 @@ import numpy as np
 
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH, boxes_overlap
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.lanes import in_lanes
-from mo_deepdrive.simulation.map import HALF_LANE, MAP_CENTRE, MAP_SIZE
 from mo_deepdrive.simulation.state import (
     GRAVITY,
+    HALF_LANE,
     LANE_WIDTH,
     LENGTH,
+    MAP_CENTRE,
+    MAP_SIZE,
     MAX_ACCELERATION,
     RUNNING,
     STANDSTILL_GAP,
     Record,
     Records,
+    in_lanes,
 )
 
 if TYPE_CHECKING:

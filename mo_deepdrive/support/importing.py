@@ -33,8 +33,10 @@ def import_named(key: str, path: str) -> Any:
         raise ValueError(f"{what} must have the form package.module:name")
     module = import_module(what, module_name)
     if not hasattr(module, name):
-        own = [each for each, value in vars(module).items() if getattr(value, "__module__", None) == module_name]
-        raise ValueError(f"{what}: {module_name!r} has no {name!r}; {nearest(name, own)}")
+        defined = [
+            attribute for attribute, value in vars(module).items() if getattr(value, "__module__", None) == module_name
+        ]
+        raise ValueError(f"{what}: {module_name!r} has no {name!r}; {nearest(name, defined)}")
     return getattr(module, name)
 
 
@@ -65,8 +67,8 @@ def failure(error: BaseException) -> str:
     """
     ours = ("<frozen ", str(importlib.__file__), str(Path(__file__).parents[1]))
     frames = traceback.extract_tb(error.__traceback__)[1:]  # without the caller
-    own = [each for each in frames if not each.filename.startswith(ours)]
-    last = next((each for each in reversed(own) if each.filename == own[0].filename), None)
+    theirs = [frame for frame in frames if not frame.filename.startswith(ours)]
+    last = next((frame for frame in reversed(theirs) if frame.filename == theirs[0].filename), None)
     where = f" at {Path(last.filename).name}:{last.lineno}" if last else ""
     return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
 

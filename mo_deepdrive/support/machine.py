@@ -49,8 +49,8 @@ def available_memory(root: Path = ROOT) -> float:
         for limit, usage in (("max", "current"), ("limit_in_bytes", "usage_in_bytes")):
             most, used = ("".join(_words(folder / f"memory.{name}")) for name in (limit, usage))
             if most.isdecimal() and used.isdecimal():
-                found = _table(folder / "memory.stat")  # version 1 has the sums over the groups below as total_...
-                caches = sum(found.get(f"total_{name}", found.get(name, 0)) for name in CACHES)
+                statistics = _table(folder / "memory.stat")  # version 1 has the sums over the groups below as total_...
+                caches = sum(statistics.get(f"total_{name}", statistics.get(name, 0)) for name in CACHES)
                 free.append(int(most) - int(used) + caches + swap)
     return max(0, min(free)) if free else math.inf
 

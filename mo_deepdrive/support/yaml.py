@@ -9,7 +9,6 @@ from typing import Any
 import yaml
 
 LONGEST, LONGEST_SHOWN = 2**20, 200  # characters of a file or value, and of a value in a message
-MOST_REPEATED = 2**16  # values that aliases repeat, directly and within each other
 
 # YAML 1.1, which PyYAML follows, wants a dot and a signed exponent; everybody writes 3e-4 and 1e6.
 # It also reads 010 as 8 and 1:30 as 90, which nobody means.
@@ -45,29 +44,9 @@ class _Loader(yaml.SafeLoader):
             seen[key_node.value] = line
         return super().construct_mapping(node, deep)
 
-    def get_single_node(self) -> Any:
-        """The document's node, if its aliases repeat a reasonable number of values."""
-        node = super().get_single_node()
-        sizes: dict[int, int] = {}  # of nodes with all that is in them; 0 while it is counted
-        if node is not None and _size(node, sizes) - len(sizes) > MOST_REPEATED:
-            raise _refused(f"its aliases repeat more than {MOST_REPEATED:,} values")
-        return node
-
 
 def _refused(problem: str) -> yaml.YAMLError:
     return yaml.constructor.ConstructorError(None, None, problem)
-
-
-def _size(node: yaml.Node, sizes: dict[int, int]) -> int:
-    """How many nodes there are in a node, itself included, with every alias in full."""
-    if id(node) not in sizes:
-        sizes[id(node)] = 0
-        children = [] if isinstance(node, yaml.ScalarNode) else node.value
-        pairs = isinstance(node, yaml.MappingNode)
-        sizes[id(node)] = 1 + sum(_size(each, sizes) for child in children for each in (child if pairs else (child,)))
-    if sizes[id(node)] == 0:
-        raise _refused("an alias is within what it repeats")
-    return sizes[id(node)]
 
 
 class _ArgumentLoader(_Loader):

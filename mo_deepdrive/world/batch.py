@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from mo_deepdrive.simulation import observation, traffic
 from mo_deepdrive.simulation.actions import find_infinite, find_unknown
-from mo_deepdrive.simulation.autoreset import DONE, MAX_REDRAWS, NEEDS_DRAWS, NEXT_STEP, reset_batch
+from mo_deepdrive.simulation.autoreset import (
+    DISABLED,
+    DONE,
+    MAX_REDRAWS,
+    NEEDS_DRAWS,
+    NEXT_STEP,
+    SAME_STEP,
+    reset_batch,
+)
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import batch_step, observe_batch
 from mo_deepdrive.simulation.placing import pin_nothing
 from mo_deepdrive.simulation.state import ENDS, PARAMS, SPAWN, with_room
 from mo_deepdrive.support.machine import check_memory
-from mo_deepdrive.support.thread_pool import ThreadPool
 from mo_deepdrive.world import actions as action_sets
 from mo_deepdrive.world.limits import check_state
 from mo_deepdrive.world.measures import make_measures
@@ -23,7 +33,7 @@ from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.params import chosen_objectives, make_params, vehicle_record
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -60,28 +70,41 @@ class Draws:
         self.cursors[empty] = 0
 
 
+# Of Gymnasium, as the compiled reset takes them.
+MODES = {AutoresetMode.NEXT_STEP: NEXT_STEP, AutoresetMode.SAME_STEP: SAME_STEP, AutoresetMode.DISABLED: DISABLED}
+
 # The fields of the state that telemetry reports.
 TELEMETRY = (
-    "x",
-    "y",
-    "heading",
-    "speed",
-    "steer",
-    "throttle",
-    "brake",
-    "g_force",
-    "jerk",
-    "route_distance",
-    "travelled",
-    "left_lane_distance",
-    "right_lane_distance",
-    "vx",
-    "vy",
-    "ax",
-    "ay",
+    *("x", "y", "heading", "speed", "steer", "throttle", "brake", "g_force", "jerk", "route_distance", "travelled"),
+    *("left_lane_distance", "right_lane_distance", "vx", "vy", "ax", "ay"),
 )
 # Of every oncoming car.
 CAR_TELEMETRY = ("x", "y", "speed", "acceleration", "present")
+
+
+class Transition(NamedTuple):
+    """One decision of N worlds with V vehicles each: arrays of NumPy, or tensors.
+
+    Attributes:
+        observations: (N, V, size) float32 for the next decision.
+        final: (N, V, size) after this one: others where an episode was over and the next one has begun in
+            the same step; ``observations`` themselves in other autoreset modes.
+        rewards: (N, V, d) float32; zero for vehicles that had ended before.
+        acted: (N, V) bool, which vehicles were on the road before the decision.
+        terminated: (N, V) bool, after it, before a reset in the same step.
+        truncated: (N, V) bool, likewise.
+        over: (N,) bool, where no vehicle was on the road after it.
+        ends: (N, V) why vehicles have ended: positions in :data:`mo_deepdrive.simulation.state.ENDS`.
+    """
+
+    observations: Any
+    final: Any
+    rewards: Any
+    acted: Any
+    terminated: Any
+    truncated: Any
+    over: Any
+    ends: Any
 
 
 @dataclass(frozen=True)
@@ -101,6 +124,37 @@ class Part:
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     acted: NDArray[np.bool_]
+
+
+class ThreadPool:
+    """Threads that are started when they are needed; a copy of the pool, or a forked process, starts its own."""
+
+    def __init__(self) -> None:
+        self._executor: ThreadPoolExecutor | None = None
+        self._process = 0
+
+    def __reduce__(self) -> tuple[type[ThreadPool], tuple[()]]:
+        return ThreadPool, ()
+
+    def run(self, function: Callable[[Part], None], parts: Sequence[Part]) -> None:
+        """Call ``function`` for every part at the same time, the first in this thread."""
+        first, *rest = parts
+        if rest and (self._executor is None or self._process != os.getpid()):
+            # A forked child inherits the executor without its threads, and would wait for them for ever.
+            self._executor, self._process = ThreadPoolExecutor(len(rest)), os.getpid()
+        others = [self._executor.submit(function, part) for part in rest] if self._executor is not None else []
+        try:
+            function(first)
+        finally:
+            wait(others)  # nobody writes to the parts any more, even after an error
+        for other in others:
+            other.result()
+
+    def close(self) -> None:
+        """End the threads; another call would start new ones."""
+        if self._executor is not None and self._process == os.getpid():
+            self._executor.shutdown()
+        self._executor = None
 
 
 class WorldBatch:
@@ -271,15 +325,8 @@ class WorldBatch:
         self._threads.close()
 
     def _checked(self, actions: NDArray[Any]) -> NDArray[Any]:
-        kinds, dtype, allowed = (
-            ("fiu", np.float64, "finite numbers")
-            if self.continuous
-            else (
-                "iu",
-                np.int64,
-                f"integers in [0, {len(self.table)})",
-            )
-        )
+        kinds, dtype = ("fiu", np.float64) if self.continuous else ("iu", np.int64)
+        allowed = "finite numbers" if self.continuous else f"integers in [0, {len(self.table)})"
         given = actions
         if given.dtype.kind not in kinds:
             first = given.reshape(-1)[0]
@@ -295,21 +342,9 @@ class WorldBatch:
     def _run(self, part: Part, actions: NDArray[Any]) -> None:
         """Move the worlds of one part."""
         self.step_function(
-            part.worlds,
-            actions[part.rows],
-            self.table,
-            self.params,
-            part.controls,
-            part.motion,
-            part.cars,
-            part.path,
-            part.sight,
-            part.observations,
-            part.rewards,
-            part.acted,
-            part.terminated,
-            part.truncated,
-        )
+            part.worlds, actions[part.rows], self.table, self.params, part.controls, part.motion, part.cars, part.path,
+            part.sight, part.observations, part.rewards, part.acted, part.terminated, part.truncated,
+        )  # fmt: skip
 
     def over(self) -> NDArray[np.bool_]:
         """The worlds without a vehicle on the road, shape (worlds,)."""

@@ -50,7 +50,7 @@ class Settings(BaseModel):
         for name, value in values.items():
             if isinstance(value, (list, tuple)) and name in cls.model_fields:
                 annotation = cls.model_fields[name].annotation
-                kinds = [get_origin(each) for each in (annotation, *get_args(annotation))]
+                kinds = [get_origin(member) for member in (annotation, *get_args(annotation))]
                 values[name] = next((kind(value) for kind in kinds if kind in (list, tuple)), value)
         return values
 
@@ -61,7 +61,7 @@ S = TypeVar("S", bound=Settings)
 def _settings_in(annotation: Any) -> Any:
     """The settings model, or dict, in the annotation ``X`` or ``X | None``; None if there is none."""
     members = [annotation] if get_origin(annotation) in (None, dict) else list(get_args(annotation))
-    return next((each for each in members if get_origin(each) is dict or _is_model(each)), None)
+    return next((member for member in members if get_origin(member) is dict or _is_model(member)), None)
 
 
 def _is_model(annotation: Any) -> bool:
@@ -95,8 +95,8 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
             path = problem["loc"]
             name = ".".join(str(part) for part in path)
             if problem["type"] == "extra_forbidden":
-                found = _model_at(model, path[:-1])
-                lines.append(f"{name!r} is unknown; {nearest(str(path[-1]), found.model_fields if found else [])}")
+                owner = _model_at(model, path[:-1])
+                lines.append(f"{name!r} is unknown; {nearest(str(path[-1]), owner.model_fields if owner else [])}")
             elif problem["type"] == "missing":
                 lines.append(f"{name!r} is missing")
             else:

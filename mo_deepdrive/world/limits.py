@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.simulation.map import MAP_SIZE
 from mo_deepdrive.simulation.road_traffic import ACCEPTED_GAPS
 from mo_deepdrive.simulation.state import (
     ENDS,
     GRAVITY,
     LENGTH,
+    MAP_SIZE,
     MAX_ACCELERATION,
     NEVER,
     RUNNING,

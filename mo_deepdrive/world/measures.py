@@ -28,11 +28,11 @@ def _compiled(function: Any) -> Any:
     It is not in the disk cache, whose files would not notice a change of the function.
     """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    own = numba.njit(**options)(function) if inspect.isfunction(function) else function
+    compiled = numba.njit(**options)(function) if inspect.isfunction(function) else function
 
     @numba.njit(**options)  # type: ignore[untyped-decorator]
     def measure(worlds: Records, i: int, v: int, params: Record) -> float:
-        magnitude: float = own(worlds[i], v, params)
+        magnitude: float = compiled(worlds[i], v, params)
         return magnitude
 
     return measure

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mo_deepdrive.simulation import roads
-from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.state import (
     BRAKE_FRICTION,
     KERNEL_NAMES,
+    MAP_CENTRE,
     MAX_OBJECTIVES,
     PARAMS,
     SPEED_FRICTION,
@@ -41,13 +41,14 @@ def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
     scenario = config.row
     if config.objectives is None:
         return scenario.objectives
-    measured = (each for each in OBJECTIVES if each.measure is not None)
     known = {
         *scenario.objectives,
         *(
-            each.name
-            for each in measured
-            if (scenario.others or not each.needs_others) and (scenario.roads or not each.needs_roads)
+            objective.name
+            for objective in OBJECTIVES
+            if objective.measure is not None
+            and (scenario.others or not objective.needs_others)
+            and (scenario.roads or not objective.needs_roads)
         ),
     }
     for name in config.objectives:

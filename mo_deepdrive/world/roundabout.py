@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 
-from mo_deepdrive.simulation.map import MAP_CENTRE
-from mo_deepdrive.simulation.state import LENGTH
+from mo_deepdrive.simulation.state import LENGTH, MAP_CENTRE
 from mo_deepdrive.world.routes import Route, Segment
 
 INSCRIBED_DIAMETER = 30.0  # m

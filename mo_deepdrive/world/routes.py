@@ -130,7 +130,7 @@ def as_tuples(route: Route) -> Route:
         start=_tuple(route.start),
         waypoints=tuple(_tuple(point) for point in route.waypoints),
         start_span=float(route.start_span),
-        segments=tuple(Segment(float(each.length), float(each.curvature)) for each in route.segments),
+        segments=tuple(Segment(float(part.length), float(part.curvature)) for part in route.segments),
         end=None if route.end is None else _tuple(route.end),
         lane_width=float(route.lane_width),
         priority=None if route.priority is None else _tuple(route.priority),
@@ -171,8 +171,8 @@ def start_problem(v: int, route: Route) -> str:
 
 def lane_problem(v: int, route: Route) -> str:
     """What is wrong with a route of segments; "" if nothing is."""
-    segments = route.segments
-    if not isinstance(segments, (tuple, list)) or not all(isinstance(each, Segment) for each in segments):
+    segments, longest = route.segments, 2 * FARTHEST
+    if not isinstance(segments, (tuple, list)) or not all(isinstance(segment, Segment) for segment in segments):
         return f"segments = {segments!r} of route {v} must be a tuple of Segment"
     if len(route.waypoints):
         return f"route {v} has waypoints; where routes have segments, none may"
@@ -180,13 +180,14 @@ def lane_problem(v: int, route: Route) -> str:
         return f"segments of route {v} has {len(segments)} entries; an entry needs 1 to {MAX_SEGMENTS} to its exit"
     if not is_finite(route.lane_width) or not WIDTH < route.lane_width <= 20.0:
         return f"lane_width = {route.lane_width!r} of route {v} must be more than a car's {WIDTH:.2f} m and at most 20"
-    for k, each in enumerate(segments):
-        if not is_finite(each.length) or not is_finite(each.curvature) or not 0.0 < each.length <= 2 * FARTHEST:
-            return f"segment {k} of route {v} = {each!r} must have a length in (0, {2 * FARTHEST:g}] m, and be finite"
-        bend = abs(each.curvature)
-        if bend and not (1 / LARGEST_RADIUS <= bend < min(1.0 / route.lane_width, math.tau / each.length)):
+    for k, segment in enumerate(segments):
+        finite = is_finite(segment.length) and is_finite(segment.curvature)
+        if not finite or not 0.0 < segment.length <= longest:
+            return f"segment {k} of route {v} = {segment!r} must have a length in (0, {longest:g}] m, and be finite"
+        bend = abs(segment.curvature)
+        if bend and not (1 / LARGEST_RADIUS <= bend < min(1.0 / route.lane_width, math.tau / segment.length)):
             return (
-                f"curvature = {each.curvature!r} of segment {k} of route {v} must have a radius above the width of "
+                f"curvature = {segment.curvature!r} of segment {k} of route {v} must have a radius above the width of "
                 f"the lane and of at most {LARGEST_RADIUS:g} m, and turn by less than a circle; a straight has 0"
             )
     return _joint_problem(v, route)

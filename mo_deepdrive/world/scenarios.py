@@ -18,8 +18,15 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from mo_deepdrive.simulation.map import HALF_LANE, MAP_CENTRE, MAP_ORIGIN, MAP_UNIT
-from mo_deepdrive.simulation.state import CONFLICT_TIME, LANE_WIDTH, MAX_VEHICLES
+from mo_deepdrive.simulation.state import (
+    CONFLICT_TIME,
+    HALF_LANE,
+    LANE_WIDTH,
+    MAP_CENTRE,
+    MAP_ORIGIN,
+    MAP_UNIT,
+    MAX_VEHICLES,
+)
 from mo_deepdrive.support.names import check_name, nearest
 from mo_deepdrive.support.plain_values import is_finite, with_plain_fields
 from mo_deepdrive.world.objectives import INDEX
@@ -320,6 +327,6 @@ def _is_count(value: Any) -> bool:
 
 def _with_tuples(scenario: Scenario) -> Scenario:
     """The same scenario with nested tuples, which can be compared, instead of arrays and lists."""
-    objectives, span = tuple(scenario.objectives), tuple(float(each) for each in scenario.destination_span)
+    objectives, span = tuple(scenario.objectives), tuple(float(number) for number in scenario.destination_span)
     routes = tuple(map(as_tuples, scenario.routes))
     return replace(scenario, routes=routes, objectives=objectives, destination_span=(span[0], span[1]))

@@ -17,7 +17,6 @@ from pettingzoo.test import parallel_api_test
 
 import mo_deepdrive
 from mo_deepdrive import Route, Scenario, Segment, register_scenario
-from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv, make_play_env
 from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 from mo_deepdrive.wrappers import UtilityReward
@@ -115,26 +114,6 @@ def test_every_bicycle_is_drawn_by_itself_and_fair(two_bicycles: ModuleType, mak
             assert shapes.gap(destinations[world][None], bicycle) > 0.5
 
 
-def test_a_batch_row_is_the_single_environment_with_its_seed(
-    two_bicycles: ModuleType, make_single: Any, make_vector: Any
-) -> None:
-    vector = make_vector("two_bicycles", 3, autoreset_mode="SameStep", time_limit=0.7)
-    vector.reset(seed=6)
-    vector.action_space.seed(0)
-    singles = [make_single("two_bicycles", time_limit=0.7) for _ in range(3)]
-    for i, env in enumerate(singles):
-        env.reset(seed=6 + i)
-    for _ in range(150):  # more episodes than random numbers are drawn ahead for
-        actions = vector.action_space.sample()
-        observations, rewards, *_ = vector.step(actions)
-        for i, env in enumerate(singles):
-            observation, reward, terminated, truncated, _ = env.step(actions[i])
-            if terminated or truncated:
-                observation, _ = env.reset()
-            np.testing.assert_array_equal(observations[i], observation)
-            np.testing.assert_array_equal(rewards[i], reward)
-
-
 @pytest.mark.parametrize(
     ("bicycles", "before"),
     [((FIRST, ASIDE), 15.0), ((ASIDE, FIRST), 15.0), ((ASIDE, SECOND), 25.0), ((ASIDE, ASIDE), None)],
@@ -186,34 +165,9 @@ def test_reset_options_without_a_valid_scenario_are_refused(
         make_single("two_bicycles").reset(seed=0, options=options)
 
 
-def test_its_state_is_restored_exactly(two_bicycles: ModuleType, make_vector: Any) -> None:
-    env = make_vector("two_bicycles", 4, autoreset_mode="SameStep")
-    env.reset(seed=1)
-    env.action_space.seed(1)
-    drives = [env.action_space.sample() for _ in range(60)]
-    for actions in drives[:20]:
-        env.step(actions)
-    fresh = make_vector("two_bicycles", 4, autoreset_mode="SameStep")
-    fresh.set_state(env.get_state())
-    for actions in drives[20:]:
-        for ours, theirs in zip(fresh.step(actions)[:4], env.step(actions)[:4], strict=True):
-            np.testing.assert_array_equal(ours, theirs)
-    assert fresh.get_state()["state"].tobytes() == env.get_state()["state"].tobytes()
-    with pytest.raises(ValueError, match="state 'state' is uint8 of shape"):
-        fresh.set_state(make_vector("static_obstacle", 4).get_state())
-
-
 def test_it_passes_gymnasiums_and_pettingzoos_checks(two_bicycles: ModuleType, make_single: Any) -> None:
     check_env(UtilityReward(make_single("two_bicycles"), "static_obstacle_linear"), skip_render_check=True)
     parallel_api_test(mo_deepdrive.parallel_env(scenario="two_bicycles"), num_cycles=30)
-
-
-def test_people_can_drive_in_it(two_bicycles: ModuleType) -> None:
-    env = HumanPlayEnv(make_play_env(ID), [0])
-    env.reset(seed=0)
-    rewards = sum(env.step(np.array([1, 0, 0, 0, 0], dtype=np.int8))[1] for _ in range(9 * FRAMES_PER_DECISION))
-    assert rewards[0, 0] > 0.0
-    assert env.render().shape == (720, 1056, 3)
 
 
 @pytest.mark.slow
@@ -324,38 +278,25 @@ def test_a_row_may_have_arrays_and_be_registered_twice(registries: None) -> None
         register_scenario(row())
 
 
-def test_a_span_widens_only_what_is_drawn_with_it(registries: None) -> None:
-    # The start moves along y, and the last waypoint of the first route along x and y.
-    first = Route((240.0, 0.0, 0.0), ((-240.0, 0.0), (20.0, 230.0)), start_span=240.0)
-    register_scenario(row(routes=(first, Route((0.0, 0.0, 0.0), ((0.0, 245.0),))), destination_span=(200.0, 20.0)))
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"name": "Two-Bicycles"}, "scenario name = 'Two-Bicycles' must be lower case letters"),
         ({"name": "one_waypoint"}, "scenario 'one_waypoint' is registered already, with other fields"),
         ({"routes": ()}, "scenario 'own': routes has 0 entries; it must have one per vehicle, at most 2"),
-        ({"routes": row().routes * 3}, "routes has 3 entries"),
-        ({"routes": row().routes[0]}, "must be a tuple of Route, one per vehicle"),
         ({"routes": (None,)}, "routes = (None,) must be a tuple of Route, one per vehicle"),
         ({"routes": (Route((7.0, 25.0, 0.0), None),)}, "waypoints = None of route 0 must be (x, y) pairs"),  # type: ignore[arg-type]
-        ({"routes": (Route((7.0, 25.0, 0.0), (1.0, 2.0)),)}, "of route 0 must be (x, y) pairs"),  # type: ignore[arg-type]
         ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), 230.0),)}, "route 0 with its spans leaves [-250, 250] m"),
         ({"routes": (Route((7.0, 25.0), ((20.0, 5.0),)),)}, "start = (7.0, 25.0) of route 0 must be (x, y, heading)"),
         ({"routes": (Route((7.0, 25.0, 0.0), ()),)}, "waypoints of route 0 has 0 points; it must have 1 to 3"),
-        ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),) * 4),)}, "has 4 points; it must have 1 to 3"),
-        ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0, 1.0),)),)}, "of route 0 must be (x, y) pairs"),
         ({"routes": (Route((7.0, 25.0, 0.0), ((math.nan, 1.0),)),)}, "of route 0 must be (x, y) pairs"),
         ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), "5"),)}, "start_span = '5' of route 0 must be"),  # type: ignore[arg-type]
         ({"destination_span": (231.0, 0.0)}, "scenario 'own': route 0 with its spans leaves [-250, 250] m"),
         ({"destination_span": 3.0}, "destination_span = 3.0 must be (x, y)"),
         ({"objectives": ("distance", "spending")}, "objective 'spending' is unknown; known: collision, destination"),
-        ({"objectives": ("distanc",)}, "objective 'distanc' is unknown; did you mean 'distance'?"),
         ({"objectives": ()}, "objectives = [] must be one or more distinct names"),
         ({"objectives": ("jerk", "jerk")}, "objectives = ['jerk', 'jerk'] must be one or more distinct names"),
         ({"obstacles": True}, "obstacles = True must be a number of bicycles"),
-        ({"obstacles": -1}, "obstacles = -1 must be a number of bicycles"),
         ({"obstacles": 1, "routes": LANE, "lanes": True}, "obstacles = 1 must be 0 where there are two vehicles"),
         ({"obstacles": 1, "routes": (lane(),)}, "or roads of segments"),
         ({"lanes": True, "routes": (lane(),)}, "lanes and destination_span have no effect on roads of segments"),
@@ -389,7 +330,6 @@ def test_a_span_widens_only_what_is_drawn_with_it(registries: None) -> None:
         ),
         ({"number": 2}, "number = 2 has no effect without roads of segments; omit it"),
         ({"conflict_time": math.nan}, "conflict_time = nan must be a finite number of seconds above 0"),
-        ({"conflict_time": -1}, "conflict_time = -1 must be a finite number of seconds above 0"),
         ({"lanes": "no"}, "lanes = 'no' must be True or False"),
         ({"routes": (lane(lane_width=2.0),)}, "lane_width = 2.0 of route 0 must be more than a car's 2.30 m"),
         (
@@ -401,10 +341,8 @@ def test_a_span_widens_only_what_is_drawn_with_it(registries: None) -> None:
             {"routes": (lane(),), "number": 3, "cars": 3},
             "vehicles = 3 and cars = 3 are more than Own holds: 5 together",
         ),
-        ({"cars": True}, "cars = True must be a number of cars: 0, 1, ... or 100"),
         ({"cars": 101, "lanes": True}, "cars = 101 must be a number of cars: 0, 1, ... or 100"),
         ({"cars": 2}, "cars = 2 must be 0 where there are two vehicles or no lanes"),
-        ({"cars": 2, "routes": LANE, "lanes": True}, "cars = 2 must be 0 where there are two vehicles or no lanes"),
         ({"reference": {"jerk": math.inf}}, "reference = {'jerk': inf} must have a finite number per objective"),
         ({"reference": {"jrk": 1.0}}, "objective 'jrk' is unknown; did you mean 'jerk'?"),
     ],

@@ -73,11 +73,6 @@ def test_an_arrival_is_charged_the_time_that_it_took() -> None:
     assert total[-1] == pytest.approx(-0.1 * decisions)
 
 
-def test_the_rest_of_the_time_is_not_missed_where_time_is_no_objective() -> None:
-    total, _, _ = drive(make("one_waypoint", objectives=["distance"], charge_remaining_time=True), 0)
-    assert total.shape == (1,)
-
-
 @pytest.mark.parametrize("action_type", FAST_LEFT)
 def test_late_actions_are_those_of_a_vehicle_that_idles_first(action_type: str) -> None:
     late = make("one_waypoint", action_type=action_type, action_delay=3)

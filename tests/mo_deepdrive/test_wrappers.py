@@ -64,16 +64,6 @@ def test_everything_but_the_reward_is_that_of_the_wrapped_environment(env_id: st
         assert before[4] == after[4]
 
 
-@pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
-def test_the_reward_is_the_utility_of_the_vector_reward(cost_sign: str) -> None:
-    env = UtilityReward(mo_gymnasium.make(ONE_WAYPOINT, cost_sign=cost_sign), "one_waypoint_nonlinear")
-    objectives = env.unwrapped.objectives
-    utility = make_utility("one_waypoint_nonlinear", objectives, cost_sign)
-    for _, reward, _, _, info in play(env, seed=1)[1:]:
-        assert type(reward) is float
-        assert reward == pytest.approx(float(utility(info["vector_reward"])))
-
-
 def test_rewards_of_the_accrued_reward_sum_to_the_utility_of_the_return() -> None:
     env = UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_nonlinear", of="return")
     for seed in (1, 2):  # the second episode starts from zero again
@@ -100,26 +90,6 @@ def test_the_first_turn_of_a_vehicle_has_no_reward() -> None:
         assert (first[4]["vehicle"], first[1]) == (1, 0.0)
         for step in later:
             assert step[1] == float(env.utility(step[4]["vector_reward"]))
-
-
-def test_a_refused_reset_leaves_the_accrued_reward() -> None:
-    single = UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_nonlinear", of="return")
-    parallel = ParallelUtilityReward(mo_deepdrive.parallel_env(), "intersection_nonlinear", of="return")
-    idle = dict.fromkeys(parallel.possible_agents, 0)
-    for env, decision, wrong in (
-        (single, 3, {"destination": "here"}),
-        (parallel, idle, {"starts": "here"}),
-    ):
-        rewards = []
-        for refused in (False, True):
-            env.reset(seed=1)
-            for _ in range(10):
-                env.step(decision)
-            if refused:
-                with pytest.raises(ValueError, match="here"):
-                    env.reset(options=wrong)
-            rewards.append([env.step(decision)[1] for _ in range(3)])
-        assert rewards[0] == rewards[1]
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -16,8 +16,7 @@ from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.metrics import name_and_unit, without_vehicle
 from mo_deepdrive.evaluation.statistics import rate
 from mo_deepdrive.fronts import reference_fronts
-from mo_deepdrive.simulation.map import MAP_CENTRE
-from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, WIDTH
+from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, MAP_CENTRE, WIDTH
 from mo_deepdrive.utilities import COMFORT_BUDGETS, NONLINEAR, ComfortBudget
 from mo_deepdrive.world.action_sequences import decode, discounted_sum, idle, replay
 from mo_deepdrive.world.objectives import signs

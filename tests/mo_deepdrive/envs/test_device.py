@@ -18,8 +18,6 @@ from mo_deepdrive.envs.device import _Episode
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.simulation.state import ENDS
 from mo_deepdrive.world.batch import Draws, WorldBatch
-from tests.helpers.golden import Golden
-from tests.mo_deepdrive.simulation.test_golden import check_one_vehicle
 
 SCENARIOS = ("one_waypoint", "static_obstacle", "intersection", "left_turn")
 
@@ -125,64 +123,6 @@ def test_trajectories_equal_those_of_arrays(scenario: str, action_type: str, dev
 def test_other_autoreset_modes_are_those_of_arrays(mode: AutoresetMode, device: str) -> None:
     arrays, tensors = both("intersection", device, autoreset_mode=mode, time_limit=4.0, action_delay=2)
     assert len(drive(arrays, tensors, random_actions(arrays, 100))) > 1
-
-
-def first_episodes(
-    env: Any, policy: Callable[[np.ndarray], np.ndarray], device: str | None
-) -> tuple[list[str], np.ndarray]:
-    """How the first episode of every world of the test split ends, and its returns."""
-    observations, _ = env.reset(seed=list(SPLITS["test"][: env.num_envs]))
-    ends, returns = [""] * env.num_envs, np.zeros((env.num_envs, env.reward_dim))
-    while not all(ends):
-        actions = np.stack([policy(each) for each in np.asarray(torch.as_tensor(observations).cpu())])
-        given = actions if device is None else torch.as_tensor(actions, device=device)
-        observations, rewards, _, _, infos = env.step(given)
-        running = np.array([not end for end in ends])
-        returns += np.asarray(torch.as_tensor(rewards).cpu()) * running[:, None]
-        for i in np.flatnonzero(running & np.asarray(torch.as_tensor(infos.get("_final_info", running & False)).cpu())):
-            end = infos["final_info"]["end"][i]
-            ends[i] = end if device is None else ENDS[int(end)]
-    return ends, returns
-
-
-@pytest.mark.slow
-def test_a_policy_scores_the_same_on_the_test_split(device: str, chase: Callable[[np.ndarray], np.ndarray]) -> None:
-    options = {"action_type": "continuous", "autoreset_mode": AutoresetMode.SAME_STEP}
-    arrays, tensors = make("one_waypoint", 200, **options), make("one_waypoint", 200, device=device, **options)
-    ends, returns = first_episodes(arrays, chase, None)
-    same_ends, same_returns = first_episodes(tensors, chase, device)
-    assert same_ends == ends
-    assert 0.5 < np.mean(np.array(ends) == "arrived") <= 1.0
-    np.testing.assert_allclose(same_returns, returns, rtol=1e-4, atol=1e-4)
-
-
-class OneWorld:
-    """An environment of one world as a single environment, for recorded trajectories."""
-
-    def __init__(self, scenario: str, device: str, **options: Any):
-        self.env = make(scenario, 1, device=device, autoreset_mode=AutoresetMode.DISABLED, **options)
-        self.unwrapped = self
-
-    def reset(self, options: dict[str, Any]) -> None:
-        self.env.reset(options=options)
-
-    def step(self, action: np.ndarray) -> tuple[Any, ...]:
-        actions = torch.as_tensor(action[None].astype(self.env.action_space.dtype), device=self.env.device)
-        observations, rewards, terminated, truncated, infos = self.env.step(actions)
-        info = {"end": ENDS[int(infos["end"][0])]}
-        return observations[0].cpu().numpy(), rewards[0].cpu().numpy(), bool(terminated), bool(truncated), info
-
-    def telemetry(self) -> Any:
-        return self.env.telemetry()[0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
-def test_vehicles_drive_as_recorded_from_the_original(golden: Golden, shapes: Any, scenario: str, device: str) -> None:
-    if golden.name != "sample":
-        pytest.skip("the sample is enough here")
-    for vehicles in golden.of(scenario).values():
-        check_one_vehicle(lambda name, **options: OneWorld(name, device, **options), shapes, vehicles[0], golden.steps)
 
 
 def placed(config: Any, streams: np.ndarray) -> np.ndarray:

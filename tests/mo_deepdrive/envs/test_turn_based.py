@@ -18,11 +18,6 @@ from tests.helpers.interfaces import ACTION_TYPES, PLANS, record
 Turn = tuple[np.ndarray, np.ndarray, bool, bool, dict[str, Any]]
 
 
-@pytest.fixture
-def env(make_single: Callable[..., Any]) -> Any:
-    return make_single("intersection")
-
-
 def play(make_single: Callable[..., Any], plan: str, action_type: str = "continuous", together: bool = False) -> Any:
     """All turns of a recorded episode, and its joint actions."""
     recording = record(action_type, together)
@@ -59,24 +54,6 @@ def test_the_world_moves_after_both_choices_so_neither_sees_the_others(make_sing
     assert len(set(observations)) == 1
     assert len({car[0]["speed"] for car in telemetry}) == 2, "idle, or one of two ways to accelerate"
     assert len({car[1]["speed"] for car in telemetry}) == 1
-
-
-def test_a_turn_has_the_observation_and_reward_of_its_vehicle(make_single: Any, make_vector: Any) -> None:
-    env, vector = make_single("intersection"), make_vector("intersection", 1, autoreset_mode="Disabled")
-    observation, _ = env.reset(seed=3)
-    observations, _ = vector.reset(seed=3)
-    np.testing.assert_array_equal(observation, observations[0, 0])
-    rewards = np.zeros((1, 2, env.reward_dim), dtype=np.float32)
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        joint = rng.integers(1, 7, size=2)
-        observation, reward, *_ = env.step(joint[0])
-        np.testing.assert_array_equal(observation, observations[0, 1])
-        np.testing.assert_array_equal(reward, rewards[0, 1])
-        observations, rewards, *_ = vector.step(joint[None])
-        observation, reward, *_ = env.step(joint[1])
-        np.testing.assert_array_equal(observation, observations[0, 0])
-        np.testing.assert_array_equal(reward, rewards[0, 0])
 
 
 # --------------------------------------------------------------------------------------------------------------- ends
@@ -161,24 +138,3 @@ def test_an_invalid_action_changes_neither_the_turn_nor_the_pending_choice(make_
         assert results[0].tobytes() == expected[0].tobytes()
         assert results[1].tobytes() == expected[1].tobytes()
     assert env.batch.state.tobytes() == before.batch.state.tobytes()
-
-
-# ---------------------------------------------------------------------------------------------------------- rendering
-
-
-def test_frames_change_when_the_world_moves_and_videos_play_in_real_time(
-    make_single: Any,
-) -> None:
-    env = make_single("intersection", render_mode="rgb_array")
-    assert env.metadata["render_fps"] == 20
-    env.reset(seed=0)
-    frames = [env.render()]
-    for _ in range(10):
-        env.step(3)
-        frames.append(env.render())
-    assert frames[0].shape == (*frames[0].shape[:2], 3)
-    assert frames[0].dtype == np.uint8
-    assert (frames[1] == frames[0]).all(), "one has chosen"
-    assert (frames[-1] != frames[0]).any()
-    env.close()
-    assert make_single("intersection").render() is None

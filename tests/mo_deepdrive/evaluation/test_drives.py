@@ -14,7 +14,7 @@ from algorithms.runs.run_directory import Run
 from mo_deepdrive import parallel_env
 from mo_deepdrive.evaluation.drives import READINGS, PlanDriver, PoliciesDriver, is_drivable, record_scenes
 from mo_deepdrive.evaluation.front import Front
-from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
+from mo_deepdrive.simulation.state import MAP_CENTRE, MAP_SIZE
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 LEFT_TURN = "mo-deepdrive-left-turn-v0"

@@ -130,21 +130,6 @@ def test_the_documentation_has_the_size_of_every_front(repository: Path) -> None
     assert not rows
 
 
-@pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9])
-def test_a_front_for_another_gamma_is_discounted_with_it(gamma: float) -> None:
-    policies = reference_fronts.shipped("one_waypoint", "discrete")
-    rewards = replay(
-        reference_fronts.front_config("one_waypoint", "discrete"),
-        [decode(each.actions, "discrete") for each in policies],
-    )
-    returns = sum(gamma**t * rewards[:, t].astype(np.float64) for t in range(rewards.shape[1]))
-    front = mo_deepdrive.reference_front(gamma=gamma)
-    assert 1 <= len(front) <= len(policies)
-    for point in front:
-        assert np.isclose(returns, point, rtol=1e-9, atol=1e-12).all(axis=1).any()
-        assert not any(dominates(other, point) for other in front)
-
-
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
 def test_the_front_of_version_1_is_undiscounted_and_ending_early_saves_no_time(scenario: str) -> None:
     env: Any = gymnasium.make(f"mo-deepdrive-{scenario.replace('_', '-')}-v1", **fixed(scenario)).unwrapped

@@ -14,7 +14,6 @@ from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 
 IDLE = 0
-FORWARD = 3  # decay steer, increase speed
 CRAWL = np.array([0.0, 0.4, -1.0], dtype=np.float32)
 COAST = np.array([0.0, 0.0, -1.0], dtype=np.float32)
 COSTS = [objective.name for objective in OBJECTIVES if objective.sign < 0 and objective.name in KERNEL_NAMES]

@@ -50,13 +50,6 @@ def test_a_truncated_cache_file_is_compiled_again(cache: Path, suffix: str, kept
 
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
-def test_a_cache_file_of_noise_is_compiled_again(cache: Path, suffix: str) -> None:
-    compiled()
-    cached(cache, suffix).write_bytes(bytes(range(256)) * 10)
-    assert [compiled(), compiled()] == ["compiled", "loaded"]
-
-
-@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 def test_a_broken_cache_that_cannot_be_written_is_no_cache(
     cache: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

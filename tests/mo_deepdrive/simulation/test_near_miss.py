@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from mo_deepdrive.simulation.geometry import boxes_overlap, time_to_collision
-from mo_deepdrive.simulation.map import MAP_CENTRE
-from mo_deepdrive.simulation.state import CONFLICT_TIME, LENGTH, WIDTH
+from mo_deepdrive.simulation.state import CONFLICT_TIME, LENGTH, MAP_CENTRE, WIDTH
 
 NORTH, WEST, SOUTH = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)  # cosine and sine of headings
 LANE_X = MAP_CENTRE - 1.524
@@ -154,25 +153,3 @@ def test_a_vehicle_that_has_left_the_road_is_none(make_vector: Any) -> None:
     env.batch.state["end"][0, 1] = 8  # arrived
     env.batch.step(np.array([[0, 0]]))
     assert env.batch.rewards[0].ravel().tolist() == [0.0, 0.0]
-
-
-@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle", "intersection", "left_turn"])
-@pytest.mark.parametrize("frequency", [10, 4])
-def test_every_scenario_can_count_the_seconds(make_vector: Any, scenario: str, frequency: int) -> None:
-    env = make_vector(
-        scenario,
-        3,
-        objectives=["distance", "time"],
-        simulation_frequency=60,
-        decision_frequency=frequency,
-        time_limit=2.0,
-    )
-    env.reset(seed=0)
-    assert env.reward_space.low[..., 1].max() == np.float32(-1.0 / frequency)
-    total = np.zeros(env.batch.rewards.shape[:2])
-    while not env.batch.over().all():
-        env.batch.step(np.zeros(env.batch.rewards.shape[:2], dtype=np.int64))
-        total += env.batch.rewards[..., 1]
-    np.testing.assert_allclose(total, -2.0, rtol=1e-6)
-    env.batch.step(np.zeros(env.batch.rewards.shape[:2], dtype=np.int64))
-    assert not env.batch.rewards[..., 1].any(), "the episode is over"

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import mo_deepdrive
 from mo_deepdrive.simulation import traffic
 from mo_deepdrive.simulation.state import ENDS, LANE_WIDTH, LENGTH, WIDTH
 from mo_deepdrive.world.observation import layout
@@ -218,26 +217,6 @@ def test_the_cars_move_as_a_plain_loop_says(worlds: Any, frequency: int, decisio
             left = left or not cars["present"].all()
     assert braking < -3.0
     assert left or moves
-
-
-def test_every_interface_gives_the_same_episode_bit_for_bit(make_single: Any, make_vector: Any) -> None:
-    single, many = make_single("left_turn"), make_vector("left_turn", 40, autoreset_mode="Disabled")
-    parallel = mo_deepdrive.parallel_env(scenario="left_turn")
-    many.reset(seed=0)
-    first, _ = single.reset(seed=33)
-    assert first.tobytes() == many.batch.observations[33, 0].tobytes()
-    assert first.tobytes() == parallel.reset(seed=33)[0]["vehicle_0"].tobytes()
-    rng = np.random.default_rng(0)
-    for action in rng.choice([0, 1, 3, 3, 6, 9], 60).tolist():
-        observation, reward, terminated, truncated, _ = single.step(action)
-        many.batch.step(np.full((40, 1), action))
-        others, rewards, *_ = parallel.step({"vehicle_0": action})
-        assert observation.tobytes() == many.batch.observations[33, 0].tobytes() == others["vehicle_0"].tobytes()
-        assert reward.tobytes() == many.batch.rewards[33, 0].tobytes() == rewards["vehicle_0"].tobytes()
-        assert single.batch.state[0].tobytes() == many.batch.state[33].tobytes()
-        if terminated or truncated:
-            break
-    assert single.batch.state["decisions"][0, 0] > 10
 
 
 def test_a_car_that_has_left_the_map_is_gone(worlds: Any) -> None:

@@ -62,15 +62,6 @@ ODD = {
     "a tag of another type": ("a: !!bool x", "KeyError: 'x'"),
     "a tag of no date": ("a: !!timestamp x", "AttributeError: 'NoneType' object has no attribute 'groupdict'"),
     "a tag of a mapping": ("a: !!map [1]", "expected a mapping node, but found sequence"),
-    "aliases of aliases": (
-        "a: &a0 [1]\n" + "".join(f"b{k}: &a{k + 1} [{', '.join([f'*a{k}'] * 9)}]\n" for k in range(9)),
-        "its aliases repeat more than 65,536 values",
-    ),
-    "merged aliases": (
-        "a: &a0 {k: 1}\n" + "".join(f"b{k}: &a{k + 1} {{<<: [{', '.join([f'*a{k}'] * 9)}]}}\n" for k in range(9)),
-        "its aliases repeat more than 65,536 values",
-    ),
-    "an alias of itself": ("a: &a [*a]", "an alias is within what it repeats"),
 }
 
 

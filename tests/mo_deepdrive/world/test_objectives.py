@@ -8,7 +8,6 @@ from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
-import gymnasium
 import numba
 import numpy as np
 import pytest
@@ -131,18 +130,6 @@ def test_a_compiled_measure_and_a_signed_one_are_fine(registries: None, make_vec
     np.testing.assert_allclose([*env.reward_space.low, *env.reward_space.high], [-200 / 60, 200 / 60], rtol=1e-6)
 
 
-def test_the_state_is_that_of_an_environment_without_the_objective(effort: ModuleType, make_vector: Any) -> None:
-    old = make_vector("static_obstacle", 3)
-    old.reset(seed=2)
-    drives = actions(old, 40)
-    for action in drives[:10]:
-        old.step(action)
-    env = make_vector("static_obstacle", 3, objectives=[*old.objectives, "effort"])
-    env.set_state(old.get_state())
-    for action in drives[10:]:
-        np.testing.assert_array_equal(env.step(action)[1][:, :-1], old.step(action)[1])
-
-
 # -------------------------------------------------------------------------------------------------------- registration
 
 
@@ -175,23 +162,6 @@ def test_an_invalid_objective_is_refused_in_one_line(registries: None, changes: 
     assert before == OBJECTIVES
 
 
-def weighted(factor: Any, most: float) -> Objective:
-    """An objective whose functions have the same code for all arguments: it is in a closure and in a default."""
-
-    def measure(vehicles: Any, v: int, params: Any) -> float:
-        return float(factor[0] * vehicles[v].speed)
-
-    return row(measure=measure, bound=lambda config, most=most: most)
-
-
-def test_functions_that_hold_other_values_make_another_objective(registries: None) -> None:
-    register_objective(weighted(np.array([1.0, 2.0]), 300.0))
-    register_objective(weighted(np.array([1.0, 2.0]), 300.0))
-    for other in (weighted(np.array([1.0, 3.0]), 300.0), weighted(np.array([1.0, 2.0]), 400.0)):
-        with pytest.raises(ValueError, match="'gap' is registered already, with other fields"):
-            register_objective(other)
-
-
 def test_a_measure_that_cannot_be_compiled_is_refused_when_the_environment_is_made(
     registries: None, make_single: Any
 ) -> None:
@@ -218,11 +188,6 @@ def test_objectives_of_the_kernel_need_a_scenario_that_has_them(effort: ModuleTy
 
 
 # ------------------------------------------------------------------------------------------------------------ measures
-
-
-def test_an_id_with_a_module_imports_it(examples: None) -> None:
-    env = gymnasium.make("effort:mo-deepdrive-one-waypoint-v0", objectives=["distance", "effort"])
-    assert env.unwrapped.objectives == ("distance", "effort")
 
 
 def test_a_row_may_be_copied(registries: None, make_vector: Any) -> None:

@@ -11,7 +11,6 @@ import pytest
 import mo_deepdrive
 from mo_deepdrive.simulation.roads import pose_at
 from mo_deepdrive.simulation.state import ENDS
-from mo_deepdrive.world.config import EnvConfig
 from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 
@@ -274,9 +273,3 @@ def test_a_world_of_8_vehicles_takes_less_than_8_kilobytes(make_vector: Any) -> 
     arrays = [each for owner in (env.batch, env, env.streams) for each in vars(owner).values()]
     owned = [each for each in arrays if isinstance(each, np.ndarray) and each.shape[:1] == (4,)]
     assert sum(each.nbytes for each in owned) / 4 < 8_000
-
-
-def test_a_row_has_the_number_of_its_configuration() -> None:
-    config = EnvConfig(scenario="roundabout", vehicles=6, cars=3)
-    assert (config.row.vehicles, config.row.cars, config.row.draws) == (6, 3, 1 + 3 * 9 + 3 * 3)
-    assert EnvConfig(scenario="roundabout").row == SCENARIOS["roundabout"]

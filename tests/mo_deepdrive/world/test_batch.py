@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from mo_deepdrive.support.thread_pool import ThreadPool
+from mo_deepdrive.world.batch import ThreadPool
 
 
 def test_an_error_is_raised_after_all_parts_have_ended() -> None:
