@@ -130,13 +130,7 @@ class PolicyLearner(Learner):
         }
 
     def set_state(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
-        """Resume from :meth:`get_state`.
-
-        Raises:
-            ValueError: for values from which training cannot continue.
-        """
-        if int(state["episodes"]) < 0:
-            raise ValueError(f"'episodes' = {int(state['episodes'])} of a running mean must not be negative")
+        """Resume from :meth:`get_state`."""
         super().set_state(state, seed)
         self.expected_return[seed], self.episodes[seed] = state["expected_return"], state["episodes"]
 
@@ -699,11 +693,7 @@ class ActorCritic(Agent):
         return self.get_seed_state(0)
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`.
-
-        Raises:
-            ValueError: for values from which training cannot continue.
-        """
+        """Resume from :meth:`get_state`."""
         self.set_seed_states([state])
 
     def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
@@ -717,19 +707,12 @@ class ActorCritic(Agent):
         return state | {f"collector.{name}": each for name, each in self.collector.get_state(seed).items()}
 
     def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
-        """Resume from :meth:`get_seed_state` of all seeds.
-
-        Raises:
-            ValueError: for values from which training cannot continue.
-        """
+        """Resume from :meth:`get_seed_state` of all seeds."""
         for seed, state in enumerate(states):
             for learner in self.learners:
                 learner.set_state(strip_prefix(state, f"{learner.name}."), seed)
             self.guides[seed].set_state(state)
         self.collector.set_state([strip_prefix(state, "collector.") for state in states], self.step)
-        rollouts, rest = divmod(self.step, per_update := self.config.steps * self.env.num_envs)
-        if rest or rollouts != self.updates:
-            raise ValueError(f"step = {self.step} must be the {per_update} steps of each of {self.updates} updates")
 
     def get_policy(self, seed: int = 0) -> dict[str, torch.Tensor]:
         """The actors' weights."""

@@ -136,8 +136,7 @@ class Agent(ABC):
         shares_policies: whether it takes ``share_policy``, with which one policy drives all vehicles.
         trains_on_devices: whether it can train on a GPU, and several seeds side by side.
         compiled_saves: seconds by which a compiled gradient step is shorter.
-        varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
-            ``set_state`` and ``set_policy`` check them.
+        varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read.
         config: the hyperparameters.
         env: the training environment in the trainers' shapes.
         learners: what learns by gradient steps, each an :class:`algorithms.learning.learner.Learner`.
@@ -355,11 +354,7 @@ class Agent(ABC):
 
     @abstractmethod
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`; ``step`` and ``updates`` are set already.
-
-        Raises:
-            ValueError: for values from which training cannot continue; a part of the state may be set already.
-        """
+        """Resume from :meth:`get_state`; ``step`` and ``updates`` are set already."""
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """What acting needs: a part of :meth:`get_state`, or a summary of it."""
@@ -617,8 +612,8 @@ class Agent(ABC):
 
         Raises:
             ValueError: if a file is missing or broken, belongs to another algorithm, environment or network, has
-                values from which training cannot continue, or holds the policy alone where more is needed; or the
-                files are of different steps.
+                numbers that are not finite, or holds the policy alone where more is needed; or the files are of
+                different steps.
         """
         may_differ = ("num_envs", RESIDENT, PARTNERS, GUIDES) if policy_only else ()
         expected = self.get_policy() if policy_only else {**self.get_seed_state(0), EPISODES: self.episodes.totals[0]}
@@ -631,24 +626,14 @@ class Agent(ABC):
         if len(steps) > 1:
             named = ", ".join(f"{step:,}" for step in steps)
             raise ValueError(f"the checkpoints are of the steps {named}; resume those of the same step together")
-        before = self.step, self.updates, self.seeds
-        kept = [
-            {name: each.clone() for name, each in {**self.get_seed_state(seed), **self.get_policy()}.items()}
-            for seed in range(len(self.seeds))
-        ]
-        try:
-            if policy_only:
-                self.set_policy(states[0])
-                return
-            self.step, self.updates = found[0][STEP], found[0][UPDATES]
-            self.seeds = tuple(about[SEED] for about in found)
-            self.set_seed_states(states)
-            for seed, state in enumerate(states):
-                self.episodes.totals[seed] = state[EPISODES]
-        except (ValueError, RuntimeError) as error:
-            self.step, self.updates, self.seeds = before
-            self.set_seed_states(kept)
-            raise ValueError(f"checkpoint {paths[0]}: {str(error).splitlines()[0]}") from None
+        if policy_only:
+            self.set_policy(states[0])
+            return
+        self.step, self.updates = found[0][STEP], found[0][UPDATES]
+        self.seeds = tuple(about[SEED] for about in found)
+        self.set_seed_states(states)
+        for seed, state in enumerate(states):
+            self.episodes.totals[seed] = state[EPISODES]
 
 
 def _of_seed(losses: Mapping[str, Any], seed: int) -> dict[str, float]:

@@ -358,15 +358,9 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         }
 
     def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
-        """Resume from :meth:`get_seed_state` of all seeds.
-
-        Raises:
-            ValueError: for values from which training cannot continue.
-        """
+        """Resume from :meth:`get_seed_state` of all seeds."""
         super().set_seed_states(states)
         for seed, state in enumerate(states):
-            if self.step:
-                self.preferences.check(state["preferences"].numpy())
             self.training.current[seed], self.training.seen_any[seed] = state["preferences"], state["seen_any"]
             self.ideal[seed] = state["ideal"]
 

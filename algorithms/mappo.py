@@ -31,7 +31,6 @@ import torch
 
 from algorithms.hyperparameters import Fraction, Positive, ProximalSettings
 from algorithms.learning.advantages import generalised_advantages
-from algorithms.learning.checkpoints import strip_prefix
 from algorithms.learning.losses import Loss, mean, policy_change
 from algorithms.ppo import PPO
 from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
@@ -205,14 +204,7 @@ class MAPPO(PPO):
         }
 
     def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
-        """Resume from :meth:`get_seed_state` of all seeds.
-
-        Raises:
-            ValueError: for values from which training cannot continue.
-        """
+        """Resume from :meth:`get_seed_state` of all seeds."""
         super().set_seed_states(states)
         for seed, state in enumerate(states):
-            team = strip_prefix(state, "team.")
-            if team["ended"].all(dim=-1).any():
-                raise ValueError("the teams' running episodes are broken: nobody is under way")
-            self.returns[seed], self.team_ended[seed] = team["returns"], team["ended"]
+            self.returns[seed], self.team_ended[seed] = state["team.returns"], state["team.ended"]

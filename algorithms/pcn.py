@@ -465,18 +465,9 @@ class PCN(FrontAgent):
         }
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`.
-
-        Raises:
-            ValueError: for values from which training cannot continue.
-        """
+        """Resume from :meth:`get_state`."""
         self.set_policy(state)
-        counts = state["counts"].tolist()
-        if min(counts) < 0:
-            raise ValueError(f"counts = {counts} of updates and episodes must not be negative")
-        self.updates, self._collected = counts
-        if not len(self.buffer) and (self.step or self._collected):
-            raise ValueError(f"the buffer is empty after {self.step} steps and {self._collected} episodes")
+        self.updates, self._collected = state["counts"].tolist()
         self.learner.set_state(state)
 
     def _policy_tensors(self) -> dict[str, torch.Tensor]:
@@ -503,52 +494,17 @@ class PCN(FrontAgent):
         super().save_policy(path)
 
     def set_policy(self, state: dict[str, torch.Tensor]) -> None:
-        """Act as the agent of :meth:`get_policy` or :meth:`get_state`.
-
-        Raises:
-            ValueError: if a part of the best episodes or of the buffer is missing, has the wrong shape or type, or has
-                values that no episode has.
-        """
-        attained = strip_prefix(state, "attained.")
-        self._attained = self._read_attained(attained) if attained else None
+        """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
+        self._attained = None
+        if "attained.returns" in state:
+            returns, lengths = state["attained.returns"].numpy(), state["attained.lengths"].numpy()
+            self._attained = returns.astype(np.float64), lengths.astype(np.int64)
         self.learner.set_weights(state)
         low, high = state["bounds"].numpy()
         self.bounds = low, high
         if self._standardises:
-            inputs = state["inputs"].numpy()
-            if not np.isfinite(inputs).all() or not (inputs[1] > 0.0).all():
-                raise ValueError("the inputs of the network are shifted or scaled by numbers that are not valid")
-            self.inputs = inputs
-        episodes = strip_prefix(state, "store.")
-        self._check_decisions(episodes)
-        self.buffer.set_state(episodes)
-
-    def _check_decisions(self, state: dict[str, torch.Tensor]) -> None:
-        """Refuse observations and actions of the buffer that are not those of the environment."""
-        k, continuous = self.env.actions, self.env.continuous
-        forms = {
-            "observations": (torch.float32, (self.env.observation_size,)),
-            "actions": (torch.float32, (k,)) if continuous else (torch.int64, ()),
-        }
-        for name, form in forms.items():
-            found = (state[name].dtype, tuple(state[name].shape[1:])) if name in state else form
-            if found != form:
-                raise ValueError(
-                    f"the buffer has {name} of {found[0]} and shape {found[1]}; it needs {form[0]} and shape {form[1]}"
-                )
-        actions = state.get("actions", torch.zeros(0))
-        if not bool((actions.isfinite() if continuous else (actions >= 0) & (actions < k)).all()):
-            raise ValueError(f"the buffer has actions that are not {'finite' if continuous else f'in [0, {k})'}")
-
-    def _read_attained(self, state: dict[str, torch.Tensor]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Returns (K, d) and lengths (K,) of the best episodes, as :meth:`get_policy` wrote them."""
-        shapes = {name: tuple(state[name].shape) for name in ("returns", "lengths") if name in state}
-        count = shapes.get("returns", (0,))[0]
-        if not count or shapes != {"returns": (count, len(self.scales)), "lengths": (count,)}:
-            raise ValueError(f"the best episodes of the policy are broken: {shapes}, for {len(self.scales)} objectives")
-        if not state["returns"].isfinite().all() or not (state["lengths"] >= 1).all():
-            raise ValueError("the best episodes of the policy are broken: returns that are not finite, or no decisions")
-        return state["returns"].numpy().astype(np.float64), state["lengths"].numpy().astype(np.int64)
+            self.inputs = state["inputs"].numpy()
+        self.buffer.set_state(strip_prefix(state, "store."))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-import numpy as np
 import torch
 
 from algorithms.learning.checkpoints import strip_prefix
@@ -15,6 +14,7 @@ from mo_deepdrive.support.faults import LARGEST, check_vehicles
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from algorithms.learning.preferences import TrainingPreferences
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 
 WORLDS = "worlds."  # prefix of their part of a state
-# By which accrued rewards and discounts may differ from exact ones: relative, and of discounts absolute.
-ROUNDING, TINY = 1e-3, 1e-6
 
 
 class Running(NamedTuple):
@@ -124,6 +122,7 @@ class Collector:
             outputs=zeros(*step),
         )
         self._steps = [self.storage.at(t) for t in range(steps)]
+        self._final = zeros(*step, o)  # observations after each step
         now = seeds, num_envs, v
         self.now = Running(
             observations=zeros(*now, o),
@@ -154,20 +153,29 @@ class Collector:
 
     def _collect(self) -> None:
         storage, now, policy, preference = self.storage, self.now, self.policy, None
+        if self.preferences is not None:
+            self.preferences.begin_rollout()
         for t, at in enumerate(self._steps):
             if self.preferences is not None:
-                preference = self.preferences.follow(t, now.lengths)
-                at.preferences.copy_(preference[0])
+                at.preferences.copy_(self.preferences.follow(t, now.lengths))
+                preference = at.preferences, self.preferences.ideal[:, None, None]
             at.inputs.copy_(policy.inputs(now.observations, now.accrued, now.discounts, preference))
             at.accrued.copy_(now.accrued)
             at.discounts.copy_(now.discounts)
             policy.decide(t, at, now)
-            self._keep(at, self.worlds.step(at.actions), preference)
+            step = self.worlds.step(at.actions)
+            self._final[:, t] = step.final
+            self._keep(at, step)
         storage.inputs[:, -1] = policy.inputs(now.observations, now.accrued, now.discounts, preference)
         storage.accrued[:, -1], storage.discounts[:, -1] = now.accrued, now.discounts
+        if self.static or self.preferences is not None or storage.truncated.any():
+            if self.preferences is not None:
+                preference = storage.preferences, self.preferences.ideal[:, None, None, None]
+            discounts = storage.discounts[:, :-1] * self.accrued_discounts
+            storage.final_inputs.copy_(policy.inputs(self._final, storage.ended_values, discounts, preference))
         self.sums.add(storage.ended, storage.ended_sums)
 
-    def _keep(self, at: RolloutStorage, step: WorldStep, preference: Any) -> None:
+    def _keep(self, at: RolloutStorage, step: WorldStep) -> None:
         """Write a step of the worlds into its place in the rollout, and into the running episodes."""
         now = self.now
         torch.mul(step.rewards, self.shares, out=at.rewards)
@@ -180,8 +188,6 @@ class Collector:
         at.terminated.copy_(step.terminated)
         at.truncated.copy_(step.truncated)
         torch.logical_and(step.acted, ~at.led, out=at.acted)
-        if self.static or self.preferences is not None or step.truncated.any():
-            at.final_inputs.copy_(self.policy.inputs(step.final, now.accrued, now.discounts, preference))
         # Who did not act has no episode under way.
         begins = at.ended | ~step.acted
         now.observations.copy_(step.observations)
@@ -215,7 +221,7 @@ class Collector:
         """Resume from the states of all seeds after ``step`` steps of each.
 
         Raises:
-            ValueError: for what no world can have, or does not fit its episodes.
+            ValueError: for what no world can have.
         """
         for seed, state in enumerate(states):
             for name, tensor in self.now._asdict().items():
@@ -224,30 +230,3 @@ class Collector:
         if begun is not None:
             self.reset()
             self.now.observations.copy_(begun)
-        elif step and not self.static:
-            self._check_running()
-
-    def _check_running(self) -> None:
-        """Refuse what does not fit the episodes that are under way in our environments.
-
-        Raises:
-            ValueError: naming the array, its value and what is allowed.
-        """
-        observations, decisions = self.env.under_way()
-        own = {name: tensor[0].numpy() for name, tensor in self.now._asdict().items()}
-        discounts = np.power(self.accrued_discounts.numpy(), decisions, dtype=np.float64)
-        largest = decisions[..., None] * self.env.objective_bounds * (1.0 + ROUNDING)
-        for name, low, high in (
-            ("observations", observations, observations),
-            ("lengths", decisions, decisions),
-            ("discounts", discounts * (1.0 - ROUNDING) - TINY, discounts * (1.0 + ROUNDING) + TINY),
-            ("accrued", -largest, largest),
-            ("returns", -largest, largest),
-        ):
-            wrong = ~((own[name] >= low) & (own[name] <= high))
-            if wrong.any():
-                least, greatest = (np.broadcast_to(bound, wrong.shape)[wrong][0] for bound in (low, high))
-                raise ValueError(
-                    f"'collector.{name}' has {own[name][wrong][0]:g}; the environments' episodes allow "
-                    f"{least:g} to {greatest:g}"
-                )

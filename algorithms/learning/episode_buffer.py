@@ -163,29 +163,9 @@ class EpisodeBuffer:
         return {name: torch.from_numpy(np.ascontiguousarray(self._flat()[name])) for name in names}
 
     def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`.
-
-        Raises:
-            ValueError: if a part of the state is missing, or the parts do not fit together.
-        """
+        """Resume from :meth:`get_state`."""
         self.episodes, self._arrays = [], {}
         if state:
-            names = ("observations", "actions", "returns")
-            missing = [name for name in (*names, "lengths") if name not in state]
-            if missing:
-                raise ValueError(f"the state of the buffer lacks {', '.join(missing)}")
-            lengths, *columns = (state[name].numpy() for name in ("lengths", *names))
-            rows = {column.shape[:1] for column in columns}
-            if lengths.dtype != np.int64 or lengths.ndim != 1 or len(rows) != 1 or () in rows:
-                shapes = {name: tuple(tensor.shape) for name, tensor in state.items()}
-                raise ValueError(f"the episodes of the buffer do not fit together: {shapes}")
-            ((count,),) = rows
-            if not ((lengths >= 1) & (lengths <= count)).all() or lengths.sum() != count or not count:
-                raise ValueError(
-                    f"the episodes of the buffer have {count} decisions; their lengths do not add up to it"
-                )
-            returns = columns[2]
-            if returns.dtype != np.float32 or returns.shape[1:] != self.scales.shape or not np.isfinite(returns).all():
-                raise ValueError(f"the returns of the buffer must be finite float32 of {len(self.scales)} objectives")
-            split = [np.split(column, np.cumsum(lengths)[:-1]) for column in columns]
-            self.episodes = [Episode(*parts) for parts in zip(*split, strict=True)]
+            lengths = state["lengths"].tolist()
+            columns = [state[name].split(lengths) for name in ("observations", "actions", "returns")]
+            self.episodes = [Episode(*(part.numpy() for part in parts)) for parts in zip(*columns, strict=True)]

@@ -226,20 +226,10 @@ class Learner:
         return state | {f"optimiser.{name}": each[:size] if each.dim() else each for name, each in adam.items()}
 
     def set_state(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
-        """Resume from :meth:`get_state`.
-
-        Raises:
-            ValueError: for numbers that no optimiser has.
-        """
-        adam = strip_prefix(state, "optimiser.")
-        step, least = float(adam["step"]), float(adam["exp_avg_sq"].min())
-        if not (step >= 0.0 and step.is_integer()):
-            raise ValueError(f"the optimiser's state has step = {step}; it must be an integer from 0 on")
-        if least < 0.0:
-            raise ValueError(f"the optimiser's state has exp_avg_sq = {least}; it must not be negative")
-        size = sum(self._sizes)
+        """Resume from :meth:`get_state`."""
+        adam, size = strip_prefix(state, "optimiser."), sum(self._sizes)
         self.set_weights(state, seed)
-        self.count[seed] = step
+        self.count[seed] = adam["step"]
         self.mean[seed, :size], self.mean_square[seed, :size] = adam["exp_avg"], adam["exp_avg_sq"]
 
     def get_weights(self, network: str, seed: int = 0) -> dict[str, torch.Tensor]:

@@ -320,28 +320,28 @@ class TrainingPreferences:
         self._weights[seed] = torch._sample_dirichlet(concentration, generator=generator)
         self._uniform[seed].uniform_(generator=generator)
 
-    def follow(self, t: int, lengths: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The preferences (S, N, V, m) of decision t of a rollout, and z (S, 1, 1, d).
-
-        They change where an episode begins, and by chance elsewhere.
-
-        Args:
-            t: the decision.
-            lengths: (S, N, V) decisions of running episodes.
-        """
-        weights, uniform = self._weights[:, t], self._uniform[:, t]
-        ideal = self.ideal[:, None, None]
+    def begin_rollout(self) -> None:
+        """Make preferences of the random numbers, for every decision of a rollout at once."""
+        weights, uniform = self._weights, self._uniform
         # Equation 12.
-        gains = ideal > 0.0
+        gains = self.ideal[:, None, None, None] > 0.0
         of_gains = torch.where(gains, weights + TINY, 0.0)
         of_gains = of_gains / of_gains.sum(-1, keepdim=True).clamp(min=TINY)
         grown = (1.0 - self.cost_share) * of_gains + self.cost_share * weights
         weights = torch.where(gains.any(-1, keepdim=True), grown, weights)
         family = (uniform[..., :1] >= self._thresholds).sum(-1)
-        drawn = self._preferences.rows(family, weights, uniform[..., 2:])
-        changes = (lengths == 0) | (uniform[..., 1] < self._switching)
-        self.current.copy_(torch.where(changes.unsqueeze(-1), drawn, self.current))
-        return self.current, ideal
+        self._drawn = self._preferences.rows(family, weights, uniform[..., 2:])
+        self._switches = uniform[..., 1] < self._switching
+
+    def follow(self, t: int, lengths: torch.Tensor) -> torch.Tensor:
+        """The preferences (S, N, V, m) of decision t of a rollout; new where episodes begin, and by chance.
+
+        Args:
+            t: the decision.
+            lengths: (S, N, V) decisions of running episodes.
+        """
+        changes = (lengths == 0) | self._switches[:, t]
+        return self.current.copy_(torch.where(changes.unsqueeze(-1), self._drawn[:, t], self.current))
 
     def note_episodes(self, values: torch.Tensor, ended: torch.Tensor) -> None:
         """Raise z to the best accrued rewards (S, T, N, V, d) of the episodes that ended, where a mask says."""

@@ -73,18 +73,11 @@ class EnvWorlds:
         return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in self._env.get_state().items()}
 
     def set_state(self, states: Sequence[Mapping[str, torch.Tensor]], step: int) -> torch.Tensor | None:
-        """Resume after ``step`` steps; observations (1, N, V, o) if new episodes had to begin, else None.
-
-        Raises:
-            ValueError: if steps had been taken in environments that have not been reset.
-        """
+        """Resume after ``step`` steps; observations (1, N, V, o) if new episodes had to begin, else None."""
         if not self._env.native:
             # They begin new episodes, with different seeds.
             return torch.from_numpy(self._env.reset(self._seed + step)).unsqueeze(0)
         self._env.set_state({name: tensor.numpy() for name, tensor in states[0].items()})
-        worlds = self._env.get_state()
-        if step and (worlds["over"].any() or not worlds["begun"].all()):
-            raise ValueError(f"step = {step}, but environments have not been reset")
         return None
 
 

@@ -20,10 +20,9 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.envs.vector import END_NAMES, DrivingVectorEnv
-from mo_deepdrive.simulation.state import ARRIVED, RUNNING
+from mo_deepdrive.simulation.state import ARRIVED
 from mo_deepdrive.support.faults import EndlessEpisode, check_vehicles
 from mo_deepdrive.support.machine import check_memory, peak_memory
-from mo_deepdrive.world.limits import objective_bound
 from mo_deepdrive.world.objectives import scales as objective_scales
 from mo_deepdrive.world.objectives import signs as objective_signs
 
@@ -117,7 +116,6 @@ class EnvAdapter:
         objective_scales: (d,) nominal magnitudes of a return.
         costs: (d,) whether more of the objective is worse; of other libraries' environments, whether the reward space
             has no positive reward.
-        objective_bounds: (d,) largest magnitudes of a reward; infinite where they are not known.
         actions: number of discrete actions, or of continuous axes.
         continuous: whether actions are continuous.
         max_episode_steps: decisions after which an episode that is driven to its end must have ended: the id's, or
@@ -156,7 +154,6 @@ class EnvAdapter:
             self.observation_scales = inner.observation_scales
             self.objective_scales = objective_scales(self.objectives).astype(np.float32)
             self.costs: NDArray[np.bool_] = objective_signs(self.objectives) < 0
-            self.objective_bounds = np.array([objective_bound(name, inner.config) for name in self.objectives])
             self.max_episode_steps = config.max_decisions
             if isinstance(space, spaces.MultiDiscrete):
                 space = spaces.Discrete(int(space.nvec[0]))
@@ -172,7 +169,6 @@ class EnvAdapter:
             self.observation_scales = _scales_from_bounds(env.single_observation_space)
             self.objective_scales = np.ones(d, dtype=np.float32)
             self.costs = rewards.high <= 0.0
-            self.objective_bounds = np.full(d, np.inf)
             self.max_episode_steps = (spec and spec.max_episode_steps) or LONGEST_EPISODE
         if isinstance(space, spaces.Discrete):
             self.continuous, self.actions = False, int(space.n)
@@ -351,16 +347,6 @@ class EnvAdapter:
         """The exact state of the environments as arrays; empty where they cannot be saved."""
         inner = self.vector_env.unwrapped
         return inner.get_state() if isinstance(inner, DrivingVectorEnv) else {}
-
-    def under_way(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        """What the running episodes of our environments have come to; vehicles that have ended are in none.
-
-        Returns:
-            Observations (N, V, o) for the next action, and decisions (N, V) so far, 0 for vehicles that have ended.
-        """
-        batch = self.vector_env.unwrapped.batch  # type: ignore[attr-defined]  # ours alone
-        decisions = np.where(batch.state["end"] == RUNNING, batch.state["decisions"], 0)
-        return batch.observations, decisions
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from :meth:`get_state`."""

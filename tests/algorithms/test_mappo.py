@@ -213,15 +213,6 @@ def test_a_vehicle_that_ends_as_the_other_is_cut_has_ended_in_the_final_state() 
     assert team["states"][1, 0, -2:].tolist() == [0.0, 0.0]
 
 
-def test_a_team_of_which_nobody_is_under_way_is_refused() -> None:
-    agent = make_mappo()
-    agent.train(64)
-    state = agent.get_state()
-    state["team.ended"] = torch.full_like(state["team.ended"], fill_value=True)
-    with pytest.raises(ValueError, match="running episodes are broken"):
-        agent.set_state(state)
-
-
 def test_continuous_actions_train() -> None:
     agent = make_mappo(env={"action_type": "continuous", **SHORT})
     before = [parameter.clone() for learner in agent.learners for parameter in learner.actor.parameters()]

@@ -99,20 +99,6 @@ def test_a_restored_learner_takes_the_same_steps_whatever_its_place_among_the_se
         assert torch.equal(one, other.flip(0))
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("optimiser.step", 1.5, "the optimiser's state has step = 1.5; it must be an integer from 0 on"),
-        ("optimiser.exp_avg_sq", -1.0, "the optimiser's state has exp_avg_sq = -1.0; it must not be negative"),
-    ],
-)
-def test_a_state_that_no_optimiser_has_is_refused(name: str, value: float, message: str) -> None:
-    learner = learner_of(0)
-    state = learner.get_state()
-    with pytest.raises(ValueError, match=message):
-        learner.set_state({**state, name: torch.full_like(state[name], value)})
-
-
 def test_the_expected_return_is_an_exponentially_weighted_mean_of_episodes() -> None:
     learner = PolicyLearner([Networks(body=network_of())] * 1, 1.0, (0,), None, 2)
 
