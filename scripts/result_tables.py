@@ -26,8 +26,8 @@ from paired_benchmark import REPOSITORY
 
 from algorithms.commands.suite import minutes_per_run
 from algorithms.runs.cli import make_parser
+from algorithms.studies import REFERENCE
 from algorithms.studies.settings import load_study
-from algorithms.studies.suite_plan import REFERENCE
 from algorithms.studies.suite_tables import Scoreboard
 from algorithms.zoo import ZOO
 from mo_deepdrive import suite

@@ -25,9 +25,7 @@ from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import run_command
 from algorithms.runs.cli import TRUST, check_file, exit_on_error, make_parser
 from algorithms.runs.config import parse_overrides
-from algorithms.studies.manifest import short_names
-from algorithms.studies.suite_plan import ALL, CORE, PUBLISHED, REFERENCE, plan_of, selected_tasks
-from mo_deepdrive import suite
+from algorithms.studies import ALL, CORE, REFERENCE
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -115,6 +113,8 @@ def task_table(minutes: Mapping[str, float]) -> Table:
     """The tasks, one a row, with the minutes that a run takes where they are known."""
     from rich.table import Table
 
+    from mo_deepdrive import suite
+
     columns = ("task", "track", "title", "steps", "minutes", "floor", "ceiling", "", "what it tests")
     table = Table(*columns, title="The suite")
     for name, task in suite.load().tasks.items():
@@ -137,6 +137,8 @@ def task_table(minutes: Mapping[str, float]) -> Table:
 def suite_list(_options: Namespace) -> int:
     """Print the tasks; returns the exit code."""
     from algorithms.runs.console import make_console
+    from algorithms.studies.suite_plan import PUBLISHED
+    from mo_deepdrive import suite
 
     make_console().print(task_table(minutes_per_run(suite.read_rows(PUBLISHED)) if PUBLISHED.is_file() else {}))
     return 0
@@ -150,6 +152,8 @@ def suite_score(options: Namespace) -> int:
     from algorithms.runs.console import make_console, print_line
     from algorithms.runs.progress_bar import compilation_noted
     from algorithms.runs.suite_entries import open_entry
+    from algorithms.studies.suite_plan import selected_tasks
+    from mo_deepdrive import suite
 
     check_file("--output", options.output, ".csv")
     if options.episodes is not None and options.episodes < 1:
@@ -184,6 +188,8 @@ def checked_policy(entry: Entry, task_id: str) -> Any:
     Raises:
         ValueError: if it cannot.
     """
+    from mo_deepdrive import suite
+
     policy = entry.policy(task_id)
     try:
         suite.check_policy(policy, task_id)
@@ -216,6 +222,7 @@ def suite_verify(options: Namespace) -> int:
 
     from algorithms.runs.console import make_console
     from algorithms.runs.suite_entries import disagreement, fresh_seed, is_own_code, open_entry, recorded_rows
+    from mo_deepdrive import suite
 
     wanted = options.tasks or ()
     for task_id in wanted:
@@ -259,6 +266,9 @@ def suite_verify(options: Namespace) -> int:
 
 def suite_run(options: Namespace) -> int:
     """Train learners on tasks of the suite, and score them; returns the exit code."""
+    from algorithms.studies.manifest import short_names
+    from algorithms.studies.suite_plan import plan_of
+
     overrides = dict(parse_overrides(options.overrides))
     make = study_runner(lambda: plan_of(options.learner, options.tasks or [CORE], options.seeds, overrides), options)
     name = "-".join(["suite", *short_names(options.learner).values()]).replace("/", "-")
@@ -273,7 +283,9 @@ def suite_table(options: Namespace) -> int:
     from algorithms.reporting.tables import FORMATS, markdown, print_rows, write_table
     from algorithms.runs.console import make_console, print_line
     from algorithms.studies.settings import load_study
+    from algorithms.studies.suite_plan import PUBLISHED
     from algorithms.studies.suite_tables import MEANS_NOTE, NOTE, Scoreboard
+    from mo_deepdrive import suite
     from mo_deepdrive.support.atomic_io import atomic_write
 
     check_file("--figure", options.figure)
@@ -320,6 +332,8 @@ def _read_results(path: Path) -> list[Row]:
     Raises:
         ValueError: if it has none, or others.
     """
+    from mo_deepdrive import suite
+
     rows = suite.read_rows(path)
     if not rows:
         raise ValueError(f"there are no results in {str(path)!r}; mo-deepdrive suite run writes a results.csv")

@@ -14,3 +14,6 @@ BACKENDS = ("local", "ray", "slurm", "manifest")  # the last one only writes the
 # The paper's figures and claims that are reproduced, by their numbers.
 FIGURES = range(4, 11)
 CLAIM_NUMBERS = range(1, 7)
+
+REFERENCE = "studies/suite"  # the study of the suite's reference results
+CORE, ALL = "core", "all"  # instead of the suite's tasks

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from algorithms.runs.shipped import CONFIGS
+from algorithms.studies import ALL, CORE, REFERENCE
 from algorithms.studies.manifest import short_names
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.settings import ELSEWHERE, Learner, StudyTask, load_study, problems_of
@@ -15,12 +16,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from typing import Any
 
-REFERENCE = "studies/suite"  # the study of the reference results
-# These results, in a checkout and in an installed package.
+# The reference results of the suite, in a checkout and in an installed package.
 PUBLISHED = CONFIGS.parent / "docs" / "results" / "suite.csv"
 if not PUBLISHED.is_file():
     PUBLISHED = CONFIGS / "suite" / "published.csv"
-CORE, ALL = "core", "all"  # instead of tasks
 
 
 def selected_tasks(names: Sequence[str]) -> list[str]:

@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 
 import algorithms
-from algorithms.commands import COMMANDS
 from mo_deepdrive.support.extras import EXTRAS
-from tests.helpers.paths import REPOSITORY
 
 
 def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
@@ -25,21 +23,6 @@ def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
         "'gymnasium') or name.startswith('algorithms.')))"
     )
     assert loaded == "[]\n"
-
-
-@pytest.mark.slow
-def test_the_help_of_a_command_imports_neither_an_extra_nor_a_compiler(run_python: Callable[[str], str]) -> None:
-    printed = run_python(
-        "import contextlib, runpy, sys\n"
-        f"for name in {list(COMMANDS)}:\n"
-        "    sys.argv = [f'{name}.py', '--help']\n"
-        "    with contextlib.suppress(SystemExit):\n"
-        f"        runpy.run_path(f'{REPOSITORY}/scripts/{{name}}.py', run_name='__main__')\n"
-        f"    print([name, *(package for package in {(*EXTRAS, 'numba')} if package in sys.modules)])"
-    )
-    for name in COMMANDS:
-        assert f"usage: python scripts/{name}.py " in printed
-        assert f"\n['{name}']\n" in printed
 
 
 def test_importing_the_environments_imports_neither_an_extra_nor_a_compiler_nor_pygame(

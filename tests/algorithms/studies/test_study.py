@@ -15,7 +15,6 @@ import pytest
 import yaml
 
 from algorithms.commands.study import main
-from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
 from algorithms.studies.backends import Backend
 from algorithms.studies.manifest import read_manifest
@@ -51,16 +50,17 @@ def write_study(folder: Path, **changes: Any) -> Path:
     return path
 
 
-class MadeUpRuns(StudyRunner):
-    """A runner whose runs end at once: with their learning rate as score, or failed if ``fails`` says so."""
+@dataclasses.dataclass(frozen=True)
+class MadeUpBackend(Backend):
+    """A backend whose runs end at once: with their learning rate as score, or failed if ``fails`` says so."""
 
-    fails: Callable[[dict[str, Any]], bool] = staticmethod(lambda _config: False)
-    batches: Sequence[int] = ()
+    fails: Callable[[dict[str, Any]], bool] = lambda _config: False
+    batches: list[int] = dataclasses.field(default_factory=list)
 
-    def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+    def train(self, jobs: Sequence[Job], *_: Any) -> dict[Job, str]:
         failed = {}
         open_jobs = [job for job in jobs if not job.done]
-        self.batches = [*self.batches, len(open_jobs)]
+        self.batches.append(len(open_jobs))
         for job in open_jobs:
             config = job.experiment.to_dict()
             job.path.mkdir(parents=True, exist_ok=True)
@@ -75,22 +75,21 @@ class MadeUpRuns(StudyRunner):
         return failed
 
 
-def made_up(folder: Path, file: Path, fails: Callable[[dict[str, Any]], bool] = lambda _config: False) -> MadeUpRuns:
-    runner = MadeUpRuns(StudyPlan(load_study(file)), folder / "study", Backend(), quiet())
-    runner.fails = fails
-    return runner
+def made_up(folder: Path, file: Path, backend: Backend) -> StudyRunner:
+    return StudyRunner(StudyPlan(load_study(file)), folder / "study", backend, quiet())
 
 
 def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_with_the_seeds_that_count(
     tmp_path: Path,
 ) -> None:
-    runner = made_up(tmp_path, write_study(tmp_path))
+    backend = MadeUpBackend()
+    runner = made_up(tmp_path, write_study(tmp_path), backend)
     assert runner.run() == 0
     assert printed(runner._console).splitlines()[:2] == [
         f"{tmp_path / 'base.yaml'}: training.seed is not used; set seeds with the key 'seeds'",
         "4 runs of tuning, then 4 that count: mo, plain on short",
     ]
-    assert runner.batches == [4, 4]
+    assert backend.batches == [4, 4]
     rows = read_manifest(tmp_path / "study")
     for row in rows:
         tuned = row.trial is not None
@@ -106,9 +105,9 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
     ]
     with (tmp_path / "study" / "tuning.csv").open() as file:
         assert [line["chosen"] for line in csv.DictReader(file)] == ["0", "1", "0", "1"]
-    again = made_up(tmp_path, tmp_path / "short.yaml")
-    assert again.run() == 0
-    assert again.batches == ()
+    again = MadeUpBackend()
+    assert made_up(tmp_path, tmp_path / "short.yaml", again).run() == 0
+    assert again.batches == []
 
 
 def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_chosen(tmp_path: Path) -> None:
@@ -119,9 +118,9 @@ def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_c
         settings, seed = config["algorithm"], config["training"]["seed"]
         return settings["name"] == "a2c" or (seed == 100 and settings["learning_rate"] == 0.003) or seed == 1
 
-    runner = made_up(tmp_path, file, fails)
-    assert runner.run() == 1
-    assert runner.batches == [4, 2]
+    backend = MadeUpBackend(fails=fails)
+    assert made_up(tmp_path, file, backend).run() == 1
+    assert backend.batches == [4, 2]
     states = [(each.learner, each.seed, each.value, each.state) for each in read_rows(tmp_path / "study/results.csv")]
     assert states == [
         ("mo", 0, 0.001, "finished"),
@@ -132,8 +131,10 @@ def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_c
     page = (tmp_path / "study" / "results.md").read_text()
     assert "2 (1 failed)" in page
     assert "Cite these numbers of the final evaluations (" in page
-    again = made_up(tmp_path, file)
-    assert again.run() == 1, "the failed rate stays failed, or other settings would be the best"
+    again = MadeUpBackend()
+    assert made_up(tmp_path, file, again).run() == 1, (
+        "the failed rate stays failed, or other settings would be the best"
+    )
     # MO-A2C: the seed that failed. A2C, of which nothing was chosen: its tuning, then its seeds.
     assert again.batches == [3, 2]
 
@@ -234,9 +235,9 @@ def test_an_invalid_study_is_refused_before_anything_is_trained(
 def test_arms_that_are_not_selected_are_not_trained_and_keep_their_results(tmp_path: Path) -> None:
     study = load_study(write_study(tmp_path))
     for learner, trained in (("mo", {"mo"}), ("plain", {"mo", "plain"})):
-        runner = MadeUpRuns(StudyPlan(study, ["short"], [learner]), tmp_path / "study", Backend(), quiet())
-        assert runner.run() == 0
-        assert runner.batches == [2, 2]
+        backend = MadeUpBackend()
+        assert StudyRunner(StudyPlan(study, ["short"], [learner]), tmp_path / "study", backend, quiet()).run() == 0
+        assert backend.batches == [2, 2]
         assert {each.learner for each in read_rows(tmp_path / "study" / "results.csv")} == trained
         assert {row.cell["learner"] for row in read_manifest(tmp_path / "study")} == trained
     with pytest.raises(ValueError, match="--learners nobody: the study has no such learner"):
