@@ -164,7 +164,7 @@ def collected(agent: Any, rows: np.ndarray) -> Rollout:
     agent.begin()
     steps, num_envs = agent.config.steps, agent.env.num_envs
     chosen = torch.from_numpy(rows).expand(steps, num_envs, -1)
-    agent.training.follow = lambda t, _: (chosen[t].view(1, num_envs, 1, -1), agent.ideal[:, None, None])
+    agent.training.follow = lambda t, _: chosen[t].view(1, num_envs, 1, -1)
     agent._draw(0)
     agent.collector.collect()
     found = agent.rollout_of(agent.learners[0], agent.collector.storage)
@@ -308,7 +308,8 @@ def drawn(agent: ConditionedMOPPO, share: float) -> np.ndarray:
     agent.ideal[:] = torch.tensor([12.0, 0.8, 0.0, -0.1])
     agent.grow_costs(share)
     agent.training.draw(0, torch.Generator().manual_seed(0))
-    rows, _ = agent.training.follow(0, agent.collector.now.lengths)
+    agent.training.begin_rollout()
+    rows = agent.training.follow(0, agent.collector.now.lengths)
     return rows[0, :, 0].numpy().copy()
 
 

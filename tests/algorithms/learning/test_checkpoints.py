@@ -136,7 +136,8 @@ def test_a_tensor_of_another_form_is_refused_in_one_line(saved: tuple[str, Path]
     kind, path = saved
     tensors, identity = contents(path)
     agent = KINDS[kind]()
-    for name in representatives(tensors):
+    fixed = {name: each for name, each in tensors.items() if not any(part in name for part in agent.varying_shapes)}
+    for name in representatives(fixed):
         for what, change in FORMS.items():
             changed = change(tensors[name])
             if what == "empty" and not tensors[name].numel():
