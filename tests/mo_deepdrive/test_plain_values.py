@@ -44,7 +44,9 @@ def test_numpys_numbers_and_arrays_are_taken_as_arguments() -> None:
     env.reset(seed=np.uint8(3), options={"cars": np.int8(2), "headways": np.array([3.0, 4.0], dtype=np.float32)})
     assert mo_deepdrive.parallel_env(keep_finished=np.True_).keep_finished is True
     given = {"learning_rate": np.float64(0.1), "hidden": np.array([8, 4])}
-    assert parse(A2C.Config, given, "settings") == parse(A2C.Config, {"learning_rate": 0.1, "hidden": (8, 4)}, "settings")
+    assert parse(A2C.Config, given, "settings") == parse(
+        A2C.Config, {"learning_rate": 0.1, "hidden": (8, 4)}, "settings"
+    )
     two = SCENARIOS["one_waypoint"]
     register_scenario(dataclasses.replace(two, lanes=np.False_, obstacles=np.int64(0), cars=np.uint8(0)))
 
