@@ -281,6 +281,11 @@ class ActorCritic(Agent):
         return torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]
 
     @property
+    def output_size(self) -> int:
+        """Number of outputs of an actor's network."""
+        return self.env.actions * (2 if self.env.continuous and self.config.state_dependent_std else 1)
+
+    @property
     def state_size(self) -> int:
         """Width of what a critic sees."""
         others = (self.env.vehicles - 1) * self.env.observation_size if self.config.centralised_critic else 0
@@ -520,7 +525,7 @@ class ActorCritic(Agent):
         weights = rollout.acted.to(advantages.dtype)
         if self.config.normalise_advantages:
             advantages = normalise(advantages, weights)
-        log_prob = networks.actor(rollout.inputs[:-1], rollout.actions)[0] if self.compares_policies else None
+        log_prob = networks.actor.evaluate(rollout.outputs, rollout.actions)[0] if self.compares_policies else None
         targets = targets / scales
         return Samples(
             rollout.inputs[:-1], rollout.states[:-1], rollout.actions, advantages, targets, log_prob, weights
@@ -529,8 +534,11 @@ class ActorCritic(Agent):
     def next_values(self, networks: Networks, rollout: Rollout, values: torch.Tensor) -> torch.Tensor:
         """v(S_{t+1}) (T, N, K) from v (T + 1, N, K) of S_0 to S_T and of the true final states."""
         final = values[1:]
-        if self.collector.static or rollout.truncated.any():
+        if self.collector.static:
             final = self.value_scales * networks.critic(rollout.final_states)
+        elif rollout.truncated.any():
+            final = final.clone()
+            final[rollout.truncated] = self.value_scales * networks.critic(rollout.final_states[rollout.truncated])
         return bootstrapped(values[1:], final, rollout.terminated, rollout.truncated)
 
     def _loss(self, networks: Networks, tensors: dict[str, torch.Tensor], entropy_coefficient: torch.Tensor) -> Loss:
@@ -584,8 +592,9 @@ class ActorCritic(Agent):
         """Write the actions of step t: those of all policies, then those of partners and guides."""
         for learner in self.learners:
             if self.env.vehicles == 1:
-                chosen, at.outputs[:] = learner.compute(_choose, (at.inputs, learner.noise[:, t]))
+                chosen, outputs = learner.compute(_choose, (at.inputs, learner.noise[:, t]))
                 at.actions.copy_(chosen)
+                at.outputs.copy_(outputs)
                 continue
             vehicles = list(learner.vehicles)
             seen = torch.stack([at.inputs[:, :, v] for v in vehicles], dim=2)
@@ -615,7 +624,7 @@ class ActorCritic(Agent):
         """
         storage = self.collector.storage
         self.collector.check(seed)
-        finite = storage.outputs[seed].isfinite()
+        finite = storage.outputs[seed].isfinite().all(-1)
         if not finite.all():
             environment = int((~finite).nonzero()[0, 1])
             raise NotFinite(f"environment {environment}: an output of the policy's network is not finite")
@@ -729,9 +738,9 @@ class ActorCritic(Agent):
 
 
 def _choose(networks: Networks, seen: tuple[torch.Tensor, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Actions (N, V) or (N, V, k) for inputs (N, V, i) and random numbers, and the sums (N, V) of the outputs."""
+    """Actions (N, V) or (N, V, k) for inputs (N, V, i) and random numbers, and the outputs (N, V, n) of the network."""
     actor: Actor = networks.actor
     outputs = actor.body(seen[0])
     chosen = actor.choose(outputs, seen[1])
-    # Worlds take no numbers that are not finite; the sums tell of them.
-    return chosen.nan_to_num(0.0) if chosen.is_floating_point() else chosen, outputs.sum(-1)
+    # Worlds take no numbers that are not finite; the outputs tell of them.
+    return chosen.nan_to_num(0.0) if chosen.is_floating_point() else chosen, outputs

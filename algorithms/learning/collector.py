@@ -54,6 +54,10 @@ class Decides(Protocol):
     def input_size(self) -> int:
         """I."""
 
+    @property
+    def output_size(self) -> int:
+        """N of the actors' networks."""
+
     def inputs(
         self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, preference: Any
     ) -> torch.Tensor:
@@ -119,7 +123,7 @@ class Collector:
             ended_values=zeros(*step, d),
             ended_sums=zeros(*step, 2 + d, dtype=torch.float64),
             led=zeros(*step, **flags),
-            outputs=zeros(*step),
+            outputs=zeros(*step, policy.output_size),
         )
         self._steps = [self.storage.at(t) for t in range(steps)]
         self._final = zeros(*step, o)  # observations after each step

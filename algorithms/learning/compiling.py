@@ -51,8 +51,8 @@ def pure(what: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
 class Compiled:
     """A function of trees of tensors, compiled at its first call with arguments of these shapes.
 
-    It is traced with all that autograd does, of which ``torch.compile`` then sees nothing but operations. What is no
-    tensor, and tensors that are no arguments, stay what they were when it was traced; tensors in its results are new.
+    It is traced with all that autograd does, of which the compiler then sees nothing but operations. What is no tensor,
+    and tensors that are no arguments, stay what they were when it was traced; tensors in its results are new.
 
     Args:
         function: gives a tree of tensors, and may change its arguments in place.
@@ -86,7 +86,11 @@ class Compiled:
         return pytree.tree_unflatten(compiled(*leaves), form)
 
     def _compile(self, leaves: list[torch.Tensor], form: pytree.TreeSpec) -> tuple[Callable[..., Any], pytree.TreeSpec]:
-        from torch.fx.experimental.proxy_tensor import make_fx  # not earlier: it takes a second
+        # Not earlier: it takes a second.
+        from torch._dynamo import lookup_backend
+        from torch._subclasses.fake_tensor import FakeTensorMode
+        from torch.fx.experimental.proxy_tensor import make_fx
+        from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
         forms: list[pytree.TreeSpec] = []
 
@@ -97,7 +101,10 @@ class Compiled:
 
         try:
             traced = make_fx(flat)(*map(_copy, leaves))
-            compiled = torch.compile(traced, backend=BACKEND, fullgraph=True, dynamic=False)
+            # What torch.compile does after tracing. Its own tracer has nothing left to do, and its checks at every call
+            # would take a tenth of a gradient step of small networks.
+            mode = FakeTensorMode(shape_env=ShapeEnv())
+            compiled = lookup_backend(BACKEND)(traced, [mode.from_tensor(each, static_shapes=True) for each in leaves])
             compiled(*map(_copy, leaves))
         except Exception as error:
             raise ValueError(

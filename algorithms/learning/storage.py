@@ -33,7 +33,7 @@ class RolloutStorage:
         ended_values: (S, T, N, V, d) accrued rewards after each step.
         ended_sums: (S, T, N, V, 2 + d) after each step: whether the goal was reached, decisions, undiscounted returns.
         led: (S, T, N, V) whether a guide drove in place of the policy.
-        outputs: (S, T, N, V) sum of the outputs of the policy's network, which is not finite if one of them is not.
+        outputs: (S, T, N, V, n) of the policy's network.
     """
 
     inputs: torch.Tensor
@@ -80,6 +80,7 @@ class Rollout:
         discounts: (T + 1, N) g^t.
         terminated, truncated, acted: (T, N).
         preferences: (T, N, m) under which the policy acted; m = 0 where there are none.
+        outputs: (T, N, n) of the actor's network when it acted.
         expected_return: (d,) E[R], running mean of the accrued rewards of episodes.
         ideal: (d,) the best accrued rewards of any episode.
         utility: u of its vehicles; None where none is known.
@@ -96,6 +97,7 @@ class Rollout:
     truncated: torch.Tensor
     acted: torch.Tensor
     preferences: torch.Tensor
+    outputs: torch.Tensor
     expected_return: torch.Tensor
     ideal: torch.Tensor
     utility: Any = None

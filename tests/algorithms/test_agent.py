@@ -435,7 +435,7 @@ def test_deep_sea_treasure_is_learned_in_seconds(cls: type[ActorCritic]) -> None
     )
     env = make_env(SEA, 50)
     before = evaluate(agent, env, episodes=100, greedy=False).episode_utilities()
-    agent.train(20_000)
+    agent.train(40_000)
     after = evaluate(agent, env, episodes=100, greedy=False).episode_utilities()
     error = math.sqrt(before.var(ddof=1) / 100 + after.var(ddof=1) / 100)
     assert after.mean() - before.mean() > 4 * error

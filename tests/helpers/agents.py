@@ -147,6 +147,7 @@ class Handmade:
             final_states=final,
             **{name: getattr(self, name) for name in names},
             preferences=self.rewards[..., :0],
+            outputs=agent.learners[0].actor.body(inputs[:-1]).detach(),
             expected_return=expected,
             ideal=expected,
             utility=agent.utilities[0].unchecked(),

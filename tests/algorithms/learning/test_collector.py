@@ -90,7 +90,7 @@ class Drives:
     """Drives by what arrays say; actors would see what the environment gives."""
 
     def __init__(self, act: Act, input_size: int):
-        self.act, self.input_size = act, input_size
+        self.act, self.input_size, self.output_size = act, input_size, 1
 
     def inputs(self, observations: torch.Tensor, *_: Any) -> torch.Tensor:
         return observations
