@@ -9,7 +9,6 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from mo_deepdrive.evaluation.evaluation import estimate_metrics
 from mo_deepdrive.evaluation.metrics import (
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
@@ -41,7 +40,7 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
     Ends that no episode had and metrics that repeat another one (SER of a linear utility, the return of our
     destination) are left out; the files have all.
     """
-    columns = {policy: estimate_metrics(evaluation) for policy, evaluation in evaluations.items()}
+    columns = {policy: evaluation.estimates() for policy, evaluation in evaluations.items()}
     names: list[str] = []
     for estimates in columns.values():
         place = 0

@@ -16,10 +16,11 @@ from algorithms.runs.config import find_environment
 from algorithms.runs.console import print_line
 from algorithms.runs.policy_evaluation import evaluate_front_policies
 from algorithms.runs.run_directory import imported_paths
-from mo_deepdrive.evaluation.drives import PlanDriver, PoliciesDriver, is_drivable, record_scenes
+from mo_deepdrive.evaluation.drives import PlanDriver, is_drivable, record_scenes
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import Front, best_known_front
 from mo_deepdrive.evaluation.metrics import without_vehicle
+from mo_deepdrive.evaluation.policy import PolicyDriver
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.fronts import reference_fronts
 from mo_deepdrive.utilities import COMFORT_BUDGETS, NONLINEAR, ComfortBudget
@@ -125,7 +126,7 @@ def _scenes(agent: FrontAgent, front: Front, experiment: Experiment, seeds: rang
     if not is_drivable(env.id):
         return []
     conditions = np.tile(np.asarray(front.conditions, dtype=np.float32), (len(seeds), 1))
-    driver = PoliciesDriver(agent.policies(conditions), len(conditions))
+    driver = PolicyDriver(agent.policies(conditions), num_envs=len(conditions))
     return record_scenes(driver, env.id, env.arguments, seeds=seeds, drives=len(front))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from algorithms.reporting.tables import estimate_metrics, evaluation_table
+from algorithms.reporting.tables import evaluation_table
 from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.evaluation.evaluation_files import write_evaluation
 from mo_deepdrive.evaluation.statistics import Estimate
@@ -32,7 +32,7 @@ def shown(evaluations: dict[str, Evaluation]) -> list[str]:
 def test_ends_that_occurred_have_a_row_with_the_rate_of_every_policy() -> None:
     held, other = evaluation(), evaluation()
     assert [name for name in shown({"greedy": held}) if name.startswith("end/")] == ["end/circling"]
-    assert {"end/collision", "end/off_lane", "end/time_limit"} <= set(estimate_metrics(held)), "the files have them"
+    assert {"end/collision", "end/off_lane", "end/time_limit"} <= set(held.estimates()), "the files have them"
     held.ends[0], other.ends[:] = "harmful_jerk", "time_limit"
     table = evaluation_table({"greedy": held, "stochastic": other}, "a title")
     names, *columns = (list(column.cells) for column in table.columns)
@@ -76,7 +76,7 @@ def evaluation(episodes: int = 50, vehicles: int = 1, ends: bool = True) -> Eval
 
 def test_estimates_have_the_values_of_the_metrics() -> None:
     held = evaluation()
-    summary = estimate_metrics(held)
+    summary = held.estimates()
     metrics = held.metrics()
     for name in (
         "utility_esr",
@@ -97,18 +97,18 @@ def test_estimates_have_the_values_of_the_metrics() -> None:
 def test_esr_and_ser_agree_for_a_linear_utility() -> None:
     held = evaluation()
     held.utilities = (make_utility("linear", OBJECTIVES, weights=[1.0, 0.01]),)
-    summary = estimate_metrics(held)
+    summary = held.estimates()
     assert summary["utility_esr"].value == pytest.approx(summary["utility_ser"].value)
 
 
 def test_an_environment_that_does_not_say_why_episodes_end_gets_no_rates() -> None:
-    summary = estimate_metrics(evaluation(ends=False))
+    summary = evaluation(ends=False).estimates()
     assert "success" not in summary
     assert not [name for name in summary if name.startswith("end/")]
 
 
 def test_every_vehicle_has_its_own_metrics() -> None:
-    names = set(estimate_metrics(evaluation(vehicles=2)))
+    names = set(evaluation(vehicles=2).estimates())
     assert {"vehicle_0/utility_esr", "vehicle_1/utility_esr", "vehicle_1/end/circling"} <= names
 
 
@@ -116,11 +116,11 @@ def test_success_and_collisions_of_all_vehicles_are_counted_per_episode() -> Non
     found = evaluation(episodes=4, vehicles=2)
     found.succeeded[:] = [[True, True], [True, False], [False, True], [False, False]]
     found.ends[:] = [["arrived", "arrived"], ["arrived", "collision"], ["collision", "arrived"], ["collision"] * 2]
-    summary = estimate_metrics(found)
+    summary = found.estimates()
     assert summary["success"].value == 0.25
     assert summary["end/collision"].value == 0.75
     assert summary["vehicle_1/end/collision"].value == 0.5
-    assert "success" in estimate_metrics(evaluation())
+    assert "success" in evaluation().estimates()
     assert {"utility_esr", "length"}.isdisjoint(summary)
 
 
@@ -128,7 +128,7 @@ def test_every_metric_is_written_and_shown(tmp_path: Path) -> None:
     policies = {"greedy": evaluation(5), "stochastic": evaluation(5, ends=False)}
     write_evaluation(tmp_path, policies, {"seed": 7, "episodes": 5})
     stored = json.loads((tmp_path / "evaluation.json").read_text())
-    expected = estimate_metrics(policies["greedy"])["utility_esr"]
+    expected = policies["greedy"].estimates()["utility_esr"]
     assert stored["seed"] == 7
     assert stored["policies"]["greedy"]["utility_esr"] == {
         "value": expected.value,
@@ -160,5 +160,5 @@ def test_a_table_with_two_vehicles_and_long_names_fits_the_terminal(width: int) 
     assert max(map(len, lines)) <= width
     assert not any("…" in line for line in lines)
     text = "".join("".join(lines).split())
-    for name, estimate in estimate_metrics(held).items() if width >= 80 else ():
+    for name, estimate in held.estimates().items() if width >= 80 else ():
         assert "".join(estimate.text().split()) in text, name
