@@ -40,9 +40,8 @@ from algorithms.learning.networks import make_network
 from algorithms.learning.optimiser import geometric_schedule, linear_schedule
 from algorithms.learning.storage import Rollout, Samples
 from algorithms.learning.worlds import DeviceWorlds, EnvWorlds
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
-from mo_deepdrive.evaluation.policy import check_same_task
+from mo_deepdrive.evaluation.policy import AccruedReward, check_same_task
 from mo_deepdrive.support.faults import NotFinite
 
 if TYPE_CHECKING:

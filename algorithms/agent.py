@@ -57,10 +57,9 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import ArrayLike, NDArray
 
-    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.episodes import UtilityLike
     from mo_deepdrive.evaluation.evaluation import Evaluation
-    from mo_deepdrive.evaluation.policy import Policy
+    from mo_deepdrive.evaluation.policy import AccruedReward, Policy
     from mo_deepdrive.utilities import Utility
 
 ACTIONS, DRAWS, LEARNING = 0, 1, 2  # streams of random numbers; of the vehicle v, LEARNING + v

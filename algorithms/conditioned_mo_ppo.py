@@ -95,8 +95,8 @@ from algorithms.learning.preferences import (
     PreferenceSettings,
     TrainingPreferences,
 )
-from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT
 from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS, vehicle_prefix
+from mo_deepdrive.evaluation.policy import SMALLEST_DISCOUNT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -108,7 +108,7 @@ if TYPE_CHECKING:
     from algorithms.learning.guides import Guide
     from algorithms.learning.learner import Networks
     from algorithms.learning.storage import Rollout, RolloutStorage, Samples
-    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.policy import AccruedReward
 
 
 class ConditionedMOPPO(FrontAgent, ActorCritic):

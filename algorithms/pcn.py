@@ -61,8 +61,8 @@ from algorithms.learning.losses import Loss
 from algorithms.learning.networks import CommandNetwork
 from algorithms.learning.optimiser import linear_schedule
 from mo_deepdrive.evaluation import metrics
-from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
+from mo_deepdrive.evaluation.policy import SMALLEST_DISCOUNT, AccruedReward
 from mo_deepdrive.support.faults import check_numbers
 from mo_deepdrive.world.config import Settings
 

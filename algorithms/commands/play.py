@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from mo_deepdrive.envs.vector import DrivingVectorEnv
-    from mo_deepdrive.evaluation.policy import Policy
-    from mo_deepdrive.evaluation.policy_driver import PolicyDriver
+    from mo_deepdrive.evaluation.policy import Policy, PolicyDriver
     from mo_deepdrive.play import EpisodeOutcome
 
 ENVIRONMENT: dict[str, str] = {}  # SDL chooses the driver of the window
@@ -147,7 +146,7 @@ def play(options: Namespace) -> int:
         if policy is not None:
             import torch
 
-            from mo_deepdrive.evaluation.policy_driver import PolicyDriver
+            from mo_deepdrive.evaluation.policy import PolicyDriver
 
             generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
             driver = PolicyDriver(policy, generator)

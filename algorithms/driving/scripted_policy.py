@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.policy import AccruedReward
 
 
 class ScriptedPolicy:

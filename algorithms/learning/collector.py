@@ -8,7 +8,7 @@ import torch
 
 from algorithms.learning.checkpoints import strip_prefix
 from algorithms.learning.storage import EpisodeSums, RolloutStorage
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.support.faults import LARGEST, check_vehicles
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from algorithms.hyperparameters import GuideSettings
-    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.policy import AccruedReward
     from mo_deepdrive.evaluation.team import Population
 
 

@@ -12,7 +12,7 @@ import torch
 from pydantic import Field, model_validator
 
 from algorithms.hyperparameters import NonNegative, Positive
-from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT
+from mo_deepdrive.evaluation.policy import SMALLEST_DISCOUNT
 from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:

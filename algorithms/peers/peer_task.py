@@ -18,8 +18,8 @@ from mo_deepdrive.world.config import Settings
 if TYPE_CHECKING:
     import gymnasium
 
-    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.policy import AccruedReward
     from mo_deepdrive.utilities import Utility
 
 

@@ -30,7 +30,6 @@ from algorithms.reporting.run_records import (
     read_runs,
 )
 from algorithms.reporting.style import algorithm_label, algorithm_order
-from mo_deepdrive.evaluation.evaluation import estimate_metrics
 from mo_deepdrive.evaluation.metrics import (
     ADDITIVE_EPSILON,
     CARDINALITY,
@@ -454,7 +453,7 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
     Ends that no episode had and metrics that repeat another one (SER of a linear utility, the return of our
     destination) are left out; the files have all.
     """
-    columns = {policy: estimate_metrics(evaluation) for policy, evaluation in evaluations.items()}
+    columns = {policy: evaluation.estimates() for policy, evaluation in evaluations.items()}
     names: list[str] = []
     for estimates in columns.values():
         place = 0

@@ -20,8 +20,8 @@ from PIL import Image, ImageColor
 
 from algorithms.reporting.style import VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK, figure_style
 from mo_deepdrive.envs.vector import DrivingVectorEnv
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.support.atomic_io import atomic_write, without_links
 

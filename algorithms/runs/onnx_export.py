@@ -27,8 +27,8 @@ from algorithms.conditioned_mo_ppo import ConditionedMOPPO
 from algorithms.learning.actors import CategoricalActor
 from algorithms.pcn import PCN
 from algorithms.runs.build import make_environment
-from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+from mo_deepdrive.evaluation.policy import SMALLEST_DISCOUNT, AccruedReward
 from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.support.extras import needed_for
 

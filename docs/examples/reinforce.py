@@ -10,8 +10,8 @@ import math
 import numpy as np
 import torch
 
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.metrics import POLICY_LOSS
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.learners import Agent
 from mo_deepdrive.learners.hyperparameters import LearningRate, NetworkSettings
 from mo_deepdrive.learners.learning.actors import make_actor

@@ -9,7 +9,6 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import find_spec
 from mo_deepdrive.simulation.state import ENDS, MAP_CENTRE, MAP_SIZE
 
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.world.routes import Route
 
 READINGS = ("x", "y", "heading", "speed", "g_force", "jerk")  # fields of the state: m, m, rad, m/s, g, m/s^3
@@ -26,35 +24,13 @@ POSE = READINGS[:3]
 
 
 class BatchDriver(Protocol):
-    """Acts for the vehicles of N environments."""
+    """Acts for the vehicles of N environments, as :class:`mo_deepdrive.evaluation.policy.PolicyDriver` does."""
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
         """Actions, as the vector environment takes them, for observations (N, V, o)."""
 
     def observe(self, rewards: NDArray[np.float32]) -> None:
         """Receive the rewards (N, V, d) of a decision."""
-
-
-class PoliciesDriver:
-    """Greedy policies as a :class:`BatchDriver`.
-
-    Args:
-        policy: acts in N environments, perhaps as another policy in each.
-        num_envs: N.
-    """
-
-    def __init__(self, policy: Policy, num_envs: int):
-        self._policy = policy
-        self._accrued_reward = AccruedReward.begin(num_envs, policy.env.vehicles, len(policy.env.objectives))
-
-    def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """As of :class:`BatchDriver`."""
-        actions = self._policy.act(observations, self._accrued_reward, None)
-        return self._policy.env.environment_actions(actions)
-
-    def observe(self, rewards: NDArray[np.float32]) -> None:
-        """As of :class:`BatchDriver`."""
-        self._accrued_reward.add(rewards, self._policy.gamma)
 
 
 class PlanDriver:

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
 from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.evaluation.evaluation_files import Provenance
-from mo_deepdrive.evaluation.function_policy import FunctionPolicy
-from mo_deepdrive.evaluation.policy import Policy, check_same_task, seeded_generator
+from mo_deepdrive.evaluation.policy import AccruedReward, FunctionPolicy, Policy, check_same_task, seeded_generator
 from mo_deepdrive.evaluation.splits import first_seed
 from mo_deepdrive.support.machine import check_memory
 from mo_deepdrive.support.plain_values import is_finite
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from mo_deepdrive.evaluation.function_policy import PolicyFunction
+    from mo_deepdrive.evaluation.policy import PolicyFunction
     from mo_deepdrive.evaluation.splits import Split
 
     UtilityLike = str | Utility | Callable[[Any], Any]

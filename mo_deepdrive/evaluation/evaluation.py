@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from mo_deepdrive.evaluation.metrics import (
     ARRIVED,
     COLLISION,
     COMFORT,
+    DISCOUNTED_RETURN,
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
+    END,
     GINI_UTILITY_ESR,
     LENGTH,
     MEAN_UTILITY_ESR,
-    OUR_ENDS,
+    RETURN,
     SHARE_ARRIVED,
     SHARE_COLLIDED,
     SUCCESS,
@@ -33,20 +36,28 @@ from mo_deepdrive.evaluation.metrics import (
     maximum_of,
     mean_of,
     return_of,
-    summarise,
+    split_name,
     vehicle_prefix,
 )
 from mo_deepdrive.evaluation.splits import describe_episodes
 from mo_deepdrive.evaluation.statistics import Estimate, mean, rate, utility_of_mean
-from mo_deepdrive.evaluation.team_utility import generalised_gini, total, worst_off
+from mo_deepdrive.evaluation.team import generalised_gini, total, worst_off
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from mo_deepdrive.utilities import Utility
+
+
+class Measure(NamedTuple):
+    """A metric: its name, its value, and what makes its estimate, which resamples the episodes."""
+
+    name: str
+    value: float
+    estimate: Callable[[], Estimate]
 
 
 @dataclass(repr=False)
@@ -181,81 +192,75 @@ class Evaluation:
         return end_rates(self.ends[:, v])
 
     def estimates(self) -> dict[str, Estimate]:
-        """Every metric with its 95% interval (:func:`estimate_metrics`)."""
-        return estimate_metrics(self)
+        """Every metric with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
+
+        With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in
+        which any collided, ``share_arrived`` and ``share_collided`` are shares of the vehicles, ``total_utility_esr``
+        is the sum of the utilities, ``mean_utility_esr`` their mean, ``worst_off_utility_esr`` the least of them,
+        ``gini_utility_esr`` the sum that counts the worse-off for more.
+
+        Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes in one
+        decision have none. ``success`` is there if the environment reports it, and of failures the usual ones and those
+        that occurred.
+        """
+        measures = self._measures(_place_in_tables)
+        return {name: estimate() for name, value, estimate in measures if self._is_reported(name, value)}
 
     def metrics(self) -> dict[str, float]:
-        """Every metric by name (:mod:`mo_deepdrive.evaluation.metrics`).
+        """Every metric by name (:mod:`mo_deepdrive.evaluation.metrics`), as :meth:`estimates` without the intervals."""
+        return {name: value for name, value, _ in self._measures()}
 
-        With several vehicles the names begin with ``vehicle_0/`` and so on, and :meth:`team_samples` has those of all
-        together.
-        """
-        metrics: dict[str, float] = {}
+    def _measures(self, place: Callable[[Measure], int] = lambda _: 0) -> Iterator[Measure]:
         vehicles = self.returns.shape[1]
         if vehicles > 1:
-            metrics |= {name: float(samples.mean()) for name, samples in self.team_samples().items()}
+            for name, samples in self.team_samples().items():
+                yield _mean_of(name, samples)
         for v in range(vehicles):
-            summary = summarise(
-                self.objectives,
-                self.returns[:, v],
-                self.lengths[:, v],
-                self.succeeded[:, v],
-                utility=self.utilities[v] if self.utilities else None,
-                discounted=self.discounted[:, v],
-                ends=self.ends[:, v],
-                largest=self.largest[:, v],
-            )
-            metrics |= {vehicle_prefix(v, vehicles) + name: value for name, value in summary.items()}
-        return metrics
+            for measure in sorted(self._vehicle_measures(v), key=place):
+                yield measure._replace(name=vehicle_prefix(v, vehicles) + measure.name)
+
+    def _vehicle_measures(self, v: int) -> Iterator[Measure]:
+        returns, discounted, lengths = self.returns[:, v], self.discounted[:, v], self.lengths[:, v]
+        if self.utilities:
+            utility = self.utilities[v]
+            for esr, ser, vectors in (
+                (UTILITY_ESR, UTILITY_SER, returns),
+                (DISCOUNTED_UTILITY_ESR, DISCOUNTED_UTILITY_SER, discounted),
+            ):
+                yield _mean_of(esr, np.asarray(utility(vectors)))
+                yield Measure(ser, float(utility(vectors.mean(axis=0))), partial(utility_of_mean, vectors, utility))
+        yield _mean_of(SUCCESS, self.succeeded[:, v])
+        yield _mean_of(LENGTH, lengths)
+        for reason in self.end_rates(v):
+            yield _mean_of(end_by(reason), np.array([str(end) == reason for end in self.ends[:, v]]))
+        for i, objective in enumerate(self.objectives):
+            yield _mean_of(return_of(objective), returns[:, i])
+            yield _mean_of(discounted_return_of(objective), discounted[:, i])
+            if objective in COMFORT:
+                yield _mean_of(mean_of(objective), np.abs(returns[:, i]) / np.maximum(lengths, 1))
+                largest = float(self.largest[:, v, i].max())
+                yield Measure(maximum_of(objective), largest, partial(Estimate, largest))
+
+    def _is_reported(self, name: str, value: float) -> bool:
+        """Whether a metric has a place in tables: what no episode came to is left out, but for the usual failures."""
+        _, vehicle, metric = split_name(name)
+        if metric == SUCCESS:
+            of_all = not vehicle and self.returns.shape[1] > 1
+            return of_all or value > 0.0 or any(end is not None for end in self.ends.flat)
+        if metric.startswith(END):
+            return metric != end_by(ARRIVED) and (value > 0.0 or metric.removeprefix(END) in USUAL_FAILURES)
+        return True
 
 
-def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
-    """Every metric of an evaluation with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
-
-    With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in which
-    any collided, ``share_arrived`` and ``share_collided`` are shares of the vehicles, ``total_utility_esr`` is the sum
-    of the utilities, ``mean_utility_esr`` their mean, ``worst_off_utility_esr`` the least of them,
-    ``gini_utility_esr`` the sum that counts the worse-off for more.
-
-    Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes in one
-    decision have none.
-    """
-    estimates: dict[str, Estimate] = {}
-    vehicles = evaluation.returns.shape[1]
-    if vehicles > 1:
-        for name, samples in evaluation.team_samples().items():
-            estimates[name] = rate(samples) if samples.dtype == np.bool_ else mean(samples)
-    for v in range(vehicles):
-        prefix = vehicle_prefix(v, vehicles)
-        estimates |= {prefix + name: value for name, value in _estimate_vehicle(evaluation, v).items()}
-    return estimates
+def _mean_of(name: str, samples: NDArray[Any]) -> Measure:
+    return Measure(name, float(np.mean(samples)), partial(rate if samples.dtype == np.bool_ else mean, samples))
 
 
-def _estimate_vehicle(evaluation: Evaluation, v: int) -> dict[str, Estimate]:
-    returns, discounted = evaluation.returns[:, v], evaluation.discounted[:, v]
-    lengths, ends = evaluation.lengths[:, v], evaluation.ends[:, v]
-    estimates: dict[str, Estimate] = {}
-    if evaluation.utilities:
-        utility = evaluation.utilities[v]
-        estimates = {
-            UTILITY_ESR: mean(np.asarray(utility(returns))),
-            UTILITY_SER: utility_of_mean(returns, utility),
-            DISCOUNTED_UTILITY_ESR: mean(np.asarray(utility(discounted))),
-            DISCOUNTED_UTILITY_SER: utility_of_mean(discounted, utility),
-        }
-    known = {str(end) for end in ends if end is not None}
-    if known or evaluation.succeeded[:, v].any():
-        estimates[SUCCESS] = rate(evaluation.succeeded[:, v])
-    if known:
-        usual = USUAL_FAILURES if known <= OUR_ENDS else ()
-        reasons = (*usual, *sorted(known - {ARRIVED, *usual}))
-        estimates |= {end_by(reason): rate(np.array([str(end) == reason for end in ends])) for reason in reasons}
-    estimates[LENGTH] = mean(lengths.astype(np.float64))
-    for i, objective in enumerate(evaluation.objectives):
-        estimates[return_of(objective)] = mean(returns[:, i])
-        estimates[discounted_return_of(objective)] = mean(discounted[:, i])
-    for i, objective in enumerate(evaluation.objectives):
-        if objective in COMFORT:
-            estimates[mean_of(objective)] = mean(np.abs(returns[:, i]) / np.maximum(lengths, 1))
-            estimates[maximum_of(objective)] = Estimate(float(evaluation.largest[:, v, i].max()))
-    return estimates
+def _place_in_tables(measure: Measure) -> int:
+    """After utilities and success come the usual failures, other ends, length and returns, and comfort."""
+    name = measure.name
+    if name.startswith(END):
+        return 1 if name.removeprefix(END) in USUAL_FAILURES else 2
+    if name == LENGTH or name.startswith((RETURN, DISCOUNTED_RETURN)):
+        return 3
+    return 4 if name.startswith(("mean_", "max_")) else 0

@@ -1,4 +1,4 @@
-"""Every metric's name, written once, and the one summary of episodes.
+"""Every metric's name, written once, and the summary of episodes of training.
 
 A column of ``metrics.csv`` is named ``PREFIX [VEHICLE/] METRIC``, as in ``eval/greedy/vehicle_0/return/jerk``:
 
@@ -244,16 +244,9 @@ def summarise(
     returns: NDArray[np.float64],
     lengths: NDArray[Any],
     succeeded: NDArray[Any],
-    *,
     utility: Callable[[Any], Any] | None = None,
-    discounted: NDArray[np.float64] | None = None,
-    ends: NDArray[Any] | None = None,
-    largest: NDArray[np.float64] | None = None,
 ) -> dict[str, float]:
-    """Means over E episodes of one vehicle, by metric without prefix; E is at least 1.
-
-    Without ``discounted``, as during training, the summary has ``utility``, ``success``, ``length`` and
-    ``return/OBJECTIVE``; with it, as in evaluations, the utilities are ESR and SER, of both kinds of return.
+    """Means over E episodes of one vehicle in training, by metric without prefix; E is at least 1.
 
     Args:
         objectives: names of the d components.
@@ -261,31 +254,10 @@ def summarise(
         lengths: (E,) decisions.
         succeeded: (E,) whether the goal was reached.
         utility: from returns (..., d) to utilities (...); None where it is unknown.
-        discounted: (E, d) discounted returns; None while training.
-        ends: (E,) why each episode ended, None where the environment does not say; adds ``end/REASON``.
-        largest: (E, d) largest magnitude of each objective in one decision; adds ``mean_`` and ``max_`` of those
-            objectives that are rates (:data:`COMFORT`).
     """
     summary: dict[str, float] = {}
-    # NumPy sums the rows of a table one after the other but a single column pairwise, which may differ in the last
-    # digit: each log keeps its way, so that logs of different versions can be compared exactly.
-    means = returns.mean(axis=0) if discounted is None else [returns[:, i].mean() for i in range(len(objectives))]
-    if utility is not None and discounted is None:
+    if utility is not None:
         summary[UTILITY] = float(np.mean(utility(returns)))
-    elif utility is not None and discounted is not None:
-        summary[UTILITY_ESR] = float(np.mean(utility(returns)))
-        summary[UTILITY_SER] = float(utility(returns.mean(axis=0)))
-        summary[DISCOUNTED_UTILITY_ESR] = float(np.mean(utility(discounted)))
-        summary[DISCOUNTED_UTILITY_SER] = float(utility(discounted.mean(axis=0)))
     summary[SUCCESS] = float(np.mean(succeeded))
     summary[LENGTH] = float(np.mean(lengths))
-    if ends is not None:
-        summary |= {end_by(reason): rate for reason, rate in end_rates(ends).items()}
-    for i, objective in enumerate(objectives):
-        summary[return_of(objective)] = float(means[i])
-        if discounted is not None:
-            summary[discounted_return_of(objective)] = float(discounted[:, i].mean())
-        if largest is not None and objective in COMFORT:
-            summary[mean_of(objective)] = float((np.abs(returns[:, i]) / np.maximum(lengths, 1)).mean())
-            summary[maximum_of(objective)] = float(largest[:, i].max())
-    return summary
+    return summary | {return_of(name): float(mean) for name, mean in zip(objectives, returns.mean(axis=0), strict=True)}

@@ -12,8 +12,7 @@ import numpy as np
 
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import as_policy
-from mo_deepdrive.evaluation.policy import seeded_generator
-from mo_deepdrive.evaluation.policy_driver import PolicyDriver
+from mo_deepdrive.evaluation.policy import PolicyDriver, seeded_generator
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED
 from mo_deepdrive.support.faults import check_vehicles
 
@@ -30,8 +29,7 @@ if TYPE_CHECKING:
 
     import gymnasium
 
-    from mo_deepdrive.evaluation.function_policy import PolicyFunction
-    from mo_deepdrive.evaluation.policy import Policy
+    from mo_deepdrive.evaluation.policy import Policy, PolicyFunction
 
 DATA_FORMAT = "hdf5"  # Minari's other formats flatten the rewards of an episode, which breaks vectors
 

@@ -1,19 +1,69 @@
-"""What can be evaluated: an agent, a policy of a front, or another library's policy behind an adapter."""
+"""What acts: policies, the past on which they may depend, and functions of other libraries as policies."""
 
 from __future__ import annotations
 
+import inspect
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+import numpy as np
+from gymnasium.spaces import Box, Discrete
 
-    import numpy as np
+from mo_deepdrive.support.importing import failure
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     import torch
     from numpy.typing import NDArray
 
-    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.utilities import Utility
+
+    PolicyFunction = Callable[[NDArray[Any], NDArray[np.float32], NDArray[np.float32]], Any]
+
+SMALLEST_DISCOUNT = 1e-6  # a gamma^t below it counts as this
+CALL = "policy(observations, accrued, discounts)"
+
+
+@dataclass
+class AccruedReward:
+    """Accrued rewards of the running episodes of N environments with V vehicles.
+
+    Attributes:
+        value: (N, V, d) accrued reward R_t = sum_{i<t} g^i r_i.
+        discounts: (N, V) g^t.
+        decisions: (N, V) t.
+    """
+
+    value: NDArray[np.float32]
+    discounts: NDArray[np.float32]
+    decisions: NDArray[np.int64]
+
+    @classmethod
+    def begin(cls, num_envs: int, vehicles: int, objectives: int) -> AccruedReward:
+        """Episodes before their first decision."""
+        return cls(
+            value=np.zeros((num_envs, vehicles, objectives), dtype=np.float32),
+            discounts=np.ones((num_envs, vehicles), dtype=np.float32),
+            decisions=np.zeros((num_envs, vehicles), dtype=np.int64),
+        )
+
+    def add(self, rewards: NDArray[np.float32], discount: float | NDArray[np.float32]) -> None:
+        """Add the ``rewards`` (N, V, d) of one decision; ``discount`` is g, or one g per vehicle (V,)."""
+        self.value += self.discounts[..., None] * rewards
+        self.discounts *= discount
+        self.decisions += 1
+
+    def restart(self, where: NDArray[np.bool_]) -> None:
+        """Start new episodes where the mask (N, V) is True."""
+        self.value[where] = 0.0
+        self.discounts[where] = 1.0
+        self.decisions[where] = 0
+
+    def take(self, rows: NDArray[np.intp]) -> AccruedReward:
+        """Copies of the environments at ``rows``."""
+        return AccruedReward(self.value[rows], self.discounts[rows], self.decisions[rows])
 
 
 class Policy(Protocol):
@@ -58,3 +108,135 @@ def check_same_task(found: EnvAdapter, expected: EnvAdapter) -> None:
         mine, other = getattr(expected, what), getattr(found, what)
         if mine != other:
             raise ValueError(f"a policy for {what} = {other!r} cannot drive where {what} = {mine!r}")
+
+
+class FunctionPolicy:
+    """A function behind the interface of agents (:class:`mo_deepdrive.evaluation.policy.Policy`).
+
+    Args:
+        function: called as ``function(observations, accrued, discounts)`` with the observations of N episodes as the
+            environment returns them, their accrued reward R_t = sum_{i<t} gamma^i r_i (N, d) and gamma^t (N,). With V
+            vehicles in an environment the shapes are (N, V, o), (N, V, d) and (N, V). It returns actions as the
+            environment takes them: (N,) integers or (N, k) numbers, or (N, V) or (N, V, k).
+        env: the environment in the shapes of agents.
+        utilities: one per vehicle; empty if no utility is known.
+        gamma: discount factor of the accrued reward.
+
+    Raises:
+        TypeError: for what cannot be called in this way.
+    """
+
+    def __init__(
+        self, function: PolicyFunction, env: EnvAdapter, utilities: Sequence[Utility] = (), gamma: float = 0.99
+    ):
+        _check_signature(function)
+        self.env = env
+        self.utilities = utilities
+        self.gamma = gamma
+        self._function = function
+
+    @property
+    def device(self) -> torch.device:
+        """The CPU; the function draws its own random numbers, if any."""
+        import torch
+
+        return torch.device("cpu")
+
+    def act(
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, _generator: torch.Generator | None
+    ) -> NDArray[Any]:
+        """Actions of the function, in the shapes of agents.
+
+        Raises:
+            ValueError: for actions of the wrong shape or type, or outside of the environment's; for a function that
+                fails, with its line and the shapes that it was given.
+        """
+        accrued, discounts = accrued_reward.value.copy(), accrued_reward.discounts.copy()
+        if self.env.vehicles == 1:
+            accrued, discounts = accrued[:, 0], discounts[:, 0]
+        seen = self.env.environment_observations(observations)
+        try:
+            returned = self._function(seen, accrued, discounts)
+        except (Exception, SystemExit) as error:  # a user's function may raise anything
+            given = f"observations {seen.shape}, accrued rewards {accrued.shape} and discounts {discounts.shape}"
+            raise ValueError(f"the policy failed for {given}: {failure(error)}") from error
+        return self.env.policy_actions(self._checked(returned, len(observations)))
+
+    def _checked(self, returned: Any, episodes: int) -> NDArray[Any]:
+        """What the function returned as an array of actions."""
+        space = self.env.vector_env.single_action_space
+        expected = (episodes, *(space.shape or ()))
+        numbers = "numbers" if isinstance(space, Box) else "integers"
+        wanted = f"expected {expected} {numbers}, an action for each of {episodes} episodes"
+        if np.ma.is_masked(returned):
+            raise ValueError(f"the policy returned masked actions; {wanted}")
+        try:
+            actions = np.asarray(returned)
+        except Exception as error:  # of any library's arrays
+            reason = " ".join(str(error).partition(". ")[0].split())
+            raise ValueError(f"the policy returned {type(returned).__name__}, no array: {reason}; {wanted}") from error
+        if actions.shape != expected:
+            raise ValueError(f"the policy returned actions of shape {actions.shape}; {wanted}")
+        if actions.dtype.kind not in ("fiu" if isinstance(space, Box) else "iu"):
+            raise ValueError(f"the policy returned actions of dtype {actions.dtype}; {wanted}")
+        if isinstance(space, Box):
+            fine, allowed = np.isfinite(actions), "finite"
+        else:
+            first = np.asarray(space.start)  # type: ignore[attr-defined]
+            count = np.asarray(space.n if isinstance(space, Discrete) else space.nvec)  # type: ignore[attr-defined]
+            fine = (actions >= first) & (actions < first + count)
+            allowed = f"from {first.min()} to {(first + count).max() - 1}"
+        if not fine.all():
+            raise ValueError(f"the policy returned the action {actions[~fine][0]}; it must be {allowed}")
+        return actions
+
+
+def _check_signature(function: Any) -> None:
+    """Refuse what cannot be called as policies are, before an episode has been driven."""
+    name = getattr(function, "__name__", type(function).__name__)
+    if not callable(function):
+        raise TypeError(
+            f"policy = {function!r} must be an agent or a function {CALL} -> actions, "
+            "such as lambda observations, *_: model.predict(observations)[0]"
+        )
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # of a function without one, as some that are compiled
+        return
+    try:
+        signature.bind(*"oad")
+    except TypeError:
+        raise TypeError(
+            f"policy = {name}{signature} cannot be called as {CALL}, with arrays (N, o), (N, d) and (N,) of N episodes;"
+            " write *_ for what it does not need"
+        ) from None
+
+
+class PolicyDriver:
+    """A policy that keeps the accrued reward itself: a driver for people who play, and of drives that are recorded.
+
+    Args:
+        policy: acts for all V vehicles of N environments.
+        generator: random numbers for sampled actions; None for greedy actions.
+        num_envs: N.
+    """
+
+    def __init__(self, policy: Policy, generator: torch.Generator | None = None, num_envs: int = 1):
+        self._policy = policy
+        self._generator = generator
+        self._num_envs = num_envs
+        self.reset()
+
+    def reset(self) -> None:
+        """Start new episodes."""
+        adapter = self._policy.env
+        self._accrued_reward = AccruedReward.begin(self._num_envs, adapter.vehicles, len(adapter.objectives))
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
+        """Actions (N, V) or (N, V, k) of all vehicles, as the environment takes them, for observations (N, V, o)."""
+        actions = self._policy.act(observations, self._accrued_reward, self._generator)
+        return self._policy.env.environment_actions(actions)
+
+    def observe(self, rewards: NDArray[np.float32]) -> None:
+        """Add the rewards (N, V, d) of a decision to the accrued reward."""
+        self._accrued_reward.add(rewards, self._policy.gamma)

@@ -1,4 +1,4 @@
-"""Several policies as one: one that drives some of the vehicles each, or policies that take turns."""
+"""Several policies as one, that drive some of the vehicles each or take turns, and what vehicles are worth together."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
-    from mo_deepdrive.evaluation.policy import Policy
+    from mo_deepdrive.evaluation.policy import AccruedReward, Policy
     from mo_deepdrive.utilities import Utility
+
+    Floats = NDArray[np.float64]
 
 
 class Team:
@@ -118,3 +119,25 @@ class Population:
 def _gamma_of(policy: Policy, vehicle: int) -> float:
     """The discount of the accrued reward that a policy observes of a vehicle."""
     return float(np.broadcast_to(policy.gamma, policy.env.vehicles)[vehicle])
+
+
+# Three ways of adding up the utilities of several vehicles, which MAPPO can maximise, too.
+
+
+def total(utilities: Floats) -> Floats:
+    """(...) the sum of utilities (..., V): nobody counts for more than another."""
+    return np.asarray(np.sum(utilities, axis=-1))
+
+
+def worst_off(utilities: Floats) -> Floats:
+    """(...) the least of utilities (..., V)."""
+    return np.asarray(np.min(utilities, axis=-1))
+
+
+def generalised_gini(utilities: Floats) -> Floats:
+    """(...) the sum of 2^-k u_k over the utilities u_1 <= u_2 <= ... (..., V), from the worst-off on.
+
+    A gain counts for more where it goes to somebody worse off (J. A. Weymark, "Generalized Gini inequality indices",
+    Mathematical Social Sciences 1, 1981).
+    """
+    return np.asarray(np.sort(utilities, axis=-1) @ 0.5 ** np.arange(1, np.shape(utilities)[-1] + 1))

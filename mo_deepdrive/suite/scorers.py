@@ -16,8 +16,8 @@ import scipy
 
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import OUR_ENVS, as_policy, evaluate
-from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.evaluation.pareto import hypervolume
+from mo_deepdrive.evaluation.policy import FunctionPolicy
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.evaluation.team import Team
 from mo_deepdrive.fronts.reference_points import reference_point
@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mo_deepdrive.evaluation.evaluation import Evaluation
-    from mo_deepdrive.evaluation.function_policy import PolicyFunction
-    from mo_deepdrive.evaluation.policy import Policy
+    from mo_deepdrive.evaluation.policy import Policy, PolicyFunction
     from mo_deepdrive.suite.tasks import Task
     from mo_deepdrive.utilities import RiskAversion
 

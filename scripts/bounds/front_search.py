@@ -3,23 +3,32 @@
 An archive-based evolutionary algorithm in the manner of epsilon-MOEA (Deb, Mohan and Mishra 2005): parents are drawn
 from the archive and, mostly, from the plans that would make up the front; offspring enter the archive if no other plan
 epsilon-dominates them. Random driving rules make the first generations and take over from some of the offspring later.
+
+The archive keeps one plan of every box of the objective space that no other box dominates (Laumanns et al. 2002,
+"Combining convergence and diversity in evolutionary multiobjective optimization"), which bounds it and spreads it over
+the front. The front is selected by hypervolume contribution (Guerreiro, Fonseca and Paquete 2016, "Greedy hypervolume
+subset selection in low dimensions") with lazy updates: a contribution can only shrink as others are selected (Minoux
+1978).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import heapq
+from typing import TYPE_CHECKING, Any
 
+import moocore
 import numpy as np
 
 from mo_deepdrive.fronts.reference_points import reference_point
-from scripts.bounds.archive import epsilon_nondominated
+from mo_deepdrive.world.objectives import scales
 from scripts.bounds.driving_rules import random_calm_rules
 from scripts.bounds.plan_evaluation import PlanEvaluator
 from scripts.bounds.plans import CRITERIA, EvaluatedPlans
-from scripts.bounds.subset_selection import dominated_volume, select_front
 from scripts.bounds.variation import make_offspring
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
 POPULATION = 4096  # plans per generation
@@ -32,6 +41,9 @@ FRONT_GENERATIONS = 50  # until the front is selected again
 SHORT_EPISODE = 60
 LEAST_PARENT_RATE = 0.2
 UNKNOWN_SOURCE = -1
+EPSILON = 0.005  # edge of a box, as a share of each objective's nominal scale
+# For each of CRITERIA, the most plans that are selected for it and those after it.
+FRONT_SIZES = (350, 150, 100)
 
 
 class FrontSearch:
@@ -117,3 +129,80 @@ class FrontSearch:
     def hypervolumes(self, evaluated: EvaluatedPlans) -> list[float]:
         """The hypervolume of plans for each of CRITERIA."""
         return [dominated_volume(*each) for each in zip(evaluated.returns, self.references, strict=True)]
+
+
+def epsilon_nondominated(evaluated: EvaluatedPlans, objectives: Sequence[tuple[str, ...]]) -> NDArray[np.int64]:
+    """Rows of the plans that the archive keeps.
+
+    Args:
+        evaluated: n plans.
+        objectives: names of the d objectives, for each of CRITERIA.
+
+    Returns:
+        (m,) sorted rows: for each of CRITERIA, one plan of every box of returns that no other box dominates. In a box
+        the greatest sum of scaled returns wins, then the shortest episode.
+    """
+    kept = []
+    for returns, names in zip(evaluated.returns, objectives, strict=True):
+        scaled = returns / scales(names)
+        boxes = np.floor(scaled / EPSILON)
+        order = np.lexsort((evaluated.lengths, -scaled.sum(axis=1)))
+        _, best = np.unique(boxes[order], axis=0, return_index=True)
+        rows = order[best]
+        kept.append(rows[moocore.is_nondominated(boxes[rows], maximise=True)])
+    return np.unique(np.concatenate(kept))
+
+
+def dominated_volume(returns: NDArray[Any], reference: NDArray[Any]) -> float:
+    """The hypervolume of ``returns`` (n, d) above ``reference`` (d,), maximised; 0 where no return dominates it."""
+    return float(moocore.hypervolume(returns, ref=reference, maximise=True))
+
+
+def greedy_hypervolume_subset(returns: NDArray[Any], reference: NDArray[Any], size: int) -> list[int]:
+    """At most ``size`` rows of ``returns`` (n, d), each the one that adds most hypervolume to those before it.
+
+    Rows that add nothing are not selected.
+    """
+    selected: list[int] = []
+    volume = 0.0
+    # Minus the contribution, the row, and how many rows were selected when the contribution was computed.
+    queue = [(-dominated_volume(returns[[row]], reference), row, 0) for row in range(len(returns))]
+    heapq.heapify(queue)
+    while queue and len(selected) < size:
+        loss, row, selected_then = heapq.heappop(queue)
+        if loss >= 0.0:
+            break
+        if selected_then == len(selected):
+            selected.append(row)
+            volume -= loss
+        else:
+            loss = volume - dominated_volume(returns[[*selected, row]], reference)
+            heapq.heappush(queue, (loss, row, len(selected)))
+    return selected
+
+
+def select_front(evaluated: EvaluatedPlans, references: Sequence[NDArray[Any]]) -> EvaluatedPlans:
+    """The plans of a front.
+
+    For each of CRITERIA, from the last to the first: the best plan of each objective, then those that add most
+    hypervolume. Only plans that dominate the reference points of all CRITERIA are selected.
+
+    Args:
+        evaluated: n plans.
+        references: a reference point (d,) for each of CRITERIA.
+
+    Returns:
+        The selected plans, the greatest discounted return of the first objective first.
+    """
+    pairs = zip(evaluated.returns, references, strict=True)
+    dominating = [(returns >= reference).all(axis=1) for returns, reference in pairs]
+    evaluated = evaluated.take(np.flatnonzero(np.all(dominating, axis=0)))
+    rows: set[int] = set()
+    for returns, reference, size in zip(evaluated.returns[::-1], references[::-1], FRONT_SIZES[::-1], strict=True):
+        front = np.flatnonzero(moocore.is_nondominated(returns, maximise=True))
+        rows |= set(front[returns[front].argmax(axis=0)].tolist())
+        for row in front[greedy_hypervolume_subset(returns[front], reference, size)].tolist():
+            if len(rows) < size:
+                rows.add(row)
+    selected = evaluated.take(np.array(sorted(rows)))
+    return selected.take(np.lexsort(selected.returns[0].T[::-1])[::-1])

@@ -12,8 +12,8 @@ from algorithms.agent import FrontAgent
 from algorithms.runs.build import build
 from algorithms.runs.config import find_environment
 from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.fronts.reference_fronts import front_config
 
 if TYPE_CHECKING:

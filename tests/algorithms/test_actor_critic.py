@@ -17,8 +17,8 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.support.faults import NotFinite
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (

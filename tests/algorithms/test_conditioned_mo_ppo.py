@@ -18,9 +18,9 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from algorithms import ConditionedMOPPO
 from algorithms.learning.actors import GaussianActor, StateGaussianActor
 from algorithms.learning.storage import Rollout
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.pareto import non_dominated
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, ROUNDABOUT, same
 

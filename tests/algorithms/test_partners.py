@@ -14,9 +14,9 @@ from algorithms.learning.threads import set_threads
 from algorithms.runs.build import build, load_policy, open_driver
 from algorithms.runs.config import make_experiment
 from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.evaluation.team import Team
 from tests.helpers.agents import INTERSECTION
 from tests.helpers.short_agents import check_resumed, pair_experiment, trained

@@ -25,10 +25,10 @@ from algorithms.learning.episode_buffer import Episode
 from algorithms.pcn import CommandPolicy
 from algorithms.runs.build import build
 from algorithms.runs.config import load_experiment
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.front import Front, indicators
 from mo_deepdrive.evaluation.pareto import non_dominated
+from mo_deepdrive.evaluation.policy import AccruedReward
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, recorded, same
 
 SHORT = {"time_limit": 2, "fixed_destination": True}

@@ -16,7 +16,7 @@ from algorithms import PCN, PPO, FrontAgent
 from algorithms.learning.learner import _linear
 from algorithms.runs.config import make_experiment
 from algorithms.runs.side_by_side import build_trainee
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.support.faults import NotFinite
 from tests.helpers.agents import INTERSECTION, SEA, make_agent
 from tests.helpers.seed_trainers import LEARNERS, TOTAL, trained, trainer, weights

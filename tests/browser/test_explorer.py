@@ -19,10 +19,10 @@ from algorithms.reporting.explorer.data import ExplorableFront
 from algorithms.reporting.explorer.page import write_page
 from algorithms.runs.build import load_policy
 from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.choice import expected_utility, rank_policies, weighted_sum
 from mo_deepdrive.evaluation.drives import PlanDriver, Scene, record_scenes
 from mo_deepdrive.evaluation.front import Front
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.world.scenarios import SCENARIOS
 from tests.browser.conftest import CONDITIONED, ZOO

@@ -18,8 +18,8 @@ from algorithms.runs.build import build, make_environment
 from algorithms.runs.config import Experiment, make_experiment
 from algorithms.runs.policy_evaluation import evaluate_front
 from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.policy import AccruedReward
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, SEA, exaggerate
 
 SHIPPED = Path(zoo.__file__).resolve().parent

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import moocore
 import numpy as np
 
-from mo_deepdrive.evaluation.drives import POSE, READINGS, PlanDriver, PoliciesDriver, is_drivable, record_scenes
+from mo_deepdrive.evaluation.drives import POSE, READINGS, PlanDriver, is_drivable, record_scenes
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.metrics import name_and_unit, without_vehicle
+from mo_deepdrive.evaluation.policy import PolicyDriver
 from mo_deepdrive.evaluation.statistics import rate
 from mo_deepdrive.fronts import reference_fronts
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, MAP_CENTRE, WIDTH
@@ -186,7 +187,7 @@ def explorable_front(
     if is_drivable(environment.id):
         seeds = range(seed, seed + min(driven, SCENARIOS_SHOWN))
         conditions = np.tile(np.asarray(front.conditions, dtype=np.float32), (len(seeds), 1))
-        driver = PoliciesDriver(agent.policies(conditions), len(conditions))
+        driver = PolicyDriver(agent.policies(conditions), num_envs=len(conditions))
         scenes = record_scenes(driver, environment.id, environment.arguments, seeds=seeds, drives=len(front))
     return ExplorableFront(
         title=title,

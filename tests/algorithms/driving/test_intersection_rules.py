@@ -10,10 +10,10 @@ import mo_deepdrive  # noqa: F401  (registers the ids)
 from algorithms.driving.intersection_rules import SCENARIO, SEEN, as_in_left_turn, make_rule, room_ahead
 from algorithms.driving.left_turn_rules import COLUMN
 from algorithms.driving.scripted_policy import ScriptedPolicy
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.evaluation import Evaluation
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.evaluation.team import Team
 from mo_deepdrive.simulation.state import RUNNING
 from mo_deepdrive.simulation.traffic import ENTRY

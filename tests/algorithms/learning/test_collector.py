@@ -19,8 +19,8 @@ from gymnasium.vector import AutoresetMode
 from algorithms.learning.collector import Collector, Running
 from algorithms.learning.storage import EpisodeSums, RolloutStorage
 from algorithms.learning.worlds import EnvWorlds
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.policy import AccruedReward
 from tests.helpers.toy_env import toy_worlds
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"

@@ -16,8 +16,8 @@ from algorithms.learning.guides import Guide
 from algorithms.runs.build import build, load_policy, open_population
 from algorithms.runs.config import make_experiment
 from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.evaluation.team import Population
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import INTERSECTION

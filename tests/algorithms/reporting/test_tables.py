@@ -15,7 +15,6 @@ from rich.console import Console
 from algorithms.reporting.tables import (
     TABLE_METRICS,
     comparison_table,
-    estimate_metrics,
     evaluation_table,
     group_runs,
     print_rows,
@@ -216,7 +215,7 @@ def shown(evaluations: dict[str, Evaluation]) -> list[str]:
 def test_ends_that_occurred_have_a_row_with_the_rate_of_every_policy() -> None:
     held, other = evaluation(), evaluation()
     assert [name for name in shown({"greedy": held}) if name.startswith("end/")] == ["end/circling"]
-    assert {"end/collision", "end/off_lane", "end/time_limit"} <= set(estimate_metrics(held)), "the files have them"
+    assert {"end/collision", "end/off_lane", "end/time_limit"} <= set(held.estimates()), "the files have them"
     held.ends[0], other.ends[:] = "harmful_jerk", "time_limit"
     table = evaluation_table({"greedy": held, "stochastic": other}, "a title")
     names, *columns = (list(column.cells) for column in table.columns)
@@ -244,7 +243,7 @@ def test_rows_that_repeat_others_are_not_shown() -> None:
 
 def test_estimates_have_the_values_of_the_metrics() -> None:
     held = evaluation()
-    summary, metrics = estimate_metrics(held), held.metrics()
+    summary, metrics = held.estimates(), held.metrics()
     for name in (
         "utility_esr",
         "utility_ser",
@@ -259,7 +258,7 @@ def test_estimates_have_the_values_of_the_metrics() -> None:
     assert summary["end/collision"].value == 0.0
     assert summary["max_jerk"] == Estimate(held.largest[..., 1].max())
     assert "mean_distance" not in summary
-    unknown = estimate_metrics(evaluation(ends=False))
+    unknown = evaluation(ends=False).estimates()
     assert not [name for name in unknown if name == "success" or name.startswith("end/")]
 
 
@@ -267,11 +266,11 @@ def test_success_and_collisions_of_all_vehicles_are_counted_per_episode() -> Non
     found = evaluation(episodes=4, vehicles=2)
     found.succeeded[:] = [[True, True], [True, False], [False, True], [False, False]]
     found.ends[:] = [["arrived", "arrived"], ["arrived", "collision"], ["collision", "arrived"], ["collision"] * 2]
-    summary = estimate_metrics(found)
+    summary = found.estimates()
     assert summary["success"].value == 0.25
     assert summary["end/collision"].value == 0.75
     assert summary["vehicle_1/end/collision"].value == 0.5
-    assert "success" in estimate_metrics(evaluation())
+    assert "success" in evaluation().estimates()
     assert {"utility_esr", "length"}.isdisjoint(summary)
 
 
@@ -279,7 +278,7 @@ def test_every_metric_is_written_and_shown(tmp_path: Path) -> None:
     policies = {"greedy": evaluation(5), "stochastic": evaluation(5, ends=False)}
     write_evaluation(tmp_path, policies, {"seed": 7, "episodes": 5})
     stored = json.loads((tmp_path / "evaluation.json").read_text())
-    expected = estimate_metrics(policies["greedy"])["utility_esr"]
+    expected = policies["greedy"].estimates()["utility_esr"]
     assert stored["seed"] == 7
     assert stored["policies"]["greedy"]["utility_esr"] == {
         "value": expected.value,
@@ -311,7 +310,7 @@ def test_a_table_with_two_vehicles_and_long_names_fits_the_terminal(width: int) 
     assert max(map(len, lines)) <= width
     assert not any("…" in line for line in lines)
     text = "".join("".join(lines).split())
-    for name, estimate in estimate_metrics(held).items() if width >= 80 else ():
+    for name, estimate in held.estimates().items() if width >= 80 else ():
         assert "".join(estimate.text().split()) in text, name
 
 

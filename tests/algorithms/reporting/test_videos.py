@@ -34,7 +34,7 @@ from algorithms.reporting.videos import (
 from algorithms.runs.agent_report import film
 from algorithms.runs.build import build
 from algorithms.runs.config import Experiment, make_experiment
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.world.actions import action_names
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"

@@ -13,7 +13,7 @@ from algorithms import MOA2C
 from algorithms.runs.build import build, load_policy, make_environment, training_memory
 from algorithms.runs.config import EnvironmentSettings, make_experiment
 from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.support.machine import GIB
 from tests.helpers.short_runs import VALUES
 

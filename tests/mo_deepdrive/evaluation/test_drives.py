@@ -12,8 +12,9 @@ from algorithms.runs.build import load_policy
 from algorithms.runs.policy_evaluation import evaluate_front_policies
 from algorithms.runs.run_directory import Run
 from mo_deepdrive import parallel_env
-from mo_deepdrive.evaluation.drives import READINGS, PlanDriver, PoliciesDriver, is_drivable, record_scenes
+from mo_deepdrive.evaluation.drives import READINGS, PlanDriver, is_drivable, record_scenes
 from mo_deepdrive.evaluation.front import Front
+from mo_deepdrive.evaluation.policy import PolicyDriver
 from mo_deepdrive.simulation.state import MAP_CENTRE, MAP_SIZE
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
@@ -133,7 +134,7 @@ def test_the_drives_of_policies_earn_what_their_evaluation_measured() -> None:
     run = Run.open("one_waypoint_front-pcn-printed")
     agent, front = load_policy(run), Front.read(run.path)
     seed = 2_000_000
-    driver = PoliciesDriver(agent.policies(front.conditions.astype(np.float32)), len(front))
+    driver = PolicyDriver(agent.policies(front.conditions.astype(np.float32)), num_envs=len(front))
     arguments = run.experiment.environment.arguments
     (scene,) = record_scenes(driver, ONE_WAYPOINT, arguments, seeds=[seed], drives=len(front))
     evaluations = evaluate_front_policies(agent, front, run.experiment, episodes=1, seed=seed)

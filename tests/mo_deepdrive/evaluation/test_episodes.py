@@ -296,6 +296,14 @@ def test_esr_is_the_mean_utility_and_ser_the_utility_of_the_mean() -> None:
     assert metrics["discounted_utility_ser"] == pytest.approx(0.5 + 0.25 - 0.3**2 - 0.6**2)
 
 
+def test_rates_of_comfort_are_means_per_decision_and_largest_magnitudes() -> None:
+    returns = [[3.0, 0.0, -8.0, 0.0], [5.0, 0.0, -2.0, 0.0]]
+    metrics = made(returns, NONLINEAR, lengths=np.array([[4], [0]])).metrics()
+    assert metrics["mean_g_force"] == pytest.approx((8.0 / 4 + 2.0) / 2)
+    assert metrics["max_g_force"] == 8.0
+    assert "mean_distance" not in metrics
+
+
 def test_ends_of_another_library_need_not_be_text() -> None:
     ends = np.array([[2], [3], [2], [2]], dtype=object)
     returns = np.zeros((4, 1, 1))

@@ -13,8 +13,8 @@ import torch
 
 from algorithms import MOA2C
 from mo_deepdrive.evaluation import evaluate
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.utilities import make_utility
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"

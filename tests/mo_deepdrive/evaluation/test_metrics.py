@@ -117,27 +117,11 @@ def test_training_logs_keep_their_sums_to_the_last_bit() -> None:
     assert list(again.values()) == columns.tolist()
 
 
-def test_comfort_and_ends_are_reported_if_they_are_given() -> None:
-    returns = np.array([[3.0, -8.0], [5.0, -2.0]])
-    summary = summarise(
-        OBJECTIVES,
-        returns,
-        np.array([4, 0]),
-        np.array([True, False]),
-        ends=np.array(["arrived", None], dtype=object),
-        largest=np.array([[1.0, 3.0], [2.0, 2.0]]),
-    )
-    assert summary["end/arrived"] == 0.5
-    assert summary["mean_g_force"] == pytest.approx((8.0 / 4 + 2.0) / 2)
-    assert summary["max_g_force"] == 3.0
-    assert "mean_distance" not in summary
-    assert end_rates(np.array([None, None], dtype=object)) == {}
-
-
 def test_reasons_that_did_not_occur_are_0_where_all_are_known() -> None:
     ends = np.array(["arrived", "collision", "arrived", "arrived"], dtype=object)
     rates = end_rates(ends)
     assert set(rates) == set(ENDS) - {""}
     assert {reason: rate for reason, rate in rates.items() if rate} == {"arrived": 0.75, "collision": 0.25}
+    assert end_rates(np.array([None, None], dtype=object)) == {}
     others = np.array(["arrived", "sank"], dtype=object)  # of another environment
     assert end_rates(others) == {"arrived": 0.5, "sank": 0.5}

@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from algorithms import MOA2C
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env
-from mo_deepdrive.evaluation.policy_driver import PolicyDriver
+from mo_deepdrive.evaluation.policy import AccruedReward, PolicyDriver
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv, Keys, make_play_env
 from mo_deepdrive.utilities import make_utility
 

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from algorithms import A2C, MOA2C
 from algorithms.mappo import JOINT_UTILITIES
-from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.cross_play import cross_play
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
-from mo_deepdrive.evaluation.team import Population, Team
-from mo_deepdrive.evaluation.team_utility import generalised_gini, total, worst_off
+from mo_deepdrive.evaluation.policy import AccruedReward
+from mo_deepdrive.evaluation.team import Population, Team, generalised_gini, total, worst_off
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, diversified, make_agent
 

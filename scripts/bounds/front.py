@@ -1,25 +1,43 @@
-"""Improving a best-known front: search from the shipped front and from trained runs, select, compare, write."""
+"""Search for a best-known front: policies of one scenario, the same in every episode, that no known policy dominates.
+
+    python scripts/bounds/front.py --scenario one_waypoint --action-type discrete --decisions 300000000 --seed 0
+    python scripts/bounds/front.py --scenario static_obstacle --from RUN RUN ...
+
+An evolutionary search over action sequences that starts from the shipped front, from the policies of trained runs and
+from random driving rules. Every sequence is evaluated in the simulation. The policies that make up most of the
+hypervolume replace the shipped front, unless that would make its hypervolume smaller. The same arguments, runs and
+shipped front give the same front.
+"""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import moocore
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
 
 import mo_deepdrive
+from algorithms.runs.cli import TRUST, make_parser
 from mo_deepdrive.fronts.reference_fronts import GAMMA, KnownPolicy
 from mo_deepdrive.fronts.reference_fronts import read as read_front
 from mo_deepdrive.fronts.reference_fronts import write as format_front
 from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.world.action_sequences import decode as decode_actions
 from mo_deepdrive.world.action_sequences import encode as encode_actions
+from mo_deepdrive.world.config import ActionType
+from mo_deepdrive.world.scenarios import SCENARIOS
 from scripts.bounds.front_search import UNKNOWN_SOURCE, FrontSearch
 from scripts.bounds.plans import CRITERIA, Criterion
+from scripts.result_file import check_folder, check_least
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Sequence
 
     from scripts.bounds.plans import EvaluatedPlans
@@ -28,7 +46,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FrontSearchSettings:
-    """Settings of a search, as on the command line of scripts/front.py.
+    """Settings of a search, as on the command line.
 
     Attributes:
         scenario: "one_waypoint" or "static_obstacle".
@@ -52,7 +70,7 @@ class FrontSearchSettings:
         parts.append(f"--decisions {self.decisions} --seed {self.seed}")
         parts += ["--anew"] if self.anew else []
         parts += [f"--from {' '.join(runs)} --episodes {self.episodes}"] if runs else []
-        return f"python scripts/front.py {' '.join(parts)}"
+        return f"python scripts/bounds/front.py {' '.join(parts)}"
 
 
 @dataclass(frozen=True)
@@ -161,3 +179,60 @@ def _known_policies(search: FrontSearch, evaluated: EvaluatedPlans, sources: Seq
         )
         for plan, whole, present, source in rows
     ]
+
+
+def parse_arguments(arguments: list[str]) -> argparse.Namespace:
+    """The options of this script."""
+    open_roads = [name for name, scenario in SCENARIOS.items() if not (scenario.lanes or scenario.roads)]
+    parser = make_parser("Search for a best-known front.")
+    add = parser.add_argument
+    add("--scenario", choices=open_roads, default="one_waypoint", help="(default: %(default)s)")
+    add("--action-type", choices=get_args(ActionType), default="discrete", help="(default: %(default)s)")
+    add("--decisions", type=int, default=300_000_000, metavar="N", help="to simulate (default: %(default)s)")
+    add("--seed", type=int, default=0, metavar="S", help="of the search (default: %(default)s)")
+    add("--anew", action="store_true", help="do not start from the shipped front")
+    add("--from", dest="runs", nargs="+", default=[], metavar="RUN", help="also start from the policies of these runs")
+    add("--episodes", type=int, default=8, metavar="N", help="sampled, of each policy of a run (default: %(default)s)")
+    add("--output", type=Path, metavar="FILE", help="write to FILE instead of replacing the shipped front")
+    TRUST.add_to(parser)
+    options = parser.parse_args(arguments)
+    check_least(parser, options, 0, "decisions", "seed", "episodes")
+    check_folder(parser, options.output)
+    return options
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command line ``arguments``; the exit code."""
+    options = vars(parse_arguments(arguments))
+    runs, output, trust = options.pop("runs"), options.pop("output"), options.pop("trust")
+    settings = FrontSearchSettings(**options)
+    shipped = shipped_front_file(settings.scenario, settings.action_type)
+    from scripts.bounds.trained_runs import record_run  # not earlier: it imports torch
+
+    try:
+        recordings = [
+            record_run(run, settings.scenario, settings.action_type, settings.episodes, trust=trust) for run in runs
+        ]
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("searching", total=settings.decisions)
+        found = improve_front(settings, shipped, recordings, lambda done: progress.update(task, completed=done))
+
+    console = Console(width=120)
+    table = Table("gamma", "policies before", "after", "hypervolume before", "after", "change")
+    for criterion, sizes, (before, after) in zip(CRITERIA, found.sizes, found.hypervolumes, strict=True):
+        change = f"{after / before - 1.0:+.3%}" if before else "-"
+        table.add_row(str(criterion), *map(str, sizes), f"{before:.6g}", f"{after:.6g}", change)
+    console.print(table)
+    if output is None and found.loses_hypervolume:
+        console.print("The shipped front is larger; nothing is written.")
+        return 0
+    size = found.write(output or shipped)
+    console.print(f"{len(found.policies)} policies written to {output or shipped} ({size / 1000:.0f} kB)")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,10 +1,10 @@
 """The floors and ceilings of the suite, computed anew.
 
-python scripts/suite_bounds.py plan K1 --scenarios 128           # search for drives, and write them into the package
-python scripts/suite_bounds.py floor K1 K3
-python scripts/suite_bounds.py ceiling K1 K5
-python scripts/suite_bounds.py drivers R1 R2 --output docs/results/roundabout.csv
-python scripts/suite_bounds.py drivers R1 --runs runs/* --label MO-PPO --output docs/results/roundabout.csv
+python scripts/bounds/suite.py plan K1 --scenarios 128           # search for drives, and write them into the package
+python scripts/bounds/suite.py floor K1 K3
+python scripts/bounds/suite.py ceiling K1 K5
+python scripts/bounds/suite.py drivers R1 R2 --output docs/results/roundabout.csv
+python scripts/bounds/suite.py drivers R1 --runs runs/* --label MO-PPO --output docs/results/roundabout.csv
 
 What is printed belongs into mo_deepdrive/data/suite.yaml. ``drivers``, of the roundabouts alone, writes what those
 achieve that bounds are of, or runs in the environment of the task, a row per seed; rows of others stay in the file.
@@ -17,7 +17,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from result_file import check_folder, check_least
 from rich.console import Console
 from rich.progress import track
 
@@ -37,6 +36,7 @@ from scripts.bounds.suite_plans import (
     worth_driving,
     write_plans,
 )
+from scripts.result_file import check_folder, check_least
 
 if TYPE_CHECKING:
     import argparse

@@ -1,22 +1,26 @@
-"""scripts/front.py: what it writes is reproducible, evaluated in the simulation, and never a smaller front."""
+"""scripts/bounds/front.py: what it writes is reproducible, evaluated in the simulation, and never a smaller front."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
+import moocore
 import numpy as np
 import pytest
 
 from mo_deepdrive.fronts.reference_fronts import GAMMA, front_config
 from mo_deepdrive.fronts.reference_fronts import read as read_front
 from mo_deepdrive.fronts.reference_fronts import write as format_front
+from mo_deepdrive.fronts.reference_points import reference_point
 from mo_deepdrive.world.action_sequences import decode as decode_actions
 from mo_deepdrive.world.action_sequences import discounted_sum
 from mo_deepdrive.world.action_sequences import replay as replay_sequences
-from scripts.bounds import front_search
+from scripts.bounds import front, front_search
+from scripts.bounds.front import FrontSearchSettings, improve_front, shipped_front_file
+from scripts.bounds.trained_runs import record_run
 
 pytestmark = pytest.mark.slow
 
@@ -25,14 +29,8 @@ SMALL = ["--decisions", "300000", "--anew"]
 RUN = "one_waypoint_linear-a2c-printed"  # in the zoo
 
 
-@pytest.fixture(scope="module")
-def front(load_script: Callable[[str], ModuleType]) -> ModuleType:
-    """The script as a module."""
-    return load_script("front")
-
-
 @pytest.fixture
-def shipped(front: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where the script reads and writes the shipped front in a test; there is none yet."""
     file = tmp_path / "shipped.json"
     monkeypatch.setattr(front, "shipped_front_file", lambda scenario, action_type: file)
@@ -42,7 +40,7 @@ def shipped(front: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize("scenario", OPEN)
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
 def test_a_search_writes_policies_with_the_returns_of_their_replay(
-    front: ModuleType, tmp_path: Path, scenario: str, action_type: str
+    tmp_path: Path, scenario: str, action_type: str
 ) -> None:
     file = tmp_path / "front.json"
     arguments = ["--scenario", scenario, "--action-type", action_type, *SMALL, "--output", str(file)]
@@ -55,12 +53,13 @@ def test_a_search_writes_policies_with_the_returns_of_their_replay(
     np.testing.assert_allclose(replayed, [policy.discounted for policy in policies], rtol=1e-5, atol=2e-5)
     assert (np.diff(replayed[:, 0]) <= 1e-5).all()
     assert {policy.source for policy in policies} == {
-        f"python scripts/front.py --scenario {scenario} --action-type {action_type} --decisions 300000 --seed 0 --anew"
+        f"python scripts/bounds/front.py --scenario {scenario} --action-type {action_type} "
+        "--decisions 300000 --seed 0 --anew"
     }
 
 
 def test_the_same_seed_writes_the_same_file_and_another_seed_another(
-    front: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(front_search, "POPULATION", 256)
     files = [tmp_path / f"{name}.json" for name in "abc"]
@@ -72,7 +71,7 @@ def test_the_same_seed_writes_the_same_file_and_another_seed_another(
 
 
 def test_a_front_is_replaced_by_a_larger_one_and_kept_otherwise(
-    front: ModuleType, shipped: Path, capsys: pytest.CaptureFixture[str]
+    shipped: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert front.main(SMALL) == 0
     first = shipped.read_bytes()
@@ -86,15 +85,7 @@ def test_a_front_is_replaced_by_a_larger_one_and_kept_otherwise(
     assert any("--seed 7" in source for source in sources)
 
 
-def test_policies_of_a_run_join_the_search(front: ModuleType, shipped: Path) -> None:
-    assert front.main(["--decisions", "0", "--anew", "--episodes", "3", "--from", RUN]) == 0
-    policies = read_front(shipped.read_text(encoding="utf-8"))
-    assert {policy.source.split()[0] for policy in policies} == {"run", "python"}
-
-
-def test_a_run_of_another_scenario_or_action_set_is_refused(
-    front: ModuleType, shipped: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_of_another_scenario_or_action_set_is_refused(shipped: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert front.main(["--scenario", "static_obstacle", "--decisions", "0", "--from", RUN]) == 2
     assert "has scenario = 'one_waypoint'; the front needs 'static_obstacle'" in capsys.readouterr().err
     assert front.main(["--action-type", "continuous", "--decisions", "0", "--from", RUN]) == 2
@@ -114,9 +105,52 @@ def test_a_run_of_another_scenario_or_action_set_is_refused(
         (["--output", "/no/such/folder/front.json"], "there is no folder /no/such/folder"),
     ],
 )
-def test_bad_arguments_are_refused(
-    front: ModuleType, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_arguments_are_refused(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         front.main(arguments)
     assert message in capsys.readouterr().err
+
+
+def replayed_returns(file: Path) -> np.ndarray:
+    """The discounted returns of a file's policies in OneWaypoint, by replay."""
+    policies = read_front(file.read_text(encoding="utf-8"))
+    sequences = [decode_actions(policy.actions, "discrete") for policy in policies]
+    return discounted_sum(replay_sequences(front_config("one_waypoint", "discrete"), sequences), GAMMA)
+
+
+def test_fronts_are_shipped_where_the_package_reads_them() -> None:
+    assert shipped_front_file("one_waypoint", "discrete").is_file()
+
+
+def test_a_search_of_no_decisions_keeps_the_shipped_front(tmp_path: Path) -> None:
+    shipped = tmp_path / "shipped.json"
+    improve_front(FrontSearchSettings(decisions=300_000), shipped).write(shipped)
+    first = replayed_returns(shipped)
+    improvement = improve_front(FrontSearchSettings(decisions=0), shipped)
+    assert not improvement.loses_hypervolume
+    improvement.write(shipped)
+    second = replayed_returns(shipped)
+    reference = reference_point().values
+    volumes = [moocore.hypervolume(each, ref=reference, maximise=True) for each in (first, second)]
+    assert volumes[1] == pytest.approx(volumes[0], rel=1e-9)
+
+
+def test_progress_reaches_the_number_of_decisions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(front_search, "POPULATION", 64)
+    calls: list[int] = []
+    improve_front(FrontSearchSettings(decisions=50_000), tmp_path / "missing.json", on_progress=calls.append)
+    assert calls == sorted(calls)
+    assert calls[-1] >= 50_000 > calls[-2]
+
+
+@pytest.mark.parametrize("arguments", [{}, {"objectives": ["jerk", "distance", "destination", "g_force"]}])
+def test_policies_of_a_run_join_the_search(
+    tmp_path: Path, make_run: Callable[..., Path], arguments: dict[str, Any]
+) -> None:
+    recording = record_run(str(make_run(**arguments)), "one_waypoint", "discrete", 3)
+    settings = FrontSearchSettings(decisions=0, anew=True, episodes=3)
+    improvement = improve_front(settings, tmp_path / "missing.json", [recording])
+    sources = {policy.source for policy in improvement.policies}
+    assert {source.split()[0] for source in sources} == {"run", "python"}
+    assert settings.command([recording.name]) in sources
+    assert settings.command([recording.name]).endswith(f"--anew --from {recording.name} --episodes 3")

@@ -1,0 +1,35 @@
+"""scripts/bounds/suite.py: the table of drivers keeps the rows of others, and refuses runs of other environments."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from algorithms import zoo
+from scripts.bounds import driver_table, suite
+from scripts.bounds.suite_bounds import roundabout_rules
+
+
+@pytest.mark.slow
+def test_the_table_has_the_bounds_in_place_of_older_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "drivers.csv"
+    name, rule = next(iter(roundabout_rules().items()))
+    monkeypatch.setattr(suite, "bounds", lambda _task: [(name, driver_table.RULE, None, rule)])
+    arguments = ["drivers", "R1", "R2", "--episodes", "4", "--output", str(path)]
+    assert suite.main(arguments) == 0
+    first = path.read_bytes()
+    rows = list(csv.DictReader(path.open(encoding="utf-8")))
+    assert [(row["task"], row["driver"], row["kind"]) for row in rows] == [("R1", name, "rule"), ("R2", name, "rule")]
+    assert float(rows[0]["worst_off"]) < float(rows[0]["utility"])
+    assert float(rows[1]["worst_off"]) == float(rows[1]["utility"])
+    assert suite.main(arguments) == 0
+    assert path.read_bytes() == first
+
+
+def test_a_run_that_drives_elsewhere_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = str(zoo.find("one_waypoint_linear-ppo"))
+    output = str(tmp_path / "drivers.csv")
+    assert suite.main(["drivers", "R1", "--runs", run, "--label", "a", "--output", output]) == 2
+    assert "drives in the environment of none of R1" in capsys.readouterr().err
