@@ -30,7 +30,7 @@ from algorithms.runs.lenient_output import open_log
 from algorithms.runs.loggers import Logger
 from algorithms.runs.policy_evaluation import FRONT_EPISODES, evaluate_policies, evaluation_env
 from algorithms.runs.run_directory import METRICS_FILE
-from algorithms.runs.suite_scores import score_run
+from algorithms.runs.suite_entries import score_run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import evaluate_each
 from mo_deepdrive.evaluation.evaluation_files import write_evaluation

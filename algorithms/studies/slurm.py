@@ -21,8 +21,8 @@ from rich.console import Console
 
 from algorithms.runs.console import WIDTH
 from algorithms.runs.dashboard import Dashboard
-from algorithms.runs.failures import WorkerDied, record, verdict
 from algorithms.runs.interrupts import Stopped
+from algorithms.runs.jobs import WorkerDied, record, verdict
 from algorithms.runs.run_directory import read_status
 from algorithms.runs.worker_pool import perform_all
 from algorithms.studies.slurm_script import MAX_ARRAY_TASKS, TaskExecutor, sbatch_options, slurm_folder
@@ -54,7 +54,7 @@ class ArrayTask:
     Attributes:
         jobs: the runs.
         side_by_side: number of concurrent runs.
-        retries: as in :func:`algorithms.runs.failures.verdict`.
+        retries: as in :func:`algorithms.runs.jobs.verdict`.
     """
 
     jobs: tuple[Job, ...]

@@ -181,7 +181,7 @@ def test_nothing_of_an_entry_runs_before_it_is_trusted(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "policy.py").write_text("open('it_ran', 'w')\n")
     (tmp_path / "rows.csv").write_text(HEADER + ROW.replace("policy.py", source))
-    assert run("suite", ["verify", "rows.csv"], "mo-deepdrive {}") != 0
+    assert run("suite", ["verify", "rows.csv"]) != 0
     assert "--trust runs it" in capsys.readouterr().err
     assert not (tmp_path / "it_ran").exists()
 
@@ -193,13 +193,13 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "policy.py").write_text(STILL)
     command = ["score", "policy.py", "--tasks", "K6-ESR", "--no-perturbations", "--output", "scores.csv"]
-    assert run("suite", command, "mo-deepdrive {}") == 0
+    assert run("suite", command) == 0
     verify = ["verify", "scores.csv", "--scenarios", "7", "--trust"]
-    assert run("suite", verify, "mo-deepdrive {}") == 0
+    assert run("suite", verify) == 0
     assert capsys.readouterr().out.count("reproduced") == 1
     table = (tmp_path / "scores.csv").read_text()
     (tmp_path / "scores.csv").write_text(table.replace("score,0.0,0.0,0.0", "score,0.5,0.4,0.6"))
-    assert run("suite", verify, "mo-deepdrive {}") == 1
+    assert run("suite", verify) == 1
     assert "policy.py on K6-ESR, score (stochastic), test split: its value = 0.5, found 0.0" in capsys.readouterr().out
 
 
@@ -242,7 +242,7 @@ def test_a_policy_that_cannot_drive_is_refused_in_one_line(
 def test_reference_entries_are_reproduced_by_the_policies_of_the_zoo(capsys: pytest.CaptureFixture[str]) -> None:
     entries = REPOSITORY / "docs" / "results" / "suite_entries.csv"
     tasks = ("K1", "K3", "V1")
-    assert run("suite", ["verify", str(entries), "--tasks", *tasks, "--scenarios", "1"], "mo-deepdrive {}") == 0
+    assert run("suite", ["verify", str(entries), "--tasks", *tasks, "--scenarios", "1"]) == 0
     rows = [row for row in suite.read_rows(entries) if row.task in tasks]
     assert {row.task for row in rows} == {*tasks}
     assert capsys.readouterr().out.count("reproduced") == len(rows)
