@@ -81,7 +81,7 @@ def build(
             experiment.evaluation.reference_point, joint_objectives(adapter.objectives, adapter.vehicles)
         )
     else:
-        options["utility"] = _make_utilities(experiment.utility, adapter)
+        options["utility"] = make_utilities(experiment.utility, adapter)
     training = experiment.training
     for key, able, what in (
         ("partners", algorithm.trains_with_partners, "train with partners"),
@@ -253,7 +253,7 @@ def _vehicles_named(names: Iterable[str], key: str, adapter: EnvAdapter) -> list
     return [vehicles.index(name) for name in names]
 
 
-def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:
+def make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:
     """One utility per vehicle, each called as the algorithms will, so that it fails here and not after an hour."""
     _vehicles_named(settings.vehicles, "utility.vehicles", adapter)
     utilities = []
