@@ -214,7 +214,7 @@ def peer_pcn() -> tuple[float, float] | None:
     task = prepare(experiment, lambda _step, _metrics: None)
     with contextlib.redirect_stdout(io.StringIO()):
         started = time.perf_counter()
-        policies = peer.train(task)
+        policies: Any = peer.train(task)
         seconds = time.perf_counter() - started
     settings = experiment.evaluation
     front = evaluate_front(policies, experiment, episodes=settings.final_episodes, seed=settings.final_seed)

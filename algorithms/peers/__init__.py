@@ -77,7 +77,7 @@ class Peer:
         Raises:
             ValueError: naming what the peer does not support.
         """
-        env, d = task.env, len(task.objectives)
+        env, d = task.env, len(task.env.objectives)
         if env.vehicles != 1:
             raise ValueError(f"algorithm {name!r} supports one vehicle; the environment has {env.vehicles}")
         kind = CONTINUOUS if env.continuous else DISCRETE
@@ -92,8 +92,8 @@ class Peer:
             raise ValueError(f"algorithm {name!r} needs a known utility; set one in the section 'utility'")
         if not self.known_utility and task.utility is not None:
             raise ValueError(f"algorithm {name!r} learns a front; remove the section 'utility'")
-        if task.num_envs > 1 and not self.parallel:
-            raise ValueError(f"training.num_envs = {task.num_envs} must be 1: algorithm {name!r} has one environment")
+        if env.num_envs > 1 and not self.parallel:
+            raise ValueError(f"training.num_envs = {env.num_envs} must be 1: algorithm {name!r} has one environment")
 
 
 BOTH = (DISCRETE, CONTINUOUS)

@@ -56,7 +56,7 @@ def _train(task: PeerTask, agent: Any, **defaults: Any) -> dict[str, Any]:
 def _reference(task: PeerTask) -> NDArray[np.float32]:
     """The reference point in the peer's units; zeros if there is none, for peers that only log the hypervolume."""
     if task.reference_point is None:
-        return np.zeros(len(task.objectives), dtype=np.float32)
+        return np.zeros(len(task.env.objectives), dtype=np.float32)
     return (task.reference_point / task.reward_scales).astype(np.float32)
 
 
@@ -95,7 +95,7 @@ def _networks(
 
     # Several networks may have been trained for the same vector, so conditions start with a number.
     conditions = np.column_stack([np.arange(len(acts)), np.array(vectors, dtype=np.float64)])
-    names = ("network", *(f"{prefix}/{name}" for name in task.objectives))
+    names = ("network", *(f"{prefix}/{name}" for name in task.env.objectives))
     return PeerPolicies(task, choose, conditions, names, gamma)
 
 
@@ -103,13 +103,13 @@ def _weighted(task: PeerTask, act: Callable[[torch.Tensor, torch.Tensor], Any]) 
     """One policy per weight vector of a network that takes weights; ``act`` takes (N, o) and (N, d)."""
     config = task.config
     assert isinstance(config, WeightedConfig)
-    d = len(task.objectives)
+    d = len(task.env.objectives)
     weights = evenly_spaced_weights(d, max(config.policies, d))
 
     def choose(rows: NDArray[np.intp], inputs: PolicyInputs) -> Any:
         return act(task.tensor(inputs.observations), task.tensor(weights[rows]))
 
-    return PeerPolicies(task, choose, weights, tuple(f"weight/{name}" for name in task.objectives))
+    return PeerPolicies(task, choose, weights, tuple(f"weight/{name}" for name in task.env.objectives))
 
 
 def conditioned_on_returns(task: PeerTask, algorithm: Any) -> PeerPolicies:
@@ -146,7 +146,7 @@ def conditioned_on_returns(task: PeerTask, algorithm: Any) -> PeerPolicies:
         outputs = agent.model(task.tensor(inputs.observations), task.tensor(desired), task.tensor(left)[:, None])
         return outputs if agent.continuous_action else _sample(outputs.exp(), inputs.generator)
 
-    names = (*(f"desired_return/{name}" for name in task.objectives), "horizon")
+    names = (*(f"desired_return/{name}" for name in task.env.objectives), "horizon")
     return PeerPolicies(task, choose, np.column_stack([returns * task.reward_scales, horizons]), names)
 
 
@@ -239,7 +239,7 @@ def pgmorl(task: PeerTask, algorithm: Any) -> PeerPolicies:
     """Prediction-guided multi-objective reinforcement learning (Xu et al. 2020)."""
     if task.reference_point is None:
         raise ValueError("algorithm 'morl_baselines.pgmorl' maximises hypervolume: set evaluation.reference_point")
-    population, num_envs = 6, task.num_envs
+    population, num_envs = 6, task.env.num_envs
     # Ten iterations of all policies, half of them warm-up. Between them it chooses weights, which is slow: it fits a
     # model to every policy under every weight. An iteration has to fill 32 minibatches.
     per_iteration = max(-(-32 // num_envs), min(2048, task.steps // (10 * population * num_envs)))
@@ -262,9 +262,8 @@ def pgmorl(task: PeerTask, algorithm: Any) -> PeerPolicies:
         normal = (observations - statistics.mean) / np.sqrt(statistics.var + NORMAL_EPSILON)
         return np.asarray(np.clip(normal, -10.0, 10.0), dtype=np.float32)
 
-    evaluated = task.make(recorded=False)
-    evaluated = gymnasium.wrappers.TransformObservation(evaluated, normalise, evaluated.observation_space)
-    _train(task, agent, eval_env=evaluated)
+    env = task.make(recorded=False)
+    _train(task, agent, eval_env=gymnasium.wrappers.TransformObservation(env, normalise, env.observation_space))
 
     def act(policy: Any, inputs: PolicyInputs) -> torch.Tensor:
         mean: torch.Tensor = policy.networks.actor_mean(task.tensor(normalise(inputs.observations)))
@@ -279,7 +278,7 @@ def _vector_env(task: PeerTask) -> Any:
     """The training environments as MO-Gymnasium's vector environment."""
     from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
-    return MOSyncVectorEnv(iter([lambda index=index: task.make(index) for index in range(task.num_envs)]))
+    return MOSyncVectorEnv(iter([lambda index=index: task.make(index) for index in range(task.env.num_envs)]))
 
 
 def _evaluate_little(agent: Any) -> None:
@@ -301,13 +300,13 @@ def ipro(task: PeerTask, algorithm: Any) -> PeerPolicies:
             vector, network = super().oracle_train(referent, *args, **kwargs)
             return vector, (network, np.asarray(referent, dtype=np.float32))
 
-    d, iterations = len(task.objectives), int(task.config.arguments.get("max_iterations", 8))
+    d, iterations = len(task.env.objectives), int(task.config.arguments.get("max_iterations", 8))
     rounds = 2 * d + iterations  # it starts with the best and the worst value of every objective
     options = _arguments(
         task,
         max_iterations=iterations,
         iter_total_timesteps=task.steps // rounds,
-        num_steps=max(1, min(128, task.steps // rounds // task.num_envs)),
+        num_steps=max(1, min(128, task.steps // rounds // task.env.num_envs)),
         # Otherwise all solutions share one network, with the weights of the last round.
         reset_agent=True,
     )
@@ -353,7 +352,7 @@ def eupg(task: PeerTask, algorithm: Any) -> PeerPolicies:
 
 def nl_mo_ppo(task: PeerTask, algorithm: Any) -> PeerPolicies:
     """Proximal policy optimisation of a non-linear utility of the expected return (Roepke et al. 2024)."""
-    steps = max(1, min(128, task.steps // task.num_envs))
+    steps = max(1, min(128, task.steps // task.env.num_envs))
     agent = algorithm(0, _vector_env(task), **_arguments(task, total_timesteps=task.steps, num_steps=steps))
     _evaluate_little(agent)
     agent.train(task.make(recorded=False), u_func=task.utility_of_scaled, **task.train_arguments())

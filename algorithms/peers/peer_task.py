@@ -81,16 +81,6 @@ class PeerTask:
     recorder: Recorder
 
     @property
-    def num_envs(self) -> int:
-        """Number of parallel environments, for peers that support several."""
-        return self.env.num_envs
-
-    @property
-    def objectives(self) -> tuple[str, ...]:
-        """Names of the d components of the reward."""
-        return self.env.objectives
-
-    @property
     def observation_scales(self) -> NDArray[np.float32]:
         """(o,) by which the peer's observations are divided."""
         scales = self.env.observation_scales

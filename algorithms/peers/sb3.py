@@ -27,7 +27,7 @@ def _environments(task: PeerTask, utility: Utility, measure: Measure) -> Any:
     return DummyVecEnv(
         [
             lambda index=index: UtilityReward(task.make(index, scaled_rewards=False), utility, measure)
-            for index in range(task.num_envs)
+            for index in range(task.env.num_envs)
         ]
     )
 
