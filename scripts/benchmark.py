@@ -41,7 +41,6 @@ from rich.table import Table
 import mo_deepdrive
 from algorithms.learning.threads import set_threads
 from algorithms.peers import PEERS
-from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
 from algorithms.runs.build import build
 from algorithms.runs.cli import make_parser
@@ -215,9 +214,10 @@ def peer_pcn() -> tuple[float, float] | None:
     task = prepare(experiment, lambda _step, _metrics: None)
     with contextlib.redirect_stdout(io.StringIO()):
         started = time.perf_counter()
-        policies = peer.adapter(task)
+        policies: Any = peer.train(task)
         seconds = time.perf_counter() - started
-    front = evaluate_peer_front(policies, experiment)
+    settings = experiment.evaluation
+    front = evaluate_front(policies, experiment, episodes=settings.final_episodes, seed=settings.final_seed)
     return seconds, hypervolume(front.discounted, DEEP_SEA_POINT)
 
 

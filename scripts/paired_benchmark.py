@@ -155,8 +155,8 @@ def shipped(config: str, updates: int, place: Place | None = None) -> float:
 
 def _training_there(values: dict[str, Any], updates: int, place: Place) -> float:
     """Environment steps per second of SEEDS trainings side by side, whose worlds and learners stay on a device."""
+    from algorithms.runs.build import build_trainee
     from algorithms.runs.config import make_experiment
-    from algorithms.runs.side_by_side import build_trainee
 
     values["training"] |= {"seeds": [*range(SEEDS)], "compiled": True}
     experiment = make_experiment(values)

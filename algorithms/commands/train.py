@@ -33,7 +33,7 @@ def open_runs(options: Namespace) -> tuple[list[Run], Any]:
         ValueError: if the options, the experiment, a directory or a checkpoint are not valid.
         OSError: if the directory of a run to be resumed cannot be written.
     """
-    from algorithms.runs.side_by_side import build_trainee
+    from algorithms.runs.build import build_trainee
     from algorithms.runs.training import reopen
     from algorithms.studies.manifest import is_sweep
 
@@ -91,7 +91,7 @@ def train(options: Namespace) -> int:
         for run in runs:
             print(f"run {run.path}", flush=True)
         if len(runs) > 1 and not runs[0].experiment.is_resident:
-            from algorithms.runs.seed_processes import train_apart
+            from algorithms.runs.worker_pool import train_apart
 
             received = train_apart(runs, make_console())
             if received == cli.FAILED:

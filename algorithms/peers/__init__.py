@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from algorithms.peers import morl, sb3
 from algorithms.peers.peer_task import PeerConfig, PeerPolicies, PeerTask, ScalarConfig, WeightedConfig
@@ -29,35 +30,42 @@ class Peer:
 
     Attributes:
         path: "module:class" of its implementation.
+        adapter: of its library: trains the class on a task and returns its policies.
+        actions: kinds of actions that it supports.
         package: that has to be installed.
         known_utility: whether it learns one policy for a known utility, or else a front.
-        actions: kinds of actions that it supports.
-        adapter: trains it and returns its policies.
         Config: class of its settings.
         objectives: minimum and maximum number of objectives that it supports; None for any.
         parallel: whether it trains in several environments at a time.
     """
 
     path: str
-    package: str
-    known_utility: bool
+    adapter: Callable[[PeerTask, Any], PeerPolicies]
     actions: tuple[str, ...]
-    adapter: Callable[[PeerTask], PeerPolicies]
+    package: str
+    known_utility: bool = False
     Config: type[PeerConfig] = PeerConfig
     objectives: tuple[int, int] | None = None
     parallel: bool = False
 
     def unavailable_reason(self) -> str | None:
         """Why it cannot run here, which is the error of its import; None if it can."""
-        module, _, name = self.path.partition(":")
         try:
             with needed_for("it"):
-                getattr(importlib.import_module(module), name)
+                self._algorithm()
         except MissingExtraError as error:
             return str(error)
         except Exception as error:  # other libraries may raise anything on import
             return f"{type(error).__name__}: {error}"
         return None
+
+    def _algorithm(self) -> Any:
+        module, _, name = self.path.partition(":")
+        return getattr(importlib.import_module(module), name)
+
+    def train(self, task: PeerTask) -> PeerPolicies:
+        """The policies that it learns on a task which :meth:`check` takes."""
+        return self.adapter(task, self._algorithm())
 
     def check(self, name: str, task: PeerTask) -> None:
         """Check that the peer supports a task.
@@ -69,7 +77,7 @@ class Peer:
         Raises:
             ValueError: naming what the peer does not support.
         """
-        env, d = task.env, len(task.objectives)
+        env, d = task.env, len(task.env.objectives)
         if env.vehicles != 1:
             raise ValueError(f"algorithm {name!r} supports one vehicle; the environment has {env.vehicles}")
         kind = CONTINUOUS if env.continuous else DISCRETE
@@ -84,51 +92,49 @@ class Peer:
             raise ValueError(f"algorithm {name!r} needs a known utility; set one in the section 'utility'")
         if not self.known_utility and task.utility is not None:
             raise ValueError(f"algorithm {name!r} learns a front; remove the section 'utility'")
-        if task.num_envs > 1 and not self.parallel:
-            raise ValueError(f"training.num_envs = {task.num_envs} must be 1: algorithm {name!r} has one environment")
+        if env.num_envs > 1 and not self.parallel:
+            raise ValueError(f"training.num_envs = {env.num_envs} must be 1: algorithm {name!r} has one environment")
 
 
-def _morl(
-    path: str,
-    adapter: Callable[[PeerTask], PeerPolicies],
-    *actions: str,
-    known_utility: bool = False,
-    config: type[PeerConfig] = PeerConfig,
-    objectives: tuple[int, int] | None = None,
-    parallel: bool = False,
-) -> Peer:
-    path = f"morl_baselines.{path}"
-    return Peer(path, "morl-baselines", known_utility, actions, adapter, config, objectives, parallel)
-
-
-def _sb3(path: str, adapter: Callable[[PeerTask], PeerPolicies]) -> Peer:
-    actions = DISCRETE, CONTINUOUS
-    return Peer(f"stable_baselines3.{path}", "stable-baselines3", True, actions, adapter, ScalarConfig, parallel=True)
-
+BOTH = (DISCRETE, CONTINUOUS)
+_morl = partial(Peer, package="morl-baselines")
+_weighted = partial(_morl, Config=WeightedConfig)
+_sb3 = partial(
+    Peer,
+    adapter=sb3.train,
+    actions=BOTH,
+    package="stable-baselines3",
+    known_utility=True,
+    Config=ScalarConfig,
+    parallel=True,
+)
 
 PEERS: dict[str, Peer] = {
-    "morl_baselines.pcn": _morl("multi_policy.pcn.pcn:PCN", morl.pcn, DISCRETE, CONTINUOUS),
-    "morl_baselines.lcn": _morl("multi_policy.lcn.lcn:LCN", morl.lcn, DISCRETE, CONTINUOUS),
-    "morl_baselines.envelope": _morl(
-        "multi_policy.envelope.envelope:Envelope", morl.envelope, DISCRETE, config=WeightedConfig
+    "morl_baselines.pcn": _morl("morl_baselines.multi_policy.pcn.pcn:PCN", morl.conditioned_on_returns, BOTH),
+    "morl_baselines.lcn": _morl("morl_baselines.multi_policy.lcn.lcn:LCN", morl.conditioned_on_returns, BOTH),
+    "morl_baselines.envelope": _weighted(
+        "morl_baselines.multi_policy.envelope.envelope:Envelope", morl.envelope, (DISCRETE,)
     ),
-    "morl_baselines.gpi_ls": _morl("multi_policy.gpi_pd.gpi_pd:GPILS", morl.gpi_ls, DISCRETE, config=WeightedConfig),
-    "morl_baselines.gpi_ls_continuous": _morl(
-        "multi_policy.gpi_pd.gpi_pd_continuous_action:GPILSContinuousAction",
-        morl.gpi_ls_continuous,
-        CONTINUOUS,
-        config=WeightedConfig,
+    "morl_baselines.gpi_ls": _weighted("morl_baselines.multi_policy.gpi_pd.gpi_pd:GPILS", morl.gpi_ls, (DISCRETE,)),
+    "morl_baselines.gpi_ls_continuous": _weighted(
+        "morl_baselines.multi_policy.gpi_pd.gpi_pd_continuous_action:GPILSContinuousAction", morl.gpi_ls, (CONTINUOUS,)
     ),
-    "morl_baselines.capql": _morl("multi_policy.capql.capql:CAPQL", morl.capql, CONTINUOUS, config=WeightedConfig),
-    "morl_baselines.morld": _morl("multi_policy.morld.morld:MORLD", morl.morld, DISCRETE, CONTINUOUS),
+    "morl_baselines.capql": _weighted("morl_baselines.multi_policy.capql.capql:CAPQL", morl.capql, (CONTINUOUS,)),
+    "morl_baselines.morld": _morl("morl_baselines.multi_policy.morld.morld:MORLD", morl.morld, BOTH),
     "morl_baselines.pgmorl": _morl(
-        "multi_policy.pgmorl.pgmorl:PGMORL", morl.pgmorl, CONTINUOUS, objectives=(2, 3), parallel=True
+        "morl_baselines.multi_policy.pgmorl.pgmorl:PGMORL", morl.pgmorl, (CONTINUOUS,), objectives=(2, 3), parallel=True
     ),
-    "morl_baselines.ipro": _morl("multi_policy.ipro.ipro:IPRO", morl.ipro, DISCRETE, parallel=True),
-    "morl_baselines.eupg": _morl("single_policy.esr.eupg:EUPG", morl.eupg, DISCRETE, known_utility=True),
+    "morl_baselines.ipro": _morl("morl_baselines.multi_policy.ipro.ipro:IPRO", morl.ipro, (DISCRETE,), parallel=True),
+    "morl_baselines.eupg": _morl(
+        "morl_baselines.single_policy.esr.eupg:EUPG", morl.eupg, (DISCRETE,), known_utility=True
+    ),
     "morl_baselines.nl_mo_ppo": _morl(
-        "single_policy.ser.nl_mo_ppo:NLMOPPO", morl.nl_mo_ppo, DISCRETE, known_utility=True, parallel=True
+        "morl_baselines.single_policy.ser.nl_mo_ppo:NLMOPPO",
+        morl.nl_mo_ppo,
+        (DISCRETE,),
+        known_utility=True,
+        parallel=True,
     ),
-    "stable_baselines3.a2c": _sb3("a2c.a2c:A2C", sb3.a2c),
-    "stable_baselines3.ppo": _sb3("ppo.ppo:PPO", sb3.ppo),
+    "stable_baselines3.a2c": _sb3("stable_baselines3.a2c.a2c:A2C"),
+    "stable_baselines3.ppo": _sb3("stable_baselines3.ppo.ppo:PPO"),
 }

@@ -7,6 +7,7 @@ Weights & Biases; the recorder logs the training instead.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
@@ -14,7 +15,7 @@ import gymnasium
 import numpy as np
 import torch
 
-from algorithms.peers.peer_task import PeerPolicies, PeerTask, PolicyInputs, WeightedConfig
+from algorithms.peers.peer_task import PeerPolicies, PeerTask, PolicyInputs, WeightedConfig, as_array
 from mo_deepdrive.evaluation.pareto import evenly_spaced_weights, non_dominated
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ LOGGED_WEIGHTS = 10
 # Arguments that are lists in YAML, but have to be arrays for the library.
 ARRAYS = ("scaling_factor", "max_return", "ref_point", "origin")
 HORIZON_SCALE = 0.1  # of PCN's and LCN's horizons, as in the library's examples
+NORMAL_EPSILON = 1e-8  # of Gymnasium's normalisation of observations
 UNBOUNDED = 100.0  # the library's own limit of desired returns without a bound
 
 
@@ -38,18 +40,31 @@ def _with_arrays(arguments: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _arguments(task: PeerTask, **defaults: Any) -> dict[str, Any]:
+    """Arguments of an algorithm's constructor."""
+    return _with_arrays(task.arguments(log=False, **defaults))
+
+
+def _train(task: PeerTask, agent: Any, **defaults: Any) -> dict[str, Any]:
+    """Train an agent, which evaluates itself on an environment that is not recorded; the arguments that it got."""
+    defaults = {"eval_env": task.make(recorded=False), "ref_point": _reference(task), **defaults}
+    arguments = _with_arrays(task.train_arguments(**defaults))
+    agent.train(task.steps, **arguments)
+    return arguments
+
+
 def _reference(task: PeerTask) -> NDArray[np.float32]:
     """The reference point in the peer's units; zeros if there is none, for peers that only log the hypervolume."""
     if task.reference_point is None:
-        return np.zeros(len(task.objectives), dtype=np.float32)
+        return np.zeros(len(task.env.objectives), dtype=np.float32)
     return (task.reference_point / task.reward_scales).astype(np.float32)
 
 
-def _sample(probabilities: torch.Tensor, generator: torch.Generator | None) -> NDArray[Any]:
+def _sample(probabilities: torch.Tensor, generator: torch.Generator | None) -> torch.Tensor:
     """Actions (N,) sampled from ``probabilities`` (N, actions), or the most probable ones without a generator."""
     if generator is None:
-        return probabilities.argmax(-1).cpu().numpy()
-    return torch.multinomial(probabilities, 1, generator=generator)[:, 0].cpu().numpy()
+        return probabilities.argmax(-1)
+    return torch.multinomial(probabilities, 1, generator=generator)[:, 0]
 
 
 def _networks(
@@ -75,12 +90,12 @@ def _networks(
         actions = np.zeros((len(rows), *shape), dtype=kind)
         for policy in np.unique(rows):
             mine = rows == policy
-            actions[mine] = np.asarray(acts[policy](inputs.select(mine)))
+            actions[mine] = as_array(acts[policy](inputs.select(mine)))
         return actions
 
     # Several networks may have been trained for the same vector, so conditions start with a number.
     conditions = np.column_stack([np.arange(len(acts)), np.array(vectors, dtype=np.float64)])
-    names = ("network", *(f"{prefix}/{name}" for name in task.objectives))
+    names = ("network", *(f"{prefix}/{name}" for name in task.env.objectives))
     return PeerPolicies(task, choose, conditions, names, gamma)
 
 
@@ -88,145 +103,88 @@ def _weighted(task: PeerTask, act: Callable[[torch.Tensor, torch.Tensor], Any]) 
     """One policy per weight vector of a network that takes weights; ``act`` takes (N, o) and (N, d)."""
     config = task.config
     assert isinstance(config, WeightedConfig)
-    d = len(task.objectives)
+    d = len(task.env.objectives)
     weights = evenly_spaced_weights(d, max(config.policies, d))
 
-    def choose(rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
-        return np.asarray(act(task.tensor(inputs.observations), task.tensor(weights[rows])))
+    def choose(rows: NDArray[np.intp], inputs: PolicyInputs) -> Any:
+        return act(task.tensor(inputs.observations), task.tensor(weights[rows]))
 
-    return PeerPolicies(task, choose, weights, tuple(f"weight/{name}" for name in task.objectives))
-
-
-def _single_actions(agent: Any) -> Callable[[torch.Tensor, torch.Tensor], Any]:
-    """``agent.eval`` for each observation, for algorithms that do not support batches of observations."""
-
-    def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
-        pairs = zip(observations.cpu().numpy(), weights.cpu().numpy(), strict=True)
-        return np.array([agent.eval(observation, weight) for observation, weight in pairs])
-
-    return act
+    return PeerPolicies(task, choose, weights, tuple(f"weight/{name}" for name in task.env.objectives))
 
 
-# ------------------------------------------------------------------------------------------- conditioned on commands
+def conditioned_on_returns(task: PeerTask, algorithm: Any) -> PeerPolicies:
+    """Pareto Conditioned Networks (Reymond et al. 2022) and Lorenz Conditioned Networks (Michailidis et al. 2026).
 
-
-def pcn(task: PeerTask) -> PeerPolicies:
-    """Pareto Conditioned Networks (Reymond et al. 2022)."""
-    from morl_baselines.multi_policy.pcn.pcn import PCN
-
-    return _conditioned_on_returns(task, PCN)
-
-
-def lcn(task: PeerTask) -> PeerPolicies:
-    """Lorenz Conditioned Networks (Michailidis et al. 2026)."""
-    from morl_baselines.multi_policy.lcn.lcn import LCN
-
-    return _conditioned_on_returns(task, LCN)
-
-
-def _conditioned_on_returns(task: PeerTask, algorithm: Any) -> PeerPolicies:
-    """Train PCN or LCN; one policy per non-dominated episode in the replay buffer."""
+    There is one policy per non-dominated episode in the replay buffer.
+    """
     env = task.make()
     scaling = np.array([*(task.reward_scales / task.env.objective_scales), HORIZON_SCALE])
-    options = task.arguments(
-        scaling_factor=scaling, gamma=task.config.gamma, seed=task.seed, device=task.device, log=False
-    )
-    agent = algorithm(env, **_with_arrays(options))
+    agent = algorithm(env, **_arguments(task, scaling_factor=scaling))
     # It would write its network into the working directory hundreds of times.
     agent.save = lambda *_, **__: None
     # The return of a cost is at most 0, as in the library's example; otherwise it desires impossible returns.
     high = np.asarray(env.unwrapped.reward_space.high, dtype=np.float32)  # type: ignore[attr-defined]
-    trained = task.train_arguments(
-        max_return=np.where(high <= 0.0, 0.0, UNBOUNDED).astype(np.float32),
+    max_return = _train(
+        task,
+        agent,
+        max_return=np.where(high <= 0.0, 0.0, UNBOUNDED),
         # It evaluates this many desired returns up to a thousand times, only to log them.
         num_points_pf=1,
-        ref_point=_reference(task),
-    )
-    trained = _with_arrays(trained)
-    agent.train(total_timesteps=task.steps, eval_env=task.make(recorded=False), **trained)
+    )["max_return"]
 
     # Desired returns and horizons are those of the non-dominated episodes in the replay buffer.
     returns = np.array([episode[2][0].reward for episode in agent.experience_replay])
     horizons = np.array([len(episode[2]) for episode in agent.experience_replay], dtype=np.float32)
     kept = non_dominated(returns)
     returns, horizons = returns[kept], horizons[kept]
-    max_return = trained["max_return"]
 
-    def choose(rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
+    def choose(rows: NDArray[np.intp], inputs: PolicyInputs) -> Any:
         # It subtracts undiscounted rewards from a discounted return, so the accrued rewards are undiscounted here.
         desired = returns[rows] - inputs.accrued
         desired = np.where(inputs.decisions[:, None] > 0, np.minimum(desired, max_return), desired)
         left = np.maximum(horizons[rows] - inputs.decisions, 1.0)
         outputs = agent.model(task.tensor(inputs.observations), task.tensor(desired), task.tensor(left)[:, None])
-        if agent.continuous_action:
-            return np.asarray(outputs.cpu().numpy())
-        return _sample(outputs.exp(), inputs.generator)
+        return outputs if agent.continuous_action else _sample(outputs.exp(), inputs.generator)
 
-    names = (*(f"desired_return/{name}" for name in task.objectives), "horizon")
+    names = (*(f"desired_return/{name}" for name in task.env.objectives), "horizon")
     return PeerPolicies(task, choose, np.column_stack([returns * task.reward_scales, horizons]), names)
 
 
-# -------------------------------------------------------------------------------------------- conditioned on weights
-
-
-def envelope(task: PeerTask) -> PeerPolicies:
+def envelope(task: PeerTask, algorithm: Any) -> PeerPolicies:
     """Envelope Q-learning (Yang et al. 2019)."""
-    from morl_baselines.multi_policy.envelope.envelope import Envelope
+    agent = algorithm(task.make(), **_arguments(task, buffer_size=task.steps))
+    _train(task, agent, num_eval_weights_for_front=LOGGED_WEIGHTS)
 
-    options = task.arguments(
-        gamma=task.config.gamma, seed=task.seed, device=task.device, log=False, buffer_size=task.steps
-    )
-    agent = Envelope(task.make(), **options)
-    trained = task.train_arguments(num_eval_weights_for_front=LOGGED_WEIGHTS)
-    agent.train(task.steps, **_with_arrays(trained))
-
-    def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
-        values = agent.q_net(observations, weights)
-        return np.asarray(torch.einsum("nr,nar->na", weights, values).argmax(-1).cpu().numpy())
+    def act(observations: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        return torch.einsum("nr,nar->na", weights, agent.q_net(observations, weights)).argmax(-1)
 
     return _weighted(task, act)
 
 
-def gpi_ls(task: PeerTask) -> PeerPolicies:
-    """Generalised policy improvement with linear support, discrete actions (Alegre et al. 2023)."""
-    from morl_baselines.multi_policy.gpi_pd.gpi_pd import GPILS
-
-    return _weighted(task, _single_actions(_train_gpi(task, GPILS)))
-
-
-def gpi_ls_continuous(task: PeerTask) -> PeerPolicies:
-    """Generalised policy improvement with linear support, continuous actions (Alegre et al. 2023)."""
-    from morl_baselines.multi_policy.gpi_pd.gpi_pd_continuous_action import GPILSContinuousAction
-
-    agent = _train_gpi(task, GPILSContinuousAction)
-    if agent.use_gpi:
-        return _weighted(task, _single_actions(agent))
-
-    def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
-        return np.asarray(agent.policy(observations, weights).cpu().numpy())
-
-    return _weighted(task, act)
-
-
-def _train_gpi(task: PeerTask, algorithm: Any) -> Any:
-    """The trained agent of GPI-LS, for discrete or continuous actions."""
+def gpi_ls(task: PeerTask, algorithm: Any) -> PeerPolicies:
+    """Generalised policy improvement with linear support, discrete or continuous actions (Alegre et al. 2023)."""
     from morl_baselines.multi_policy.linear_support import linear_support
 
-    options = task.arguments(
-        gamma=task.config.gamma, seed=task.seed, device=task.device, log=False, buffer_size=task.steps
-    )
-    agent = algorithm(task.make(), **options)
-    trained = task.train_arguments(
-        ref_point=_reference(task),
-        # It trains in whole iterations, and not at all if one is longer than the training.
-        timesteps_per_iter=max(1, min(10_000, task.steps // 5)),
-        num_eval_episodes_for_front=EVALUATION_EPISODES,
-        num_eval_weights_for_front=LOGGED_WEIGHTS,
-        checkpoints=False,
-    )
+    agent = algorithm(task.make(), **_arguments(task, buffer_size=task.steps))
     with patch.object(linear_support, "policy_evaluation_mo", _evaluated_once(linear_support.policy_evaluation_mo)):
-        agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
-    return agent
+        _train(
+            task,
+            agent,
+            # It trains in whole iterations, and not at all if one is longer than the training.
+            timesteps_per_iter=max(1, min(10_000, task.steps // 5)),
+            num_eval_episodes_for_front=EVALUATION_EPISODES,
+            num_eval_weights_for_front=LOGGED_WEIGHTS,
+            checkpoints=False,
+        )
+    if task.env.continuous and not agent.use_gpi:
+        return _weighted(task, agent.policy)
+
+    def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
+        # It does not support batches of observations.
+        pairs = zip(observations.cpu().numpy(), weights.cpu().numpy(), strict=True)
+        return np.array([agent.eval(observation, weight) for observation, weight in pairs])
+
+    return _weighted(task, act)
 
 
 def _evaluated_once(evaluate: Callable[..., Any]) -> Callable[..., Any]:
@@ -245,95 +203,48 @@ def _evaluated_once(evaluate: Callable[..., Any]) -> Callable[..., Any]:
     return evaluate_once
 
 
-def capql(task: PeerTask) -> PeerPolicies:
+def capql(task: PeerTask, algorithm: Any) -> PeerPolicies:
     """Concave-augmented Pareto Q-learning (Lu et al. 2023)."""
-    from morl_baselines.multi_policy.capql.capql import CAPQL
-
-    options = task.arguments(
-        gamma=task.config.gamma, seed=task.seed, device=task.device, log=False, buffer_size=task.steps
-    )
-    agent = CAPQL(task.make(), **options)
-    trained = task.train_arguments(ref_point=_reference(task), num_eval_weights_for_front=LOGGED_WEIGHTS)
-    agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
-
-    def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
-        return np.asarray(agent.policy.get_action(observations, weights).cpu().numpy())
-
-    return _weighted(task, act)
+    agent = algorithm(task.make(), **_arguments(task, buffer_size=task.steps))
+    _train(task, agent, num_eval_weights_for_front=LOGGED_WEIGHTS)
+    return _weighted(task, agent.policy.get_action)
 
 
-# ------------------------------------------------------------------------------------------------- a network per policy
-
-
-def morld(task: PeerTask) -> PeerPolicies:
+def morld(task: PeerTask, algorithm: Any) -> PeerPolicies:
     """Decomposition into weights, a soft actor-critic for each (Felten et al. 2024)."""
-    from morl_baselines.multi_policy.morld.morld import MORLD
-
     continuous = task.env.continuous
-    options = task.arguments(
+    options = _arguments(
+        task,
         policy_name="MOSAC" if continuous else "MOSACDiscrete",
-        gamma=task.config.gamma,
-        seed=task.seed,
-        device=task.device,
-        log=False,
         # Policies are trained in turns of this many steps; every policy should have at least two turns.
         exchange_every=max(1, min(40_000, task.steps // 12)),
         # It does not pass on the device. It copies all buffers whenever it archives a policy, so they should be small.
         policy_args={"device": task.device, "buffer_size": task.steps, "learning_starts": task.steps // 50},
     )
-    agent = MORLD(task.make(), **options)
-    trained = task.train_arguments(
-        ref_point=_reference(task), num_eval_episodes_for_front=EVALUATION_EPISODES, checkpoints=False
-    )
-    agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
+    agent = algorithm(task.make(), **options)
+    _train(task, agent, num_eval_episodes_for_front=EVALUATION_EPISODES, checkpoints=False)
 
-    def act(policy: Any) -> Callable[[PolicyInputs], Any]:
-        actor = policy.wrapped.actor
+    def act(actor: Any, inputs: PolicyInputs) -> Any:
+        observations = task.tensor(inputs.observations)
         if continuous:
-            return lambda inputs: actor.get_action(task.tensor(inputs.observations))[2].cpu().numpy()
-        return lambda inputs: _sample(actor(task.tensor(inputs.observations)).softmax(-1), inputs.generator)
+            return actor.get_action(observations)[2]
+        return _sample(actor(observations).softmax(-1), inputs.generator)
 
     found = agent.archive.individuals
-    return _networks(task, [act(policy) for policy in found], "weight", [policy.weights for policy in found])
+    acts = [partial(act, policy.wrapped.actor) for policy in found]
+    return _networks(task, acts, "weight", [policy.weights for policy in found])
 
 
-class _Normalised(gymnasium.ObservationWrapper[Any, Any, Any]):
-    """Normalises observations with the statistics of ``source``, a NormalizeObservation wrapper, and clips them."""
-
-    def __init__(self, env: gymnasium.Env[Any, Any], source: Any):
-        super().__init__(env)
-        self._source = source
-
-    def observation(self, observation: Any) -> Any:
-        return _normalise(observation, self._source)
-
-
-def _normalise(observations: NDArray[Any], source: Any) -> NDArray[np.float32]:
-    """Observations normalised and clipped as PGMORL does it."""
-    statistics = source.obs_rms
-    normal = (observations - statistics.mean) / np.sqrt(statistics.var + source.epsilon)
-    return np.asarray(np.clip(normal, -10.0, 10.0), dtype=np.float32)
-
-
-def _find_wrapper(env: Any, kind: type) -> Any:
-    """The wrapper of a type around an environment."""
-    while not isinstance(env, kind):
-        env = env.env
-    return env
-
-
-def pgmorl(task: PeerTask) -> PeerPolicies:
+def pgmorl(task: PeerTask, algorithm: Any) -> PeerPolicies:
     """Prediction-guided multi-objective reinforcement learning (Xu et al. 2020)."""
-    from gymnasium.wrappers import NormalizeObservation
-    from morl_baselines.multi_policy.pgmorl.pgmorl import PGMORL
-
     if task.reference_point is None:
         raise ValueError("algorithm 'morl_baselines.pgmorl' maximises hypervolume: set evaluation.reference_point")
-    population, num_envs = 6, task.num_envs
+    population, num_envs = 6, task.env.num_envs
     # Ten iterations of all policies, half of them warm-up. Between them it chooses weights, which is slow: it fits a
     # model to every policy under every weight. An iteration has to fill 32 minibatches.
     per_iteration = max(-(-32 // num_envs), min(2048, task.steps // (10 * population * num_envs)))
-    options = task.arguments(
+    options = _arguments(
+        task,
         # It makes the environments itself from an id; a specification works, too.
         env_id=task.spec(),
         origin=_reference(task),
@@ -342,39 +253,43 @@ def pgmorl(task: PeerTask) -> PeerPolicies:
         steps_per_iteration=per_iteration,
         warmup_iterations=5,
         evolutionary_iterations=5,
-        gamma=task.config.gamma,
-        seed=task.seed,
-        device=task.device,
-        log=False,
     )
-    agent = PGMORL(**_with_arrays(options))
+    agent = algorithm(**options)
     # Its training environments normalise observations, each with separate statistics; its evaluations would not.
-    source = _find_wrapper(agent.env.envs[0], NormalizeObservation)
-    trained = task.train_arguments(ref_point=_reference(task))
-    agent.train(task.steps, eval_env=_Normalised(task.make(recorded=False), source), **_with_arrays(trained))
+    statistics = agent.env.envs[0].get_wrapper_attr("obs_rms")
 
-    def act(policy: Any) -> Callable[[PolicyInputs], Any]:
-        return lambda inputs: (
-            policy.networks.actor_mean(task.tensor(_normalise(inputs.observations, source))).cpu().numpy()
-        )
+    def normalise(observations: NDArray[Any]) -> NDArray[np.float32]:
+        normal = (observations - statistics.mean) / np.sqrt(statistics.var + NORMAL_EPSILON)
+        return np.asarray(np.clip(normal, -10.0, 10.0), dtype=np.float32)
+
+    env = task.make(recorded=False)
+    _train(task, agent, eval_env=gymnasium.wrappers.TransformObservation(env, normalise, env.observation_space))
+
+    def act(policy: Any, inputs: PolicyInputs) -> torch.Tensor:
+        mean: torch.Tensor = policy.networks.actor_mean(task.tensor(normalise(inputs.observations)))
+        return mean
 
     found = agent.archive.individuals
     weights = [policy.weights.cpu().numpy() for policy in found]
-    return _networks(task, [act(policy) for policy in found], "weight", weights)
+    return _networks(task, [partial(act, policy) for policy in found], "weight", weights)
 
 
 def _vector_env(task: PeerTask) -> Any:
     """The training environments as MO-Gymnasium's vector environment."""
     from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
-    return MOSyncVectorEnv(iter([lambda index=index: task.make(index) for index in range(task.num_envs)]))
+    return MOSyncVectorEnv(iter([lambda index=index: task.make(index) for index in range(task.env.num_envs)]))
 
 
-def ipro(task: PeerTask) -> PeerPolicies:
+def _evaluate_little(agent: Any) -> None:
+    """Let an agent evaluate one episode at a time instead of a hundred; `train` has no argument for this."""
+    agent.policy_evaluate = partial(agent.policy_evaluate, eval_episodes=EVALUATION_EPISODES)
+
+
+def ipro(task: PeerTask, algorithm: Any) -> PeerPolicies:
     """Iterated Pareto Referent Optimisation (Roepke et al. 2024)."""
-    from morl_baselines.multi_policy.ipro.ipro import IPRO
 
-    class IPROWithPreferences(IPRO):  # type: ignore[misc]  # the library is not typed
+    class IPROWithPreferences(algorithm):  # type: ignore[misc]  # the library is not typed
         """Keeps the preference vector of each network, which the network needs as input, in the Pareto set."""
 
         def linear_train(self, weight_vec: Any, *args: Any, **kwargs: Any) -> Any:
@@ -385,54 +300,37 @@ def ipro(task: PeerTask) -> PeerPolicies:
             vector, network = super().oracle_train(referent, *args, **kwargs)
             return vector, (network, np.asarray(referent, dtype=np.float32))
 
-    d, iterations = len(task.objectives), int(task.config.arguments.get("max_iterations", 8))
+    d, iterations = len(task.env.objectives), int(task.config.arguments.get("max_iterations", 8))
     rounds = 2 * d + iterations  # it starts with the best and the worst value of every objective
-    options = task.arguments(
+    options = _arguments(
+        task,
         max_iterations=iterations,
         iter_total_timesteps=task.steps // rounds,
-        num_steps=max(1, min(128, task.steps // rounds // task.num_envs)),
+        num_steps=max(1, min(128, task.steps // rounds // task.env.num_envs)),
         # Otherwise all solutions share one network, with the weights of the last round.
         reset_agent=True,
-        gamma=task.config.gamma,
-        seed=task.seed,
-        device=task.device,
-        log=False,
     )
     agent = IPROWithPreferences(_vector_env(task), **options)
-    evaluate = agent.agent.policy_evaluate
-    # By default it evaluates a hundred episodes after every round; `train` has no argument for this.
-    agent.agent.policy_evaluate = lambda env, eval_episodes=EVALUATION_EPISODES, **rest: evaluate(
-        env, eval_episodes, **rest
-    )
+    _evaluate_little(agent.agent)
     trained = task.train_arguments(ref_point=_reference(task), deterministic=True)
     solutions = agent.train(task.make(recorded=False), **_with_arrays(trained))
     # When it replays its history, it replaces some networks by vectors.
     found = [solution for _, solution in solutions if isinstance(solution, tuple)]
 
-    def act(network: Any, preference: NDArray[np.float32]) -> Callable[[PolicyInputs], Any]:
-        return lambda inputs: (
-            network.get_greedy_action(
-                task.tensor(inputs.observations), task.tensor(inputs.accrued), task.tensor(preference)
-            )
-            .cpu()
-            .numpy()
-        )
+    def act(network: Any, preference: NDArray[np.float32], inputs: PolicyInputs) -> Any:
+        state = task.tensor(inputs.observations), task.tensor(inputs.accrued)
+        return network.get_greedy_action(*state, task.tensor(preference))
 
-    acts = [act(network, preference) for network, preference in found]
+    acts = [partial(act, network, preference) for network, preference in found]
     return _networks(task, acts, "preference", [preference for _, preference in found], gamma=agent.agent.gamma)
 
 
-# ------------------------------------------------------------------------------------------------------ known utility
-
-
-def eupg(task: PeerTask) -> PeerPolicies:
+def eupg(task: PeerTask, algorithm: Any) -> PeerPolicies:
     """Expected utility policy gradient (Roijers et al. 2018)."""
     from morl_baselines.common.accrued_reward_buffer import AccruedRewardReplayBuffer
-    from morl_baselines.single_policy.esr.eupg import EUPG
 
-    options = task.arguments(gamma=task.config.gamma, seed=task.seed, device=task.device, log=False)
     # It calls the utility for a NumPy return with weights, and for an episode's torch returns without weights.
-    agent = EUPG(task.make(), scalarization=task.utility_of_scaled, **options)
+    agent = algorithm(task.make(), scalarization=task.utility_of_scaled, **_arguments(task))
     # Its default buffer stores observations as integers.
     agent.buffer = AccruedRewardReplayBuffer(
         obs_shape=agent.observation_shape,
@@ -444,7 +342,7 @@ def eupg(task: PeerTask) -> PeerPolicies:
     )
     agent.train(task.steps, **task.train_arguments())
 
-    def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
+    def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> torch.Tensor:
         # The network normalises over all observations of the batch, so probabilities are normalised per row here.
         shares = agent.net(task.tensor(inputs.observations), task.tensor(inputs.accrued))
         return _sample(shares / shares.sum(-1, keepdim=True), inputs.generator)
@@ -452,25 +350,14 @@ def eupg(task: PeerTask) -> PeerPolicies:
     return PeerPolicies(task, choose)
 
 
-def nl_mo_ppo(task: PeerTask) -> PeerPolicies:
+def nl_mo_ppo(task: PeerTask, algorithm: Any) -> PeerPolicies:
     """Proximal policy optimisation of a non-linear utility of the expected return (Roepke et al. 2024)."""
-    from morl_baselines.single_policy.ser.nl_mo_ppo import NLMOPPO
-
-    options = task.arguments(
-        total_timesteps=task.steps,
-        num_steps=max(1, min(128, task.steps // task.num_envs)),
-        gamma=task.config.gamma,
-        seed=task.seed,
-        device=task.device,
-        log=False,
-    )
-    agent = NLMOPPO(0, _vector_env(task), **options)
-    evaluate = agent.policy_evaluate
-    # As for IPRO: the evaluation at the end is not reported.
-    agent.policy_evaluate = lambda env, eval_episodes=EVALUATION_EPISODES, **rest: evaluate(env, eval_episodes, **rest)
+    steps = max(1, min(128, task.steps // task.env.num_envs))
+    agent = algorithm(0, _vector_env(task), **_arguments(task, total_timesteps=task.steps, num_steps=steps))
+    _evaluate_little(agent)
     agent.train(task.make(recorded=False), u_func=task.utility_of_scaled, **task.train_arguments())
 
-    def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
+    def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> torch.Tensor:
         network = agent.agent
         augmented = network._build_aug_obs(task.tensor(inputs.observations), task.tensor(inputs.accrued), None)
         logits = network.actor(augmented)

@@ -13,10 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from algorithms.peers.peer_env import PeerEnv, Recorder
+from mo_deepdrive.evaluation.episodes import evaluate_each
+from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
     import gymnasium
+    from gymnasium.vector import VectorEnv
 
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.evaluation.policy import AccruedReward
@@ -78,16 +81,6 @@ class PeerTask:
     recorder: Recorder
 
     @property
-    def num_envs(self) -> int:
-        """Number of parallel environments, for peers that support several."""
-        return self.env.num_envs
-
-    @property
-    def objectives(self) -> tuple[str, ...]:
-        """Names of the d components of the reward."""
-        return self.env.objectives
-
-    @property
     def observation_scales(self) -> NDArray[np.float32]:
         """(o,) by which the peer's observations are divided."""
         scales = self.env.observation_scales
@@ -123,8 +116,9 @@ class PeerTask:
         )
 
     def arguments(self, **defaults: Any) -> dict[str, Any]:
-        """Arguments of the constructor: the adapter's ``defaults``, overridden by the user's."""
-        return {**defaults, **self.config.arguments}
+        """Arguments of the constructor: common ones and the adapter's ``defaults``, overridden by the user's."""
+        common = {"gamma": self.config.gamma, "seed": self.seed, "device": self.device}
+        return {**common, **defaults, **self.config.arguments}
 
     def train_arguments(self, **defaults: Any) -> dict[str, Any]:
         """Arguments of the training method: the adapter's ``defaults``, overridden by the user's."""
@@ -164,8 +158,13 @@ class PolicyInputs:
         return PolicyInputs(self.observations[rows], self.accrued[rows], self.decisions[rows], self.generator)
 
 
-# From N indices of policies and their inputs to their actions (N,) or (N, k).
-ActionFunction = Callable[[NDArray[np.intp], PolicyInputs], NDArray[Any]]
+# From N indices of policies and their inputs to their actions (N,) or (N, k), an array or a tensor.
+ActionFunction = Callable[[NDArray[np.intp], PolicyInputs], Any]
+
+
+def as_array(actions: Any) -> NDArray[Any]:
+    """Actions as an array, wherever the tensor is that a peer returned."""
+    return torch.as_tensor(actions).cpu().numpy()
 
 
 @dataclass(frozen=True)
@@ -189,6 +188,18 @@ class PeerPolicies:
     def __len__(self) -> int:
         return len(self.conditions)
 
+    @property
+    def step(self) -> int:
+        """Environment steps that they have learnt from."""
+        return self.task.recorder.steps
+
+    def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
+        """The non-dominated policies in greedy episodes, as of :meth:`algorithms.agent.FrontAgent.front`."""
+        evaluations = evaluate_each(self.at, len(self), env, episodes=episodes, seed=seed, gamma=gamma)
+        return Front.of_evaluations(
+            evaluations, self.conditions, self.condition_names, gamma=gamma, seed=seed
+        ).non_dominated()
+
     def at(self, rows: NDArray[np.intp]) -> PeerPolicy:
         """A policy for N environments that acts in each as the policy at the corresponding index."""
         return PeerPolicy(self, rows)
@@ -210,6 +221,11 @@ class PeerPolicy:
 
     policies: PeerPolicies
     rows: NDArray[np.intp]
+
+    @property
+    def step(self) -> int:
+        """Environment steps that it has learnt from."""
+        return self.policies.step
 
     @property
     def utilities(self) -> tuple[Utility, ...]:
@@ -245,4 +261,4 @@ class PeerPolicy:
             generator=generator,
         )
         rows = np.broadcast_to(self.rows, len(observations))
-        return np.asarray(self.policies.choose(rows, inputs))[:, None]
+        return as_array(self.policies.choose(rows, inputs))[:, None]

@@ -15,29 +15,18 @@ import torch
 from algorithms.learning.threads import set_threads
 from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
-from algorithms.peers.peer_task import PeerPolicies, PeerTask
+from algorithms.peers.peer_task import PeerTask
 from algorithms.reporting.fronts import FrontsFile
-from algorithms.reporting.tables import evaluation_table
-from algorithms.runs.agent_report import (
-    VIDEO_FILE,
-    film,
-    film_policies_of_front,
-    report_front,
-    show_results,
-)
-from algorithms.runs.build import make_environment
+from algorithms.reporting.run_records import final_metrics
+from algorithms.runs.agent_report import VIDEO_FILE, report_agent, show_results
+from algorithms.runs.build import make_environment, make_utilities
 from algorithms.runs.lenient_output import open_log
 from algorithms.runs.loggers import Logger
-from algorithms.runs.policy_evaluation import FRONT_EPISODES, evaluate_policies, evaluation_env
-from algorithms.runs.run_directory import METRICS_FILE
-from algorithms.runs.suite_scores import score_run
+from algorithms.runs.run_directory import FRONTS_FILE, METRICS_FILE
+from algorithms.runs.suite_entries import score_run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
-from mo_deepdrive.evaluation.episodes import evaluate_each
-from mo_deepdrive.evaluation.evaluation_files import write_evaluation
 from mo_deepdrive.evaluation.front import Front, check_reference_point
-from mo_deepdrive.evaluation.metrics import FRONT, evaluation_prefix
-from mo_deepdrive.evaluation.splits import describe_episodes
-from mo_deepdrive.utilities import check_utility, make_utility
+from mo_deepdrive.evaluation.metrics import EVALUATION
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -72,10 +61,7 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
     if experiment.utility is None:
         check_reference_point(experiment.evaluation.reference_point, env.objectives)
     else:
-        chosen = experiment.utility.of_vehicle(0)
-        utility = make_utility(chosen.name, env.objectives, cost_sign=env.cost_sign, **chosen.arguments)
-        for zeros in (np.zeros, torch.zeros):
-            check_utility(utility, zeros)
+        utility = make_utilities(experiment.utility, env)[0]
     point = experiment.evaluation.reference_point
 
     def make_single_env(render_mode: str | None = None) -> Any:
@@ -127,7 +113,7 @@ def run_peer(run: Run, console: Console) -> None:
         task = prepare(experiment, logger.log)
         with open_log(run.path / "peer.log") as file, contextlib.redirect_stdout(file):
             started, used = perf_counter(), process_time()
-            policies = peer.adapter(task)
+            policies = peer.train(task)
             seconds, used = perf_counter() - started, process_time() - used
         steps = task.recorder.steps
         run.set_status("trained", steps)
@@ -137,67 +123,24 @@ def run_peer(run: Run, console: Console) -> None:
             "cpu_time": used,
             "package": peer.package,
             "version": metadata.version(peer.package),
+            "evaluated_policies": len(policies),
         }
-        finish = _finish_policy if peer.known_utility else _finish_front
-        logger.log(steps, finish(run, policies, steps, about, console))
-        if experiment.evaluation.task is not None:
+        settings = experiment.evaluation
+        report_agent(
+            policies.at(np.zeros(1, dtype=np.intp)) if peer.known_utility else policies,
+            experiment,
+            console,
+            episodes=settings.final_episodes,
+            seed=settings.final_seed,
+            directory=run.path,
+            video=run.path / VIDEO_FILE if experiment.logging.save_figures else None,
+            about=about,
+        )
+        if not peer.known_utility:
+            FrontsFile(run.path / FRONTS_FILE).write_front(steps, Front.read(run.path))
+        logger.log(steps, {EVALUATION + name: value for name, value in final_metrics(run.path).items()})
+        if settings.task is not None:
             every = [policies.at(np.array([k])) for k in range(len(policies))]
             score_run(run, every[0] if peer.known_utility else every)
     show_results(run, steps, console)
     run.set_status("finished", steps)
-
-
-def _finish_policy(
-    run: Run, policies: PeerPolicies, steps: int, about: dict[str, Any], console: Console
-) -> dict[str, float]:
-    """Evaluate the single policy, write the report and a video; returns its metrics by name."""
-    settings = run.experiment.evaluation
-    policy = policies.at(np.zeros(1, dtype=np.intp))
-    found = evaluate_policies(policy, run.experiment, episodes=settings.final_episodes, seed=settings.final_seed)
-    measured = {"episodes": settings.final_episodes, "seed": settings.final_seed, "gamma": settings.gamma}
-    write_evaluation(run.path, found, {"step": steps, **about, **measured})
-    console.print(evaluation_table(found, describe_episodes(settings.final_episodes, settings.final_seed)))
-    if run.experiment.logging.save_figures:
-        film(policy, run.experiment, run.path / VIDEO_FILE, console, seed=settings.final_seed)
-    return {
-        evaluation_prefix(version) + name: value
-        for version, evaluation in found.items()
-        for name, value in evaluation.metrics().items()
-    }
-
-
-def _finish_front(
-    run: Run, policies: PeerPolicies, steps: int, about: dict[str, Any], console: Console
-) -> dict[str, float]:
-    """Evaluate all policies, write a report and a video of the non-dominated ones; returns the metrics by name."""
-    front = evaluate_front(policies, run.experiment)
-    FrontsFile(run.path / "fronts.csv").write_front(steps, front)
-    settings = run.experiment.evaluation
-    about = {"step": steps, **about, "evaluated_policies": len(policies)}
-    measured, _ = report_front(front, run.experiment, console, run.path, about)
-    if run.experiment.logging.save_figures:
-        film_policies_of_front(
-            policies, front, run.experiment, run.path / VIDEO_FILE, console, seed=settings.final_seed
-        )
-    return {evaluation_prefix(FRONT) + name: value for name, value in measured.items()}
-
-
-def evaluate_front(policies: PeerPolicies, experiment: Experiment) -> Front:
-    """The front of ``policies``: the non-dominated ones in greedy episodes of the final evaluation."""
-    settings = experiment.evaluation
-    env = evaluation_env(experiment, min(FRONT_EPISODES, settings.final_episodes * len(policies)))
-    try:
-        found = evaluate_each(
-            policies.at,
-            len(policies),
-            env,
-            episodes=settings.final_episodes,
-            seed=settings.final_seed,
-            gamma=settings.gamma,
-        )
-    finally:
-        env.close()
-    front = Front.of_evaluations(
-        found, policies.conditions, policies.condition_names, gamma=settings.gamma, seed=settings.final_seed
-    )
-    return front.non_dominated()

@@ -4,30 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from algorithms.peers.peer_env import RecordedEpisodes
 from algorithms.peers.peer_task import PeerPolicies, PeerTask, PolicyInputs, ScalarConfig
 from mo_deepdrive.wrappers import Measure, UtilityReward, VectorScaledObservation, VectorUtilityReward
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from mo_deepdrive.utilities import Utility
-
-
-def a2c(task: PeerTask) -> PeerPolicies:
-    """Synchronous advantage actor-critic (Mnih et al. 2016)."""
-    from stable_baselines3 import A2C
-
-    return _train(task, A2C)
-
-
-def ppo(task: PeerTask) -> PeerPolicies:
-    """Proximal policy optimisation (Schulman et al. 2017)."""
-    from stable_baselines3 import PPO
-
-    return _train(task, PPO)
 
 
 def _environments(task: PeerTask, utility: Utility, measure: Measure) -> Any:
@@ -42,23 +27,23 @@ def _environments(task: PeerTask, utility: Utility, measure: Measure) -> Any:
     return DummyVecEnv(
         [
             lambda index=index: UtilityReward(task.make(index, scaled_rewards=False), utility, measure)
-            for index in range(task.num_envs)
+            for index in range(task.env.num_envs)
         ]
     )
 
 
-def _train(task: PeerTask, algorithm: Any) -> PeerPolicies:
+def train(task: PeerTask, algorithm: Any) -> PeerPolicies:
+    """Train A2C (Mnih et al. 2016) or PPO (Schulman et al. 2017)."""
     config, utility = task.config, task.utility
     assert isinstance(config, ScalarConfig)
     assert utility is not None
     env = _environments(task, utility, config.utility_of)
-    options = task.arguments(policy="MlpPolicy", gamma=config.gamma, seed=task.seed, device=task.device, verbose=0)
-    model = algorithm(env=env, **options)
+    model = algorithm(env=env, **task.arguments(policy="MlpPolicy", verbose=0))
     model.learn(task.steps, **task.train_arguments())
     env.close()
 
-    def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
+    def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> Any:
         # It samples from torch's global generator.
-        return np.asarray(model.predict(inputs.observations, deterministic=inputs.generator is None)[0])
+        return model.predict(inputs.observations, deterministic=inputs.generator is None)[0]
 
     return PeerPolicies(task, choose)

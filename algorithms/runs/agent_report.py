@@ -51,6 +51,7 @@ def report_agent(
     directory: Path | None = None,
     video: Path | None = None,
     greedy: bool = True,
+    about: Mapping[str, Any] = {},
 ) -> bool:
     """Evaluate an agent; write the numbers, print a table, draw figures and film the policy where a path is given.
 
@@ -64,6 +65,7 @@ def report_agent(
         directory: where to write evaluation.json and so on.
         video: file of a video of the first episodes; of a front, four policies in the first episode.
         greedy: film the greedy policy instead of the stochastic one; of a front the greedy policies are filmed.
+        about: anything else for evaluation.json.
 
     Returns:
         False if anything but the numbers failed, such as the video, which is printed.
@@ -77,13 +79,13 @@ def report_agent(
         front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
         if front.episodes < episodes:
             console.print(f"every episode is the same: {front.episodes} of {episodes:,} is driven", highlight=False)
-        _, drawn = report_front(front, experiment, console, directory, {"step": agent.step})
+        _, drawn = report_front(front, experiment, console, directory, {"step": agent.step, **about})
         filmed = video is None or film_policies_of_front(agent, front, experiment, video, console, seed=seed)
         return drawn and filmed
     evaluations = evaluate_policies(agent, experiment, episodes=episodes, seed=seed)
     if directory is not None:
-        about = {"step": agent.step, "episodes": episodes, "seed": seed, "gamma": experiment.evaluation.gamma}
-        write_evaluation(directory, evaluations, about)
+        measured = {"episodes": episodes, "seed": seed, "gamma": experiment.evaluation.gamma}
+        write_evaluation(directory, evaluations, {"step": agent.step, **about, **measured})
     console.print(evaluation_table(evaluations, title + describe_episodes(episodes, seed)))
     return video is None or film(agent, experiment, video, console, seed=seed, greedy=greedy)
 

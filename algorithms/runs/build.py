@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from algorithms import ALGORITHMS
 from algorithms.driving.named_rules import is_rule, scripted_policy
 from algorithms.driving.scripted_policy import ScriptedPolicy
 from algorithms.learning.checkpoints import read_checkpoint
@@ -23,7 +24,7 @@ from mo_deepdrive.evaluation.front import check_reference_point
 from mo_deepdrive.evaluation.metrics import joint_objectives, vehicle_name
 from mo_deepdrive.evaluation.policy import check_same_task
 from mo_deepdrive.evaluation.team import Population
-from mo_deepdrive.support.machine import check_memory
+from mo_deepdrive.support.machine import check_device, check_memory
 from mo_deepdrive.support.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
@@ -80,7 +81,7 @@ def build(
             experiment.evaluation.reference_point, joint_objectives(adapter.objectives, adapter.vehicles)
         )
     else:
-        options["utility"] = _make_utilities(experiment.utility, adapter)
+        options["utility"] = make_utilities(experiment.utility, adapter)
     training = experiment.training
     for key, able, what in (
         ("partners", algorithm.trains_with_partners, "train with partners"),
@@ -252,7 +253,7 @@ def _vehicles_named(names: Iterable[str], key: str, adapter: EnvAdapter) -> list
     return [vehicles.index(name) for name in names]
 
 
-def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:
+def make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:
     """One utility per vehicle, each called as the algorithms will, so that it fails here and not after an hour."""
     _vehicles_named(settings.vehicles, "utility.vehicles", adapter)
     utilities = []
@@ -263,3 +264,50 @@ def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Util
             check_utility(utility, zeros)
         utilities.append(utility)
     return utilities
+
+
+def build_trainee(experiments: Sequence[Experiment]) -> Any:
+    """The untrained agent of experiments that differ in their seeds alone.
+
+    Raises:
+        ValueError: if it cannot be built, or the experiments cannot be trained side by side.
+    """
+    first = experiments[0]
+    if len(seeds := first.training.seeds or []) > 1:
+        raise ValueError(f"training.seeds = {seeds}: mo-deepdrive train alone trains several")
+    if len(experiments) == 1 and not first.is_resident:
+        return build(first)
+    check_resident(first)
+    for each in experiments[1:]:
+        if _shared(each) != _shared(first):
+            raise ValueError("runs that are trained side by side must differ in training.seed alone")
+    device, num_envs = first.training.device, first.training.num_envs
+    check_device("training.device", device)
+    try:
+        return build(first, seeds=[each.training.seed for each in experiments], device=device)
+    except torch.OutOfMemoryError:
+        raise ValueError(
+            f"training.num_envs = {num_envs} of {len(experiments)} seeds do not fit into the memory of {device}; take "
+            "fewer"
+        ) from None
+
+
+def _shared(experiment: Experiment) -> dict[str, Any]:
+    """What experiments that are trained side by side have in common, as plain values."""
+    values = experiment.to_dict()
+    return {**values, "training": {**values["training"], "seed": None}}
+
+
+def check_resident(experiment: Experiment) -> None:
+    """Refuse an experiment that cannot be trained on a GPU.
+
+    Raises:
+        ValueError: naming what cannot.
+    """
+    name = experiment.algorithm.name
+    here = f"training.device = {experiment.training.device!r}"
+    if not agent_class(name).trains_on_devices:
+        able = ", ".join(each for each in sorted(ALGORITHMS) if ALGORITHMS[each].trains_on_devices)
+        raise ValueError(f"{here}: algorithm {name!r} trains on the CPU; {able} can")
+    if not is_ours(find_environment(experiment.environment.id)):
+        raise ValueError(f"{here}: environment {experiment.environment.id!r} is another library's, on the CPU alone")

@@ -96,11 +96,6 @@ class Interrupts:
         if self._timer is not None:
             self._timer.cancel()
 
-    def _restore(self) -> None:
-        self.settle()
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
             self._previous = {number: signal.signal(number, self._record) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -109,4 +104,6 @@ class Interrupts:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._restore()
+        self.settle()
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)

@@ -1,4 +1,4 @@
-"""A job trains a run, resumes it, or skips it if it is finished."""
+"""A job trains a run, resumes it, or skips it if it is finished; the one rule of what becomes of a run that failed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from algorithms.reporting.run_records import INCIDENTAL, Recorded
 from algorithms.runs.config import Experiment, check_loggers, make_experiment
-from algorithms.runs.interrupts import describe, stopped_by
+from algorithms.runs.interrupts import DiskFull, JobFailed, Stopped, describe, stopped_by
 from algorithms.runs.registry import find_algorithm, peer_running
 from algorithms.runs.run_directory import InUse, Run, imported_paths, read_status
 from mo_deepdrive.support.atomic_io import atomic_write
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from algorithms.runs.training import Watch
 
 JobOutcome = Literal["trained", "already there", "stopped"]
+BUSY = 2.0  # s after which a run that another process holds is tried again
+DIED = "its worker process died (out of memory, or killed)"
 
 
 @dataclass(frozen=True)
@@ -215,3 +217,37 @@ def _keep_wandb_id(job: Job) -> None:
     """Make W&B use the job's id, so that repeated attempts continue one W&B run."""
     if job.id is not None and job.experiment.logging.wandb is not None:
         atomic_write(job.path / "wandb_id", f"{job.id}\n".encode())
+
+
+class WorkerDied(JobFailed):
+    """The process, actor or Slurm job of a run ended before the run did."""
+
+
+def verdict(error: BaseException, attempts: int, retries: int) -> Literal["stop", "wait", "retry", "fail"]:
+    """What happens after an error of a run.
+
+    - "stop" all runs if the disk is full: none could be saved.
+    - "wait" if another process trains the run, and try again after BUSY seconds.
+    - "retry" if its worker died, or it could not read or write: it resumes from its checkpoint.
+    - "fail" after ``retries`` of these, and for any other error, which would happen again.
+
+    Args:
+        error: that ended the run.
+        attempts: how often the run has been started.
+        retries: how often it may be started again.
+    """
+    if isinstance(error, DiskFull):
+        return "stop"
+    if isinstance(error, InUse):
+        return "wait"
+    return "retry" if isinstance(error, (WorkerDied, Stopped, OSError)) and attempts <= retries else "fail"
+
+
+def record(job: Job, error: BaseException) -> str:
+    """The reason why a run failed; a death, of which the worker could not say anything, is written to its status."""
+    reason = describe(error)
+    if isinstance(error, WorkerDied):
+        with contextlib.suppress(ValueError, OSError):  # it may have died before the directory existed
+            run = job.open()
+            run.set_status("failed", run.status.get("step", 0), reason)
+    return reason

@@ -32,7 +32,7 @@ CONNECTION_TIMEOUT = 20.0  # s after which W&B is used offline
 
 
 class WandbRun:
-    """A Weights & Biases run that never stops training: after the first error, which is printed, it is disabled.
+    """A run in Weights & Biases, offline where it cannot be reached.
 
     Args:
         directory: for offline data, the run's id and its project; a resumed run continues with the stored id.
@@ -45,12 +45,6 @@ class WandbRun:
     def __init__(
         self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str, say: Callable[[str], None]
     ):
-        self._say = say
-        self._accessory = Accessory("Weights & Biases is disabled", say)
-        with self._accessory:
-            self._run = self._start(directory, settings, config, name)
-
-    def _start(self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str) -> Any:
         with needed_for("logging.wandb"):
             import wandb
 
@@ -71,25 +65,23 @@ class WandbRun:
         }
         # WANDB_MODE, which wandb reads itself, may say offline or disabled.
         mode: Any = "offline" if settings.mode == "offline" else wandb.setup().settings.mode
-        if mode == "online":
-            offline_reason = self._offline_reason(wandb)
-            if offline_reason is None:
-                try:
-                    run = wandb.init(mode=mode, **options)
-                except wandb.Error as error:
-                    wandb.teardown()  # frees the run's id
-                    offline_reason = str(error)
-            if offline_reason is not None:
-                self._say(f"Weights & Biases: {offline_reason}; logging offline, `wandb sync` uploads the run later")
-                run = wandb.init(mode="offline", **options)
-        else:
-            run = wandb.init(mode=mode, **options)
-        run.define_metric("step")
-        run.define_metric("*", step_metric="step")
+        offline_reason = self._offline_reason(wandb) if mode == "online" else None
+        run = None
+        if mode == "online" and offline_reason is None:
+            try:
+                run = wandb.init(mode=mode, **options)
+            except wandb.Error as error:
+                wandb.teardown()  # frees the run's id
+                offline_reason = str(error)
+        if offline_reason is not None:
+            say(f"Weights & Biases: {offline_reason}; logging offline, `wandb sync` uploads the run later")
+            mode = "offline"
+        self._run = run or wandb.init(mode=mode, **options)
+        self._run.define_metric("step")
+        self._run.define_metric("*", step_metric="step")
         if mode != "disabled":  # then entity and project are placeholders
-            atomic_write(project_file, f"{run.entity}/{run.project}\n".encode())
-            atomic_write(id_file, f"{run.id}\n".encode())
-        return run
+            atomic_write(project_file, f"{self._run.entity}/{self._run.project}\n".encode())
+            atomic_write(id_file, f"{self._run.id}\n".encode())
 
     def _place(self, wandb: Any, settings: WandbSettings, project_file: Path) -> tuple[str | None, str | None]:
         """Entity and project; None if W&B chooses them, as under the agent of a sweep."""
@@ -114,15 +106,11 @@ class WandbRun:
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
         """Log a row."""
-        if self._accessory.works:
-            with self._accessory:
-                self._run.log({**metrics, "step": step})
+        self._run.log({**metrics, "step": step})
 
     def close(self, failed: bool) -> None:
         """Finish the run."""
-        if self._accessory.works:
-            with self._accessory:
-                self._run.finish(exit_code=int(failed))
+        self._run.finish(exit_code=int(failed))
 
 
 class EventFile:
@@ -131,15 +119,16 @@ class EventFile:
     Args:
         directory: the run's directory.
         suffix: of the file's name.
+        after: step after which TensorBoard is to ignore what earlier files have.
 
     Raises:
-        OSError: if it cannot be written; this also goes for :meth:`add` and :meth:`close`.
+        OSError: if it cannot be written; this also goes for its methods.
     """
 
-    def __init__(self, directory: Path, suffix: str = ""):
+    def __init__(self, directory: Path, suffix: str = "", after: int | None = None):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # from TensorBoard's dependencies
-            from tensorboard.compat.proto.event_pb2 import Event
+            from tensorboard.compat.proto.event_pb2 import Event, SessionLog
             from tensorboard.summary.writer.record_writer import RecordWriter
         self._event = Event
         folder = directory / TENSORBOARD
@@ -149,22 +138,25 @@ class EventFile:
         self._file = (folder / name).open("xb")
         self._records = RecordWriter(self._file)
         self.add(file_version="brain.Event:2")
+        if after is not None:
+            self.add(step=after + 1, session_log=SessionLog(status=SessionLog.START))
 
     def add(self, **fields: Any) -> None:
         """Write an event with these fields."""
         self._records.write(self._event(wall_time=time.time(), **fields).SerializeToString())
         self._records.flush()
 
-    def add_scalars(self, step: int, values: Mapping[str, float]) -> None:
-        """Write those of the values that are finite."""
+    def log(self, step: int, metrics: Mapping[str, float]) -> None:
+        """Log those of the metrics that are finite."""
         from torch.utils.tensorboard.summary import scalar
 
-        for name, value in values.items():
+        for name, value in metrics.items():
             if math.isfinite(value):
                 self.add(step=step, summary=scalar(name, value))
 
-    def close(self) -> None:
+    def close(self, failed: bool = False) -> None:
         """Close the file."""
+        del failed  # TensorBoard does not show it
         self._file.close()
 
 
@@ -200,12 +192,22 @@ class Logger:
     ):
         directory = Path(directory)
         self._file = MetricsFile(directory / "metrics.csv", after)
-        self._tensorboard = Accessory("TensorBoard is disabled", say)
-        with self._tensorboard:
-            self._events = EventFile(directory)
-            if after is not None:
-                self._drop_events(after + 1)
-        self._wandb = None if wandb is None else WandbRun(directory, wandb, config or {}, name, say)
+        self._outputs: list[tuple[Accessory, EventFile | WandbRun]] = []
+        self._open("TensorBoard", say, lambda: EventFile(directory, after=after))
+        if wandb is not None:
+            self._open("Weights & Biases", say, lambda: WandbRun(directory, wandb, config or {}, name, say))
+
+    def _open(self, name: str, say: Callable[[str], None], make: Callable[[], EventFile | WandbRun]) -> None:
+        accessory = Accessory(f"{name} is disabled", say)
+        with accessory:
+            self._outputs.append((accessory, make()))
+
+    def _each(self, action: Callable[[EventFile | WandbRun], None]) -> None:
+        """Do something with each output beside metrics.csv that has not failed yet."""
+        for accessory, output in self._outputs:
+            if accessory.works:
+                with accessory:
+                    action(output)
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
         """Log a row.
@@ -214,11 +216,7 @@ class Logger:
             OSError: if metrics.csv cannot be written.
         """
         self._file.write(step, metrics)
-        if self._tensorboard.works:
-            with self._tensorboard:
-                self._events.add_scalars(step, metrics)
-        if self._wandb is not None:
-            self._wandb.log(step, metrics)
+        self._each(lambda output: output.log(step, metrics))
 
     def sync(self) -> None:
         """Make metrics.csv reach the disk, before a checkpoint.
@@ -230,17 +228,7 @@ class Logger:
 
     def close(self, failed: bool = False) -> None:
         """Flush and close all outputs; ``failed`` marks the W&B run as failed."""
-        if self._tensorboard.works:
-            with self._tensorboard:
-                self._events.close()
-        if self._wandb is not None:
-            self._wandb.close(failed)
-
-    def _drop_events(self, step: int) -> None:
-        """Make TensorBoard ignore what earlier files have from a step on."""
-        from tensorboard.compat.proto.event_pb2 import SessionLog
-
-        self._events.add(step=step, session_log=SessionLog(status=SessionLog.START))
+        self._each(lambda output: output.close(failed))
 
     def __enter__(self) -> Logger:
         return self
@@ -280,7 +268,7 @@ def log_results(
         from tensorboard.compat.proto.summary_pb2 import Summary
         from torch.utils.tensorboard.summary import hparams
 
-        events.add_scalars(step, scores)
+        events.log(step, scores)
         flat = flatten({key: value for key, value in config.items() if key != "logging"})
         plain = {key: value if isinstance(value, (bool, int, float)) else str(value) for key, value in flat.items()}
         for summary in hparams({key: plain[key] for key in plain if flat[key] is not None}, scores):

@@ -231,11 +231,11 @@ def _distribution_of(actor: Actor, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
     return mean, log_std.exp().expand_as(mean)
 
 
-class _ActorCriticGraph(_Graph):
-    """A2C, MO-A2C, PPO, MO-PPO, MOCAC and MAPPO: an actor per vehicle that learnt."""
+class _LearnersGraph(_Graph):
+    """An actor per vehicle that learnt: A2C, MO-A2C, PPO, MO-PPO, MOCAC and MAPPO."""
 
-    def __init__(self, agent: ActorCritic):
-        super().__init__(agent, [ACCRUED] * agent.observes_accrued + [DISCOUNT] * agent.observes_discount)
+    def __init__(self, agent: Any, past: Sequence[str], condition: NDArray[np.float32] | None = None):
+        super().__init__(agent, past, condition)
         self.agent = agent
         self.learners = {v: learner for learner in agent.learners for v in learner.vehicles}
         self.networks = nn.ModuleList(learner.actor for learner in agent.learners)
@@ -244,35 +244,24 @@ class _ActorCriticGraph(_Graph):
     def distribution(
         self, vehicle: int, observations: torch.Tensor, given: dict[str, torch.Tensor]
     ) -> tuple[torch.Tensor, ...]:
-        learner = self.learners[vehicle]
-        nothing = observations[:, :0]
-        accrued = given[ACCRUED][:, vehicle] if ACCRUED in given else nothing
-        discounts = given[DISCOUNT][:, vehicle] if DISCOUNT in given else nothing
-        return _distribution_of(learner.actor, self.agent.inputs(observations, accrued, discounts))
+        # What is no input has no influence, but the shape of one.
+        d = len(self.env.objectives)
+        accrued = given[ACCRUED][:, vehicle] if ACCRUED in given else observations[:, :1].expand(-1, d)
+        discounts = given[DISCOUNT][:, vehicle] if DISCOUNT in given else observations[:, 0]
+        seen = self.agent.inputs(observations, accrued, discounts, self.preference(vehicle, given))
+        return _distribution_of(self.learners[vehicle].actor, seen)
+
+    def preference(self, vehicle: int, given: dict[str, torch.Tensor]) -> Any:
+        """What the agent's inputs take as the preference of a vehicle."""
 
 
-class _PreferenceGraph(_Graph):
-    """Conditioned MO-PPO: an actor per vehicle, under preferences (N, V m)."""
+class _PreferenceGraph(_LearnersGraph):
+    """Conditioned MO-PPO, under preferences (N, V m)."""
 
     condition_name = PREFERENCE
 
-    def __init__(self, agent: ConditionedMOPPO, condition: NDArray[np.float32] | None):
-        # Linear preferences do not depend on the past.
-        depends = agent.preferences.width > len(agent.preferences.names)
-        super().__init__(agent, [ACCRUED, DISCOUNT] if depends else [], condition)
-        self.agent = agent
-        self.learners = {v: learner for learner in agent.learners for v in learner.vehicles}
-        self.networks = nn.ModuleList(learner.actor for learner in agent.learners)
-
-    def distribution(
-        self, vehicle: int, observations: torch.Tensor, given: dict[str, torch.Tensor]
-    ) -> tuple[torch.Tensor, ...]:
-        learner, d = self.learners[vehicle], len(self.env.objectives)
-        preferences = given[PREFERENCE].unflatten(1, (self.env.vehicles, -1))[:, vehicle]
-        accrued = given[ACCRUED][:, vehicle] if ACCRUED in given else observations[:, :1].expand(-1, d)
-        discounts = given[DISCOUNT][:, vehicle] if DISCOUNT in given else observations[:, 0]
-        seen = self.agent.inputs(observations, accrued, discounts, (preferences, self.agent.ideal[0]))
-        return _distribution_of(learner.actor, seen)
+    def preference(self, vehicle: int, given: dict[str, torch.Tensor]) -> Any:
+        return given[PREFERENCE].unflatten(1, (self.env.vehicles, -1))[:, vehicle], self.agent.ideal[0]
 
 
 class _CommandGraph(_Graph):
@@ -315,9 +304,11 @@ def _graph(agent: Any, condition: NDArray[np.float32] | None) -> _Graph:
     if isinstance(agent, PCN):
         return _CommandGraph(agent, condition).eval()
     if isinstance(agent, ConditionedMOPPO):
-        return _PreferenceGraph(agent, condition).eval()
+        linear = agent.preferences.width == len(agent.preferences.names)  # then they do not depend on the past
+        return _PreferenceGraph(agent, [] if linear else [ACCRUED, DISCOUNT], condition).eval()
     if isinstance(agent, ActorCritic) and type(agent).act is ActorCritic.act:
-        return _ActorCriticGraph(agent).eval()
+        past = [ACCRUED] * agent.observes_accrued + [DISCOUNT] * agent.observes_discount
+        return _LearnersGraph(agent, past).eval()
     raise ValueError(f"algorithm {agent.name!r} cannot be exported: its class defines how it acts itself")
 
 

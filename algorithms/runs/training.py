@@ -12,6 +12,7 @@ from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.training_log import rows_until
 from algorithms.runs.accessories import Accessory
 from algorithms.runs.agent_report import VIDEO_FILE, report_agent, show_results
+from algorithms.runs.build import build_trainee
 from algorithms.runs.config import Experiment, check_loggers, find_environment, is_ours, make_experiment
 from algorithms.runs.console import print_line
 from algorithms.runs.interrupts import PATIENCE, Interrupts, stopped_by
@@ -19,7 +20,6 @@ from algorithms.runs.loggers import Logger
 from algorithms.runs.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.runs.progress_bar import ProgressReporter, compilation_noted
 from algorithms.runs.run_directory import FRONTS_FILE, METRICS_FILE, Run
-from algorithms.runs.side_by_side import build_trainee
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.support.faults import Fault
@@ -327,7 +327,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             video=run.path / VIDEO_FILE if figures else None,
         )
         if settings.task is not None:
-            from algorithms.runs.suite_scores import scorable, score_run  # not earlier: it imports scipy.stats
+            from algorithms.runs.suite_entries import scorable, score_run  # not earlier: it imports scipy.stats
 
             score_run(run, scorable(agent, run.experiment))
         if figures and not run.experiment.known_utility:

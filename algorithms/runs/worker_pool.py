@@ -14,18 +14,21 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection
 from typing import TYPE_CHECKING, Any
 
-from algorithms.runs.failures import BUSY, DIED, WorkerDied, record, verdict
-from algorithms.runs.interrupts import JobFailed, Stopped, describe
-from algorithms.runs.jobs import Job, JobOutcome, perform
+from algorithms.runs.dashboard import Dashboard
+from algorithms.runs.interrupts import Interrupts, JobFailed, Stopped, describe
+from algorithms.runs.jobs import BUSY, DIED, Job, JobOutcome, WorkerDied, perform, record, verdict
 from algorithms.runs.lenient_output import make_standard_streams_lenient
 from algorithms.runs.run_directory import InUse
 from mo_deepdrive.__main__ import call
+from mo_deepdrive.support.machine import available_cores
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from algorithms.runs.dashboard import Dashboard
+    from rich.console import Console
+
+    from algorithms.runs.run_directory import Run
 
 POLL = 0.25  # s between checks for finished jobs
 
@@ -142,7 +145,7 @@ def perform_all(
         jobs: the runs; finished ones are skipped.
         workers: number of processes.
         dashboard: shows the progress.
-        retries: as in :func:`algorithms.runs.failures.verdict`.
+        retries: as in :func:`algorithms.runs.jobs.verdict`.
         stop: called several times a second; True saves the running jobs and returns.
 
     Returns:
@@ -190,3 +193,20 @@ def perform_all(
         pool.close()
         dashboard.update(now=True)
     return failed
+
+
+def train_apart(runs: Sequence[Run], console: Console) -> int | None:
+    """Train runs whose locks are held, each in a process of its own.
+
+    As many run at a time as there are cores for their threads.
+
+    Returns:
+        The number of the signal that stopped training, 1 if a run failed, or None if all are finished.
+    """
+    jobs = [Job(run.path.name, run.experiment, run.path) for run in runs]
+    workers = max(1, available_cores() // runs[0].experiment.training.threads)
+    for run in runs:
+        run.unlock()
+    with Interrupts() as interrupts, Dashboard(jobs, console) as dashboard:
+        failed = perform_all(jobs, workers, dashboard, stop=lambda: interrupts.received is not None)
+    return interrupts.received or (1 if failed else None)

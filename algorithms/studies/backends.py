@@ -1,6 +1,6 @@
 """Where runs are trained: on this machine, on Ray (:mod:`.ray_tune`) or on Slurm (:mod:`.slurm`).
 
-What becomes of a run that ends with an error is decided for all of them by :func:`algorithms.runs.failures.verdict`.
+What becomes of a run that ends with an error is decided for all of them by :func:`algorithms.runs.jobs.verdict`.
 """
 
 from __future__ import annotations

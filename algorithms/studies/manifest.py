@@ -142,9 +142,8 @@ def cell_rows(
 
 def _check_buildable(experiment: Experiment, where: str, metric: str | None) -> None:
     """Raise now the error that the run would raise when it starts, or whoever needs the metric at its end."""
-    from algorithms.runs.build import build
+    from algorithms.runs.build import build, check_resident
     from algorithms.runs.policy_evaluation import final_metrics
-    from algorithms.runs.side_by_side import check_resident
 
     try:
         check_loggers(experiment)

@@ -22,9 +22,8 @@ from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.reporting.run_records import final_metrics
 from algorithms.reporting.training_log import read_metrics
-from algorithms.runs.failures import BUSY, DIED, WorkerDied, record, verdict
 from algorithms.runs.interrupts import DiskFull, JobFailed, Stopped, describe
-from algorithms.runs.jobs import Job, perform
+from algorithms.runs.jobs import BUSY, DIED, Job, WorkerDied, perform, record, verdict
 from algorithms.runs.run_directory import read_status
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
 from mo_deepdrive.support.atomic_io import own_path

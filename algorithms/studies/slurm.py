@@ -47,8 +47,8 @@ from rich.console import Console
 
 from algorithms.runs.console import WIDTH
 from algorithms.runs.dashboard import Dashboard
-from algorithms.runs.failures import WorkerDied, record, verdict
 from algorithms.runs.interrupts import Stopped
+from algorithms.runs.jobs import WorkerDied, record, verdict
 from algorithms.runs.run_directory import read_status
 from algorithms.runs.worker_pool import perform_all
 from mo_deepdrive.support.atomic_io import own_path, write_json
@@ -163,7 +163,7 @@ class ArrayTask:
     Attributes:
         jobs: the runs.
         side_by_side: number of concurrent runs.
-        retries: as in :func:`algorithms.runs.failures.verdict`.
+        retries: as in :func:`algorithms.runs.jobs.verdict`.
     """
 
     jobs: tuple[Job, ...]

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from algorithms import FrontAgent, actor_critic
+from algorithms.runs.build import build_trainee
 from algorithms.runs.config import make_experiment
-from algorithms.runs.side_by_side import build_trainee
 from mo_deepdrive.evaluation.policy import AccruedReward
 from tests.helpers.agents import ONE_WAYPOINT
 from tests.helpers.seed_trainers import LEARNERS, trained, trainer, weights

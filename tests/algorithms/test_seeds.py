@@ -14,8 +14,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from algorithms import PCN, PPO, FrontAgent
 from algorithms.learning.learner import _linear
+from algorithms.runs.build import build_trainee
 from algorithms.runs.config import make_experiment
-from algorithms.runs.side_by_side import build_trainee
 from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.support.faults import NotFinite
 from tests.helpers.agents import INTERSECTION, SEA, make_agent

@@ -41,7 +41,7 @@ def constant_policies(task: PeerTask, actions: list[int]) -> PeerPolicies:
     return PeerPolicies(task, lambda rows, inputs: table[rows], table[:, None].astype(float), ("action",))
 
 
-def fake_adapter(task: PeerTask) -> PeerPolicies:
+def fake_adapter(task: PeerTask, _algorithm: object) -> PeerPolicies:
     """An adapter that learns nothing: it takes some steps and returns three constant policies."""
     env = task.make()
     env.reset()

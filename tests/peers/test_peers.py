@@ -124,7 +124,7 @@ def train(name: str, task: PeerTask) -> PeerPolicies:
     np.random.seed(0)  # noqa: NPY002
     PEERS[name].check(name, task)
     with contextlib.redirect_stdout(io.StringIO()):
-        return PEERS[name].adapter(task)
+        return PEERS[name].train(task)
 
 
 def evaluation_env(task: PeerTask, num_envs: int) -> Any:

@@ -45,7 +45,7 @@ def test_a_peer_that_learns_a_front_takes_no_utility() -> None:
 
 
 def test_a_missing_peer_is_unavailable_with_the_error_of_its_import() -> None:
-    peer = Peer("no_such_library.module:Class", "no-such-library", False, ("discrete",), fake_adapter)
+    peer = Peer("no_such_library.module:Class", fake_adapter, ("discrete",), "no-such-library")
     assert peer.unavailable_reason() == "ModuleNotFoundError: No module named 'no_such_library'"
     assert (
         replace(peer, path="json:Class").unavailable_reason()

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from algorithms.peers import PEERS
-from algorithms.peers.running import evaluate_front, prepare, run_peer
+from algorithms.peers.running import prepare, run_peer
 from algorithms.runs.config import load_experiment
 from algorithms.runs.console import make_console
+from algorithms.runs.policy_evaluation import evaluate_front
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.peers import ONE_WAYPOINT, constant_policies, fake_adapter, make_task
@@ -59,7 +60,9 @@ def test_a_peer_is_scored_as_the_task_of_the_suite_that_its_experiment_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = "stable_baselines3.ppo"
-    still = replace(PEERS[name], path="json:loads", package="numpy", adapter=lambda task: constant_policies(task, [0]))
+    still = replace(
+        PEERS[name], path="json:loads", package="numpy", adapter=lambda task, _: constant_policies(task, [0])
+    )
     monkeypatch.setitem(PEERS, name, still)
     task = ["--environment={id: mo-deepdrive-static-obstacle-v1, arguments: {fixed_destination: false}}"]
     task += ["--utility.name=static_obstacle_linear", "--evaluation={task: K1, final_episodes: 1}"]
@@ -73,13 +76,15 @@ def test_a_peer_is_scored_as_the_task_of_the_suite_that_its_experiment_names(
     }
 
 
-def test_a_front_is_evaluated_in_the_split_of_the_experiment(front_config: Path) -> None:
-    experiment = load_experiment(front_config, ["--evaluation.final_episodes=2", "--evaluation.split=validation"])
-    front = evaluate_front(constant_policies(make_task(), [0, 2, 3, 3]), experiment)
-    assert (front.episodes, front.seed) == (2, 2_000_000)
+def test_a_front_is_evaluated_in_the_split_of_the_experiment_once_where_all_episodes_are_the_same(
+    front_config: Path,
+) -> None:
+    settings = load_experiment(front_config, ["--evaluation.split=validation"])
+    policies = constant_policies(make_task(), [0, 2, 3, 3])
+    front = evaluate_front(policies, settings, episodes=2, seed=settings.evaluation.final_seed)
+    assert (front.episodes, front.seed) == (1, 2_000_000)
     assert front.condition_names == ("action",)
     assert 1 <= len(front) <= 3
-    np.testing.assert_array_equal(front.low, front.high)
 
 
 def test_a_peer_that_is_not_installed_is_refused_before_training(

@@ -57,7 +57,7 @@ def finished(folder: Path, experiment: Experiment, file: io.StringIO) -> list[st
     ("place", "file", "message"),
     [
         ("algorithms.runs.loggers.EventFile.__init__", io.StringIO, "TensorBoard is disabled"),
-        ("algorithms.runs.loggers.EventFile.add_scalars", io.StringIO, "TensorBoard is disabled"),
+        ("algorithms.runs.loggers.EventFile.log", io.StringIO, "TensorBoard is disabled"),
         ("algorithms.runs.loggers.EventFile.close", io.StringIO, "TensorBoard is disabled"),
         ("rich.live.Live.start", Terminal, "the progress bar is not shown"),
         ("rich.live.Live.refresh", Terminal, "the progress bar is not shown"),

@@ -13,8 +13,7 @@ import pytest
 
 from algorithms.runs.config import make_experiment
 from algorithms.runs.dashboard import Dashboard
-from algorithms.runs.failures import DIED
-from algorithms.runs.jobs import Job, perform
+from algorithms.runs.jobs import DIED, Job, perform
 from algorithms.runs.run_directory import Run, read_status
 from algorithms.runs.worker_pool import perform_all
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, quiet
