@@ -340,11 +340,7 @@ def print_comparison(
 
 
 def chosen_place(threads: int | None, device: str | None) -> paired_benchmark.Place:
-    """What is compared with one thread: ``device``, or ``threads`` of the CPU.
-
-    Raises:
-        ValueError: if this machine does not have them.
-    """
+    """What is compared with one thread: ``device``, or ``threads`` of the CPU."""
     if device is not None:
         check_device("--device", device)
         return paired_benchmark.Place(device=device)

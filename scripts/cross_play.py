@@ -78,11 +78,7 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def open_env(options: argparse.Namespace) -> EnvAdapter:
-    """The environment in which they meet.
-
-    Raises:
-        ValueError: if it is unknown, or has only one vehicle.
-    """
+    """The environment in which they meet."""
     if not is_ours(find_environment(options.env, "--env")):
         raise ValueError(f"--env = {options.env!r}: only this package's environments have several vehicles")
     env = EnvAdapter(make_env(options.env, 1, arguments_of(options)))
@@ -97,11 +93,7 @@ def arguments_of(options: argparse.Namespace) -> dict[str, int]:
 
 
 def open_drivers(options: argparse.Namespace, env: EnvAdapter) -> list[dict[str, Policy]]:
-    """The drivers of each role by name; the folder that all runs are in is left out of the names.
-
-    Raises:
-        ValueError: for a driver that does not exist or cannot drive, or a role without drivers.
-    """
+    """The drivers of each role by name; the folder that all runs are in is left out of the names."""
     opened_runs = {name: Run.open(name, trust=options.trust) for name in options.runs}
     learnt = {name: set(run.experiment.training.partners) for name, run in opened_runs.items()}
     given = [options.vehicle_0, options.vehicle_1]
@@ -130,11 +122,7 @@ def open_drivers(options: argparse.Namespace, env: EnvAdapter) -> list[dict[str,
 
 
 def conditioned_drivers(run: Run, options: argparse.Namespace) -> dict[str, Policy]:
-    """The drivers of a run of conditioned MO-PPO by the names of their preferences.
-
-    Raises:
-        ValueError: for unknown objectives, weights that are not numbers, or a run that has no such preferences.
-    """
+    """The drivers of a run of conditioned MO-PPO by the names of their preferences."""
     agent = load_policy(run)
     if not isinstance(agent, ConditionedMOPPO):
         raise ValueError(f"{run.path} has no preferences; --preference needs a run of conditioned MO-PPO")
@@ -155,11 +143,7 @@ def weights_of(options: argparse.Namespace, objectives: Sequence[str]) -> dict[s
 
 
 def utilities_of(options: argparse.Namespace, env: EnvAdapter, drivers: list[dict[str, Policy]]) -> Any:
-    """The utility by which all are judged, or by name those of the preferences.
-
-    Raises:
-        ValueError: if a driver has no preference of its own.
-    """
+    """The utility by which all are judged, or by name those of the preferences."""
     made: Any = env.vector_env.unwrapped
     if options.utility != OWN:
         return options.utility or f"{made.config.scenario}_linear"

@@ -64,11 +64,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
 
 
 def open_policy(name: str, seed: int, trust: bool) -> tuple[str, Iterator[list[Frame]]]:
-    """Load a policy: the title of its scenario, and the frames of one greedy episode after the other.
-
-    Raises:
-        ValueError: if there is no such run or policy, or it learns a front.
-    """
+    """Load a policy: the title of its scenario, and the frames of one greedy episode after the other."""
     policy: Policy
     if is_rule(name):
         environment = OF_RULES

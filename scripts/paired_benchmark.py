@@ -346,11 +346,7 @@ CASES: dict[str, Case] = {
 
 
 def select(patterns: Sequence[str], cases: Mapping[str, Case] = CASES) -> list[str]:
-    """The names of ``cases`` that match one of ``patterns`` (shell wildcards); all without patterns.
-
-    Raises:
-        ValueError: for a pattern that matches none.
-    """
+    """The names of ``cases`` that match one of ``patterns`` (shell wildcards); all without patterns."""
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in cases):
             raise ValueError(f"{pattern!r} matches no measurement; known: {', '.join(cases)}")
@@ -365,11 +361,7 @@ class CannotMeasureError(Exception):
 
 
 def revision(commit: str, repository: Path = REPOSITORY) -> str:
-    """The full hash of ``commit``.
-
-    Raises:
-        ValueError: if there is no such commit.
-    """
+    """The full hash of ``commit``."""
     done = _git(repository, "rev-parse", "--verify", "--quiet", "--end-of-options", f"{commit}^{{commit}}")
     if done.returncode != 0:
         raise ValueError(f"{commit!r} is not a commit of {repository}")
@@ -418,20 +410,12 @@ def last_line(text: str) -> str:
 
 
 def measure(tree: Path, name: str) -> float:
-    """The result of a measurement in a new process that imports the packages of ``tree``.
-
-    Raises:
-        CannotMeasureError: if it fails.
-    """
+    """The result of a measurement in a new process that imports the packages of ``tree``."""
     return _measured(ONE_THREAD | {"PYTHONPATH": str(tree)}, name)
 
 
 def measure_in(place: Place, name: str) -> float:
-    """As :func:`measure`, of the working tree in ``place``, in time on the clock.
-
-    Raises:
-        CannotMeasureError: if it fails.
-    """
+    """As :func:`measure`, of the working tree in ``place``, in time on the clock."""
     threads = dict.fromkeys(ONE_THREAD, str(place.threads))
     return _measured(threads | SPINNING | {"PYTHONPATH": str(REPOSITORY)}, name, str(place.threads), place.device)
 
@@ -554,11 +538,7 @@ def compare(
 
 
 def main(name: str, tree: Path, place: Place | None = None) -> None:
-    """Print the result of one measurement of the packages in ``tree``; in a place on the clock.
-
-    Raises:
-        ImportError: if a module of another installation was measured.
-    """
+    """Print the result of one measurement of the packages in ``tree``; in a place on the clock."""
     run = CASES[name].run
     result = run() if place is None else run(place=place)
     for module_name, module in [*sys.modules.items()]:

@@ -128,11 +128,7 @@ def made_by(tables: set[str], database: sqlite3.Connection, folder: Path) -> str
 
 
 def refresh(document: str, database: sqlite3.Connection, folder: Path = REPOSITORY) -> str:
-    """A document in ``folder`` with its tables made anew, below each the commits that made its results.
-
-    Raises:
-        ValueError: if a query is invalid.
-    """
+    """A document in ``folder`` with its tables made anew, below each the commits that made its results."""
     read: set[str] = set()
 
     def note(action: int, name: str | None, *_: str | None) -> int:

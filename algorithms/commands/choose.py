@@ -44,11 +44,7 @@ RUNNERS_UP = 4
 
 
 def parse_criterion(options: Namespace, objectives: tuple[str, ...], scales: NDArray[Any]) -> ChoiceCriterion:
-    """What to choose by, from the command line.
-
-    Raises:
-        ValueError: for unknown objectives or utilities, or numbers that are not valid.
-    """
+    """What to choose by, from the command line."""
     if options.arguments != "{}" and options.utility is None:
         raise ValueError("--arguments can only be given with --utility")
     if options.utility is not None:

@@ -57,11 +57,7 @@ def explore(options: Namespace) -> int:
 
 
 def _explorable_run(name: str, options: Namespace) -> ExplorableFront:
-    """The front of a run, with new episodes.
-
-    Raises:
-        ValueError: if it has no front, or its files do not fit this version.
-    """
+    """The front of a run, with new episodes."""
     from algorithms.runs.build import load_policy
     from algorithms.runs.front_explorer import explorable
 

@@ -31,9 +31,6 @@ def key_sections(algorithm: str | None = None, env_id: str | None = None) -> dic
     Args:
         algorithm: of the experiment; None for those of every algorithm, of sweeps and studies.
         env_id: of the experiment; None for one of this package's environments.
-
-    Raises:
-        ValueError: for an unknown algorithm.
     """
     keys = {name: experiment_keys(name, env_id) for name in ([algorithm] if algorithm else algorithm_names())}
     first = next(iter(keys.values()))

@@ -32,11 +32,7 @@ UNUSED = (
 
 
 def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
-    """The experiment of a YAML file, with everything checked that can be checked without training.
-
-    Raises:
-        ValueError: if it is not valid, or its algorithm is not another library's.
-    """
+    """The experiment of a YAML file, with everything checked that can be checked without training."""
     from algorithms.peers import PEERS
     from algorithms.peers.running import prepare
 

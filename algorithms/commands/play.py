@@ -41,11 +41,7 @@ MAX_SEED = 2**31 - 1
 
 
 def check_options(options: Namespace) -> None:
-    """Refuse a value out of range, and a video that cannot be written.
-
-    Raises:
-        ValueError: naming the option.
-    """
+    """Refuse a value out of range, and a video that cannot be written."""
     for name, low, high in (("seed", 0, MAX_SEED), ("fps", 1, MAX_FPS)):
         value = getattr(options, name)
         if value is not None and not low <= value <= high:
@@ -54,11 +50,7 @@ def check_options(options: Namespace) -> None:
 
 
 def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
-    """The environment that the options ask for, what drives the other vehicles, if any, and the user's vehicles.
-
-    Raises:
-        ValueError: for an unknown environment or run, or one that does not fit.
-    """
+    """The environment that the options ask for, what drives the other vehicles, if any, and the user's vehicles."""
     from mo_deepdrive.play import KEYBOARD, make_play_env
 
     spec = find_environment(options.env, "--env")
@@ -102,11 +94,7 @@ def open_rule(options: Namespace, env_id: str) -> tuple[Policy, dict[str, Any], 
 
 
 def open_run(options: Namespace, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
-    """The agent of a run, the arguments of its environment, and the partners that it learnt with.
-
-    Raises:
-        ValueError: if there is none, or it drives in another environment.
-    """
+    """The agent of a run, the arguments of its environment, and the partners that it learnt with."""
     from algorithms.runs.build import load_policy
 
     run = Run.open(options.against, trust=options.trust)

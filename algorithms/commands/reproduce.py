@@ -44,11 +44,7 @@ def parse_arguments(arguments: list[str]) -> Namespace:
 
 
 def check_options(options: Namespace) -> None:
-    """Check the options before any work.
-
-    Raises:
-        ValueError: naming the invalid option.
-    """
+    """Check the options before any work."""
     for name in ("seeds", "workers"):
         value = getattr(options, name)
         if value is not None and value < 1:

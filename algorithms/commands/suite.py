@@ -183,11 +183,7 @@ def suite_score(options: Namespace) -> int:
 
 
 def checked_policy(entry: Entry, task_id: str) -> Any:
-    """The policy of an entry for a task, which can drive there.
-
-    Raises:
-        ValueError: if it cannot.
-    """
+    """The policy of an entry for a task, which can drive there."""
     from mo_deepdrive import suite
 
     policy = entry.policy(task_id)
@@ -327,11 +323,7 @@ def suite_table(options: Namespace) -> int:
 
 
 def _read_results(path: Path) -> list[Row]:
-    """The rows of a table of results of the suite.
-
-    Raises:
-        ValueError: if it has none, or others.
-    """
+    """The rows of a table of results of the suite."""
     from mo_deepdrive import suite
 
     rows = suite.read_rows(path)

@@ -97,11 +97,7 @@ def add_run_arguments(parser: ArgumentParser, what: str) -> _MutuallyExclusiveGr
 
 
 def check_options(options: Namespace) -> None:
-    """Check the options before any work.
-
-    Raises:
-        ValueError: naming the invalid option.
-    """
+    """Check the options before any work."""
     if options.workers is not None and options.workers < 1:
         raise ValueError(f"--workers {options.workers} must be at least 1")
     check_directory("--output", options.output)

@@ -65,11 +65,7 @@ def parse_arguments(arguments: list[str]) -> Namespace:
 
 
 def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
-    """The runs among and below ``paths``; with a warning instead of those that have changed or are not finished.
-
-    Raises:
-        ValueError: as :func:`algorithms.reporting.run_records.find_runs`.
-    """
+    """The runs among and below ``paths``; with a warning instead of those that have changed or are not finished."""
     from algorithms.reporting.run_records import LEFT_OUT, find_runs
     from algorithms.runs.run_directory import read_status
     from mo_deepdrive.evaluation.front import EVALUATION_FILE
@@ -87,11 +83,7 @@ def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
 
 
 def print_tables(options: Namespace, warn: Callable[[str], None]) -> tuple[Sequence[ScoreGroup], Sequence[ScoreGroup]]:
-    """Print the tables that the options ask for; returns the scores, and those by which algorithms are compared.
-
-    Raises:
-        ValueError: for options that do not fit together, or if there is nothing to show.
-    """
+    """Print the tables that the options ask for; returns the scores, and those by which algorithms are compared."""
     from algorithms.reporting.tables import print_runs
     from algorithms.runs.console import make_console
     from algorithms.studies.sweep_tables import print_sweep

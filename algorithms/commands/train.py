@@ -27,12 +27,7 @@ if TYPE_CHECKING:
 
 
 def open_runs(options: Namespace) -> tuple[list[Run], Any]:
-    """The new or resumed runs of the command line, and what trains them; several if the experiment has several seeds.
-
-    Raises:
-        ValueError: if the options, the experiment, a directory or a checkpoint are not valid.
-        OSError: if the directory of a run to be resumed cannot be written.
-    """
+    """The new or resumed runs of the command line, and what trains them; several if the experiment has several seeds."""
     from algorithms.runs.build import build_trainee
     from algorithms.runs.training import reopen
     from algorithms.studies.manifest import is_sweep

@@ -44,11 +44,7 @@ ENDINGS = {
 
 
 def zoo_table() -> Table:
-    """One row per policy: its name, which has the algorithm, the task of its training, and its scores.
-
-    Raises:
-        ValueError: if a file of a policy is not valid.
-    """
+    """One row per policy: its name, which has the algorithm, the task of its training, and its scores."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

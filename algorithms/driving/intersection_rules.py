@@ -146,9 +146,6 @@ def make_rule(name: str, action_type: str) -> Driver:
         name: ``rule:gap_3`` turns left and waits for a gap of 3 s, ``rule:straight_6`` drives straight on at 6 m/s, and
             ``rule:yields_6`` does so and brakes for a vehicle in front of it; any numbers.
         action_type: "discrete", "discrete-16" or "continuous".
-
-    Raises:
-        ValueError: for a name that has another form.
     """
     found = NAME.fullmatch(name)
     if found is None:

@@ -29,11 +29,7 @@ def is_rule(name: str) -> bool:
 
 
 def scripted_policy(name: str, vehicle: int, env: EnvAdapter, action_type: str) -> ScriptedPolicy:
-    """The scripted driver of a name as a policy that drives ``vehicle`` of ``env``, or all vehicles if it can.
-
-    Raises:
-        ValueError: if there is none there, or it drives another vehicle.
-    """
+    """The scripted driver of a name as a policy that drives ``vehicle`` of ``env``, or all vehicles if it can."""
     if env.name not in MAKERS:
         raise ValueError(f"{name!r}: there are scripted drivers in {', '.join(MAKERS)}, not in {env.name}")
     driver = MAKERS[env.name](name, action_type)

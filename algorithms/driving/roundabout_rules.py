@@ -337,9 +337,6 @@ def make_rule(name: str, action_type: str) -> RoundaboutDriver:
         name: ``rule:hurried``, ``rule:balanced`` or ``rule:careful``; ``rule:enters_3`` is the balanced one with a gap
             of 3 s, any number; ``rule:drawn_7`` is the rule that is drawn for the number 7.
         action_type: "discrete", "discrete-16" or "continuous".
-
-    Raises:
-        ValueError: for a name that has another form.
     """
     found = NAME.fullmatch(name)
     if found is None or (found[1] == "drawn" and not found[2].isdigit()):

@@ -73,9 +73,6 @@ class Peer:
         Args:
             name: of the peer, for error messages.
             task: environment, utility and settings.
-
-        Raises:
-            ValueError: naming what the peer does not support.
         """
         env, d = task.env, len(task.env.objectives)
         if env.vehicles != 1:

@@ -44,9 +44,6 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
     Args:
         experiment: whose algorithm is a peer.
         log: called as ``log(step, metrics)`` during training.
-
-    Raises:
-        ValueError: if the peer is not installed, or does not support the environment or the utility.
     """
     name = experiment.algorithm.name
     peer, settings, training = PEERS[name], experiment.environment, experiment.training
@@ -94,10 +91,6 @@ def run_peer(run: Run, console: Console) -> None:
 
     Its output goes to ``peer.log``, the recorder's metrics to ``metrics.csv``. A run that was interrupted begins anew.
     Peers use the global random generators of this process, which are seeded.
-
-    Raises:
-        ValueError: as :func:`prepare`.
-        OSError: if something cannot be written.
     """
     experiment = run.experiment
     peer = PEERS[experiment.algorithm.name]

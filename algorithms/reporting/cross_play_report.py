@@ -42,11 +42,7 @@ def matrix(encounters: Sequence[Encounter], score: str) -> NDArray[np.float64]:
 
 
 def write_encounters(path: Path, encounters: Sequence[Encounter]) -> None:
-    """Write a CSV with a row per encounter: each score and the ends of its interval.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
+    """Write a CSV with a row per encounter: each score and the ends of its interval."""
     names = list(encounters[0].estimates)
     rows = [[*encounters[0].roles, *(name + end for name in names for end in ("", "/low", "/high"))]]
     for encounter in encounters:
@@ -90,11 +86,7 @@ def matrix_rows(encounters: Sequence[Encounter], score: str) -> list[list[str]]:
 
 
 def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> None:
-    """Draw the matrices of joint arrivals, collisions and utilities; the note says what was evaluated.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
+    """Draw the matrices of joint arrivals, collisions and utilities; the note says what was evaluated."""
     rows, columns, roles = drivers_of(encounters, 0), drivers_of(encounters, 1), encounters[0].roles
     names = ["the others" if role == OTHERS else role.replace("_", " ") for role in roles]
     panels = [  # score, title, colour map, and whether the cells are percentages

@@ -125,9 +125,6 @@ def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] |
     Args:
         directories: of the runs.
         warn: called with a line about every run that cannot be read or has no metrics yet; None to refuse it.
-
-    Raises:
-        ValueError: if a run is refused, none is left, or two runs of a group have the same seed.
     """
 
     def refuse(problem: str) -> None:
@@ -202,10 +199,6 @@ def plot(groups: Sequence[CurveGroup], path: str | Path, remark: str = "") -> No
     """Draw utility, arrival rate and the return of every objective against environment steps, into an image file.
 
     There is one curve per group; the remark is an additional line below the title.
-
-    Raises:
-        ValueError: if there is nothing to draw, or the file's suffix is not an image format.
-        OSError: if the file cannot be written.
     """
     panels = curve_panels(groups)
     if not panels:
@@ -453,10 +446,6 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
     """Draw final scores against every key that varies: a panel per key, a dot per run, the mean per value.
 
     Scores that cannot be compared, of which each has at least one key, are drawn in separate rows.
-
-    Raises:
-        ValueError: if the file's suffix is not an image format.
-        OSError: if the file cannot be written.
     """
     notes = [
         "dots: runs; circles: means of the runs that share a value, or have neighbouring ones, with 95% intervals of "

@@ -30,11 +30,7 @@ class FrontsFile(MetricsFile):
     """A CSV file of every front evaluated during training: one row per policy, with step and discounted returns."""
 
     def write_front(self, step: int, front: Front) -> None:
-        """Append a front.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
+        """Append a front."""
         names = [discounted_return_of(name) for name in front.objectives]
         self._append(
             [

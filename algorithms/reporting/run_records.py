@@ -189,9 +189,6 @@ def find_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
     Args:
         paths: run directories, or folders that hold some.
         warn: called with a line about every folder that holds none, if another one does.
-
-    Raises:
-        ValueError: if a path is not a folder, or none holds a run.
     """
     runs: dict[Path, Path] = {}
     without: list[str] = []
@@ -254,11 +251,7 @@ def _read_run(path: Path, scores: bool, metrics: bool) -> RunRecord:
 
 
 def read_evaluation(run: Path) -> FinalEvaluation | None:
-    """The final evaluation of a run; None if there is none yet.
-
-    Raises:
-        ValueError: if its file is damaged.
-    """
+    """The final evaluation of a run; None if there is none yet."""
     file = run / EVALUATION_FILE
     if not file.is_file():
         return None
@@ -276,9 +269,6 @@ def final_scores(run: Path) -> dict[str, Estimate]:
     """The final evaluation of a run by metric, as ``greedy/utility_esr``; empty if there is none yet.
 
     The intervals are those over evaluation episodes.
-
-    Raises:
-        ValueError: if its file is damaged.
     """
     evaluation = read_evaluation(run)
     return {} if evaluation is None else evaluation.scores
@@ -290,11 +280,7 @@ def final_metrics(run: Path) -> dict[str, float]:
 
 
 def experiment_record(values: Mapping[str, Any], what: str = "experiment") -> ExperimentRecord:
-    """The record of a resolved experiment, such as that of a line of a manifest.
-
-    Raises:
-        ValueError: naming what is missing or of another type.
-    """
+    """The record of a resolved experiment, such as that of a line of a manifest."""
     return parse(ExperimentRecord, values, what)
 
 
@@ -329,11 +315,7 @@ def distinct_labels(labels: Sequence[str], sections: Sequence[Recorded | Mapping
 
 
 def group_by_experiment(runs: Sequence[RunRecord]) -> list[list[RunRecord]]:
-    """Group runs that differ in their seed alone, groups and runs in the order given.
-
-    Raises:
-        ValueError: if two runs of a group have the same seed.
-    """
+    """Group runs that differ in their seed alone, groups and runs in the order given."""
     groups: dict[str, dict[int, RunRecord]] = {}
     for run in runs:
         key = json.dumps(identifying_settings(run.experiment), sort_keys=True, default=str)

@@ -79,12 +79,7 @@ def figure_style(changes: Mapping[Any, Any] = MappingProxyType({})) -> AbstractC
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> None:
-    """Write a figure, in the format that the suffix of the file names (PNG without one).
-
-    Raises:
-        ValueError: if the suffix is not an image format.
-        OSError: if the file cannot be written; it is complete or unchanged.
-    """
+    """Write a figure, in the format that the suffix of the file names (PNG without one)."""
     buffer = BytesIO()
     figure.savefig(buffer, format=Path(path).suffix[1:] or "png", dpi=dpi)
     atomic_write(path, buffer.getvalue())

@@ -187,9 +187,6 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything
         paths: run directories, or folders that hold some.
         warn: called with a message about every run that is left out, because it has no final evaluation.
         everything: also read metrics that are neither of :data:`TABLE_METRICS` nor returns.
-
-    Raises:
-        ValueError: if a path holds no run, or two runs of a group have the same seed.
     """
     records = read_runs(find_runs(paths, warn), warn, scores=True)
     for run in records:
@@ -319,11 +316,7 @@ def _difference_rows(groups: Sequence[ScoreGroup], about: Sequence[str], columns
 
 
 def check_columns(groups: Sequence[ScoreGroup], columns: Sequence[str] | None) -> None:
-    """Refuse columns of which no group has a score.
-
-    Raises:
-        ValueError: naming the column and the nearest ones that there are.
-    """
+    """Refuse columns of which no group has a score."""
     known = {place.metric for group in groups for place in group.scores}
     known |= {UTILITY_IQM} if UTILITY_ESR in known else set()
     for name in columns or ():
@@ -416,9 +409,6 @@ def print_runs(
         console: where to print.
         warn: called with a message about every run that is left out.
         columns: of the scores; None for :data:`TABLE_COLUMNS`.
-
-    Raises:
-        ValueError: as :func:`group_runs`, or if no run has a final evaluation, or such a column.
     """
     groups = group_runs(paths, warn, everything=columns is not None)
     if not groups:
@@ -605,9 +595,6 @@ def write_tables(
         scores: the rows of the first table.
         compared: the groups of the second table.
         columns: metrics of the first table; None for all of a CSV, and :data:`TABLE_COLUMNS` of the others.
-
-    Raises:
-        OSError: if a file cannot be written; it is then unchanged.
     """
     note, tidy = interval_note(scores), path.suffix.lower() == ".csv"
     tables: dict[str, tuple[Cells, str]]
@@ -649,9 +636,6 @@ def write_table(path: Path, rows: Cells, labels: int, note: str) -> None:
     """Write one table in the format that the ending of its path names, one of :data:`FORMATS`.
 
     The first ``labels`` columns say what a row is; the note is below the table, but not in a CSV.
-
-    Raises:
-        OSError: if the file cannot be written; it is then unchanged.
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":

@@ -24,11 +24,7 @@ Columns = dict[str, NDArray[np.float64]]  # (rows,) each, by name
 
 
 def read_metrics(path: str | Path) -> Columns:
-    """The columns of a metrics.csv, including "step"; NaN where a row has no value.
-
-    Raises:
-        ValueError: if the file is missing or not a metrics file.
-    """
+    """The columns of a metrics.csv, including "step"; NaN where a row has no value."""
     path = Path(path)
     if not path.is_file():
         raise ValueError(f"metrics file {str(path)!r} does not exist")
@@ -44,10 +40,6 @@ class MetricsFile:
         path: the file.
         after: keep the rows up to this step and drop later ones, which a resumed run writes again; None starts a new
             file.
-
-    Raises:
-        ValueError: if there is a file to continue that is not a metrics file.
-        OSError: if it cannot be written.
     """
 
     def __init__(self, path: Path, after: int | None = None):
@@ -59,11 +51,7 @@ class MetricsFile:
         self._rewrite()
 
     def write(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Append a row.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
+        """Append a row."""
         self._append([{STEP: str(step), **{name: format_number(value) for name, value in metrics.items()}}])
 
     def _append(self, rows: Sequence[Mapping[str, str]]) -> None:
@@ -84,11 +72,7 @@ class MetricsFile:
         atomic_write(self.path, csv_bytes([self._columns, *(row + [""] * (width - len(row)) for row in self._rows)]))
 
     def sync(self) -> None:
-        """Make every row reach the disk.
-
-        Raises:
-            OSError: if the file was deleted, or cannot be written.
-        """
+        """Make every row reach the disk."""
         with self.path.open("r+b") as file:
             flush_to_disk(file)
 
@@ -99,11 +83,7 @@ def format_number(value: float) -> str:
 
 
 def rows_until(path: Path, step: int) -> tuple[list[str], list[list[str]]]:
-    """Header and rows up to a step, for a run that is resumed from there.
-
-    Raises:
-        ValueError: as :func:`complete_rows`, with what to do.
-    """
+    """Header and rows up to a step, for a run that is resumed from there."""
     try:
         header, rows = complete_rows(path)
     except ValueError as error:
@@ -112,11 +92,7 @@ def rows_until(path: Path, step: int) -> tuple[list[str], list[list[str]]]:
 
 
 def complete_rows(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and rows, without torn rows as a crash may leave them; only the header if the file is missing or empty.
-
-    Raises:
-        ValueError: naming the file and what is wrong, if it is not a CSV file of numbers whose first column is "step".
-    """
+    """Header and rows, without torn rows as a crash may leave them; only the header if the file is missing or empty."""
     try:
         data = path.read_bytes() if path.exists() else b""
         whole = data[: data.rfind(b"\n") + 1]
@@ -154,22 +130,14 @@ def _cells(data: bytes) -> list[list[str]]:
 
 
 def read_header(line: bytes) -> list[str]:
-    """The columns in the first line of a metrics.csv.
-
-    Raises:
-        ValueError: if it is not a header, or not complete.
-    """
+    """The columns in the first line of a metrics.csv."""
     header = next(iter(_cells(line)), [])
     check_header(header if line.endswith(b"\n") else [])
     return header
 
 
 def check_header(header: Sequence[str]) -> None:
-    """Refuse what are not the columns of a metrics.csv.
-
-    Raises:
-        ValueError: if the first is not "step", or two have the same name.
-    """
+    """Refuse what are not the columns of a metrics.csv."""
     if header[:1] != [STEP]:
         raise ValueError(f"has no column {STEP!r} at its beginning")
     repeated = [name for name, count in Counter(header).items() if count > 1]

@@ -69,10 +69,6 @@ def record(
 
     Returns:
         The number of frames.
-
-    Raises:
-        ValueError: if the environment cannot be rendered.
-        OSError: if the file cannot be written.
     """
     env = make_render_env(env_id, env_arguments)
     try:
@@ -88,11 +84,7 @@ def record(
 
 
 def make_render_env(env_id: str, env_arguments: Mapping[str, Any] | None = None) -> VectorEnv:
-    """A vector environment with one environment that renders RGB arrays and, if it is ours, does not reset itself.
-
-    Raises:
-        ValueError: if the environment cannot be rendered.
-    """
+    """A vector environment with one environment that renders RGB arrays and, if it is ours, does not reset itself."""
     arguments = {**(env_arguments or {}), "render_mode": "rgb_array"}
     if _is_ours(env_id):
         return gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
@@ -101,11 +93,7 @@ def make_render_env(env_id: str, env_arguments: Mapping[str, Any] | None = None)
 
 
 def check_renderable(env_id: str, env_arguments: Mapping[str, Any] | None = None) -> None:
-    """Refuse an environment that does not declare the render mode "rgb_array".
-
-    Raises:
-        ValueError: with the render modes that it has.
-    """
+    """Refuse an environment that does not declare the render mode "rgb_array"."""
     if _is_ours(env_id):
         return
     env = make_env(env_id, 1, dict(env_arguments or {}))
@@ -217,9 +205,6 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]
     """A function that appends a frame with even sides to an MP4; the file appears when it is complete, unless empty.
 
     A process that is killed leaves a file that is named as the temporary ones of :mod:`mo_deepdrive.support.atomic_io`.
-
-    Raises:
-        OSError: if the file cannot be written.
     """
     path = without_links(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -273,11 +258,7 @@ def _write_video(frames: Iterable[Frame], path: str | Path, fps: int) -> int:
 
 
 def video_seconds(path: str | Path) -> float:
-    """The length of an MP4 in seconds.
-
-    Raises:
-        OSError: if it cannot be read.
-    """
+    """The length of an MP4 in seconds."""
     reader: Any = imageio.get_reader(path, format="FFMPEG")
     with reader:
         return float(reader.get_meta_data()["duration"])
@@ -297,10 +278,6 @@ def write_video_grid(tracks: Sequence[Track], path: str | Path, fps: int, *, hol
 
     Returns:
         The number of frames.
-
-    Raises:
-        ValueError: if there is no track, or a track has no frames.
-        OSError: if the file cannot be written.
     """
     columns = len(tracks) if len(tracks) <= 3 else math.ceil(math.sqrt(len(tracks)))
 
@@ -365,10 +342,6 @@ def write_gif(clips: Sequence[Track], path: str | Path, *, fps: int = 10, side: 
 
     Returns:
         The number of frames and of bytes.
-
-    Raises:
-        ValueError: if there is no clip, one has no frames, or ``fps`` does not divide 100.
-        OSError: if the file cannot be written.
     """
     if fps < 1 or 100 % fps:
         raise ValueError(f"fps = {fps} must divide 100, because a GIF counts hundredths of a second")

@@ -49,9 +49,6 @@ def sole_purpose(failure: str) -> Iterator[None]:
 
     Args:
         failure: what an error means, such as "the curves could not be drawn".
-
-    Raises:
-        Stopped: instead of any error but ValueError, and ModuleNotFoundError, whose message says what to install.
     """
     try:
         yield

@@ -69,9 +69,6 @@ def report_agent(
 
     Returns:
         False if anything but the numbers failed, such as the video, which is printed.
-
-    Raises:
-        OSError: if the numbers cannot be written.
     """
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
@@ -104,9 +101,6 @@ def report_front(
 
     Returns:
         The indicators by metric, and whether the front could be drawn; if not, the reason is printed.
-
-    Raises:
-        OSError: if a file cannot be written; each file is complete or unchanged.
     """
     front = front.non_dominated()
     reference_point = experiment.evaluation.reference_point

@@ -65,9 +65,6 @@ def build(
 
     Returns:
         An instance of the algorithm's class, a subclass of :class:`algorithms.agent.Agent`.
-
-    Raises:
-        ValueError: if environment, utility and hyperparameters do not fit together.
     """
     algorithm = agent_class(experiment.algorithm.name)
     num_envs = num_envs or experiment.training.num_envs
@@ -153,9 +150,6 @@ def open_driver(
         action_type: of that environment: "discrete", "discrete-16" or "continuous".
         trust: as for :meth:`Run.open`.
         imports: as for :meth:`Run.open`.
-
-    Raises:
-        ValueError: if there is none, it drives another vehicle or in another environment, or it is a front.
     """
     if is_rule(name):
         return scripted_policy(name, vehicle, env, action_type)
@@ -267,11 +261,7 @@ def make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utili
 
 
 def build_trainee(experiments: Sequence[Experiment]) -> Any:
-    """The untrained agent of experiments that differ in their seeds alone.
-
-    Raises:
-        ValueError: if it cannot be built, or the experiments cannot be trained side by side.
-    """
+    """The untrained agent of experiments that differ in their seeds alone."""
     first = experiments[0]
     if len(seeds := first.training.seeds or []) > 1:
         raise ValueError(f"training.seeds = {seeds}: mo-deepdrive train alone trains several")
@@ -299,11 +289,7 @@ def _shared(experiment: Experiment) -> dict[str, Any]:
 
 
 def check_resident(experiment: Experiment) -> None:
-    """Refuse an experiment that cannot be trained on a GPU.
-
-    Raises:
-        ValueError: naming what cannot.
-    """
+    """Refuse an experiment that cannot be trained on a GPU."""
     name = experiment.algorithm.name
     here = f"training.device = {experiment.training.device!r}"
     if not agent_class(name).trains_on_devices:

@@ -197,9 +197,6 @@ def new_runs(options: argparse.Namespace, experiments: Sequence[Experiment]) -> 
     """Create the runs of ``--config`` in ``--output``, or in new directories under ``runs/``.
 
     Several are in folders of ``--output`` that are named by their seeds.
-
-    Raises:
-        ValueError: if a directory is not empty or cannot be written.
     """
     runs = []
     for experiment in experiments:
@@ -212,11 +209,7 @@ def new_runs(options: argparse.Namespace, experiments: Sequence[Experiment]) -> 
 
 
 def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) -> tuple[int, int]:
-    """The number of episodes per policy and the seed of the first one, from the command line or else the experiment.
-
-    Raises:
-        ValueError: if one is out of range, or --video cannot be written.
-    """
+    """The number of episodes per policy and the seed of the first one, from the command line or else the experiment."""
     settings, video = experiment.evaluation, getattr(options, "video", None)
     episodes = settings.final_episodes if options.episodes is None else options.episodes
     if episodes < 1:
@@ -253,11 +246,7 @@ def policy_index(option: int, count: int) -> int:
 
 
 def check_file(option: str, path: str | Path | None, *endings: str) -> None:
-    """Check, before any work, that the file of an option can be written; nothing if it was not given.
-
-    Raises:
-        ValueError: if its directory does not exist, it is a directory, or its name has none of the ``endings``.
-    """
+    """Check, before any work, that the file of an option can be written; nothing if it was not given."""
     if not path:
         return
     if endings and not str(path).lower().endswith(endings):
@@ -269,11 +258,7 @@ def check_file(option: str, path: str | Path | None, *endings: str) -> None:
 
 
 def check_directory(option: str, path: str | Path | None) -> None:
-    """Check, before any work, that the directory of an option exists or can be made; nothing if it was not given.
-
-    Raises:
-        ValueError: if it or one of its parents is a file.
-    """
+    """Check, before any work, that the directory of an option exists or can be made; nothing if it was not given."""
     if not path:
         return
     whole = Path(path).absolute()
@@ -283,11 +268,7 @@ def check_directory(option: str, path: str | Path | None) -> None:
 
 
 def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> dict[str, float]:
-    """Parse ``["distance=1", "jerk=0.1"]``, values of an ``option``, as a mapping.
-
-    Raises:
-        ValueError: for a name that is repeated or not among ``names``, or a value that is not a finite number.
-    """
+    """Parse ``["distance=1", "jerk=0.1"]``, values of an ``option``, as a mapping."""
     numbers: dict[str, float] = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
@@ -324,9 +305,6 @@ def exit_on_error(*errors_of_input: type[Exception], hint: str = "") -> Iterator
     Args:
         errors_of_input: exceptions that the user's input causes in this context, such as ValueError.
         hint: a line to print after Ctrl-C and Stopped, such as how to resume.
-
-    Raises:
-        SystemExit: with the exit code.
     """
     try:
         yield

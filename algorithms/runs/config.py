@@ -205,10 +205,6 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
         overrides: as on a command line: ``--section.key=value`` or ``--section.key value``, values as in YAML;
             ``--seed`` and ``--device`` are short for those of the training section. A mapping is merged into the
             existing one. If a key is given more than once, the last value is used.
-
-    Raises:
-        ValueError: for unknown keys (with the nearest known ones), values of a wrong type or out of range, and a file
-            or an override that cannot be read; all of them are named.
     """
     values = read_mapping(find_config(path))
     if "algorithm" not in values and (kinds := [kind for kind in ("config", "tasks") if kind in values]):
@@ -226,9 +222,6 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
         values: the sections of the experiment.
         what: the name of ``values`` in error messages.
         here: whether the experiment will run on this machine, which must then have its device.
-
-    Raises:
-        ValueError: as :func:`load_experiment`.
     """
     problems: list[str] = []
 
@@ -274,11 +267,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
 
 
 def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
-    """``["--a.b=1", "--seed", "3"]`` as ``[("a.b", 1), ("training.seed", 3)]``; see :data:`SHORT_FORMS`.
-
-    Raises:
-        ValueError: for an argument that has another form.
-    """
+    """``["--a.b=1", "--seed", "3"]`` as ``[("a.b", 1), ("training.seed", 3)]``; see :data:`SHORT_FORMS`."""
     pairs: list[tuple[str, Any]] = []
     rest = list(arguments)
     while rest:
@@ -299,11 +288,7 @@ def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
 
 
 def override(values: dict[str, Any], key: str, value: Any) -> None:
-    """Set ``section.key`` in nested ``values``; a mapping is merged into the existing one, which an empty one clears.
-
-    Raises:
-        ValueError: if a part of the path is not a section.
-    """
+    """Set ``section.key`` in nested ``values``; a mapping is merged into the existing one, which an empty one clears."""
     *sections, last = key.split(".")
     for depth, name in enumerate(sections):
         if values.get(name) is None:
@@ -319,11 +304,7 @@ def override(values: dict[str, Any], key: str, value: Any) -> None:
 
 
 def find_environment(env_id: str, source: str = "environment.id") -> EnvSpec:
-    """The registered specification of ``env_id``, which may have the form "module:id"; ``source`` is its key.
-
-    Raises:
-        ValueError: if the module cannot be imported, or the id is not registered (with the nearest id).
-    """
+    """The registered specification of ``env_id``, which may have the form "module:id"; ``source`` is its key."""
     module, _, name = env_id.rpartition(":")
     if ":" in module:
         raise ValueError(f"{source} = {env_id!r} must be an id, or of the form module:id")
@@ -435,11 +416,7 @@ def _check_task(experiment: Experiment, arguments: Mapping[str, Any]) -> None:
 
 
 def check_effects(experiment: Experiment, keys: Iterable[str], why: str) -> None:
-    """Refuse each of some keys, as "section.key", that has another value than its default.
-
-    Raises:
-        ValueError: naming the key, its value and why it has no effect.
-    """
+    """Refuse each of some keys, as "section.key", that has another value than its default."""
     for key in keys:
         section, _, name = key.partition(".")
         settings = getattr(experiment, section)
@@ -450,10 +427,6 @@ def check_effects(experiment: Experiment, keys: Iterable[str], why: str) -> None
 
 
 def check_loggers(experiment: Experiment) -> None:
-    """Refuse to train with a logger that is not installed; runs that had one can be evaluated without it.
-
-    Raises:
-        ValueError: with the extra that brings it.
-    """
+    """Refuse to train with a logger that is not installed; runs that had one can be evaluated without it."""
     if experiment.logging.wandb is not None and importlib.util.find_spec("wandb") is None:
         raise ValueError(f"logging.wandb needs wandb: pip install 'mo-deepdrive[{EXTRAS['wandb']}]'")

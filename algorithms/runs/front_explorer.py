@@ -40,9 +40,6 @@ def explorable(
         episodes: of each policy; one is driven where all are the same.
         split: of the scenario seeds.
         seed: of the first episode, instead of a split.
-
-    Raises:
-        ValueError: if there is no front, or not one of the agent.
     """
     front, experiment = Front.read(run.path), run.experiment
     words = ["mo-deepdrive choose", shlex.quote(name), "{preference}"]
@@ -63,12 +60,7 @@ def explorable(
 
 
 def write_explorer(run: Run, agent: FrontAgent, console: Console) -> None:
-    """Write the explorer of a run's front into its directory and print the file.
-
-    Raises:
-        ValueError: as :func:`explorable`.
-        OSError: if the file cannot be written.
-    """
+    """Write the explorer of a run's front into its directory and print the file."""
     path, name = run.path / EXPLORER_FILE, str(run.path)
     write_page([explorable(run, agent, name)], path, f"Explorer of fronts: {name}")
     print_line(console, f"explorer: {path}: open it in a browser")

@@ -45,31 +45,19 @@ class Job:
 
     @property
     def done(self) -> bool:
-        """Whether the run is finished (trained and evaluated) or pruned.
-
-        Raises:
-            ValueError: if the directory holds another experiment, with the keys that differ.
-        """
+        """Whether the run is finished (trained and evaluated) or pruned."""
         if self.id is None:
             self.check()
         return read_status(self.path).get("state") in ("finished", "pruned")
 
     def check(self) -> None:
-        """Check that the directory does not hold another experiment.
-
-        Raises:
-            ValueError: if it does, with the keys that differ.
-        """
+        """Check that the directory does not hold another experiment."""
         if not (self.path / "config.yaml").is_file():
             return
         self._refuse(differences(self.open().experiment.to_dict(), self.experiment.to_dict()))
 
     def open(self) -> Run:
-        """The run in the directory, which may import what the job's own experiment names.
-
-        Raises:
-            ValueError: as :meth:`Run.open`, or if its config.yaml names other code to import.
-        """
+        """The run in the directory, which may import what the job's own experiment names."""
         config, mine = self.path / "config.yaml", imported_paths(self.experiment.to_dict())
         theirs = imported_paths(read_mapping(config)) if config.is_file() else {}
         self._refuse([f"{key} = {name!r} there" for key, name in theirs.items() if name not in mine.values()])
@@ -133,11 +121,6 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
 
     Returns:
         "already there" if it was finished before; "stopped" if a signal or ``stop`` ended it early, after saving.
-
-    Raises:
-        InUse: if another process trains in the directory.
-        ValueError: if the directory holds something else, or the experiment cannot be built.
-        Stopped: if something could not be written.
     """
     if job.done:
         return "already there"
@@ -197,9 +180,6 @@ def _take_over_settings(run: Run, job: Job) -> None:
     """Continue a run with the job's logging and, if possible, on its device; config.yaml says so.
 
     The number of threads stays that of the run, because it changes last bits.
-
-    Raises:
-        ValueError: if this machine does not have the device.
     """
     config = run.path / "config.yaml"
     before = make_experiment(read_mapping(config), here=False)

@@ -36,11 +36,7 @@ class Key:
 
 
 def experiment_keys(algorithm: str, env_id: str | None = None) -> list[Key]:
-    """The keys of an experiment with an algorithm, in an environment; None stands for this package's environments.
-
-    Raises:
-        ValueError: if there is no such algorithm or environment.
-    """
+    """The keys of an experiment with an algorithm, in an environment; None stands for this package's environments."""
     ours = env_id is None or is_ours(find_environment(env_id))
     hyperparameters = find_algorithm(algorithm).config_class
     keys: list[Key] = []

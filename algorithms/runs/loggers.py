@@ -120,9 +120,6 @@ class EventFile:
         directory: the run's directory.
         suffix: of the file's name.
         after: step after which TensorBoard is to ignore what earlier files have.
-
-    Raises:
-        OSError: if it cannot be written; this also goes for its methods.
     """
 
     def __init__(self, directory: Path, suffix: str = "", after: int | None = None):
@@ -174,10 +171,6 @@ class Logger:
         config: the configuration shown in W&B.
         name: the run's name in W&B.
         say: prints messages.
-
-    Raises:
-        ValueError: if there is a metrics.csv to continue that is broken.
-        OSError: if metrics.csv cannot be written.
     """
 
     def __init__(
@@ -210,20 +203,12 @@ class Logger:
                     action(output)
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Log a row.
-
-        Raises:
-            OSError: if metrics.csv cannot be written.
-        """
+        """Log a row."""
         self._file.write(step, metrics)
         self._each(lambda output: output.log(step, metrics))
 
     def sync(self) -> None:
-        """Make metrics.csv reach the disk, before a checkpoint.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
+        """Make metrics.csv reach the disk, before a checkpoint."""
         self._file.sync()
 
     def close(self, failed: bool = False) -> None:
@@ -252,9 +237,6 @@ def log_results(
         config: the experiment; its keys are hyperparameters, except those of logging.
         metrics: of the final evaluation, such as greedy/utility_esr; those of tables are shown, as final/...
         video: an MP4, which becomes a GIF in the Images tab; left out if there is no such file.
-
-    Raises:
-        OSError: if something cannot be read or written.
     """
     for earlier in (directory / TENSORBOARD).glob(f"*{RESULTS_SUFFIX}"):
         earlier.unlink()

@@ -73,11 +73,6 @@ def export_onnx(
         experiment: that it was trained on.
         path: the file.
         condition: of a front, the row of its conditions that the file is to follow; None makes it an input.
-
-    Raises:
-        ValueError: if the agent is of another class, its network cannot be exported, or the file differs from it.
-        MissingExtraError: if onnx is not installed.
-        OSError: if the file cannot be written.
     """
     with needed_for("exporting", "onnx"):
         import onnx
@@ -296,11 +291,7 @@ class _CommandGraph(_Graph):
 
 
 def _graph(agent: Any, condition: NDArray[np.float32] | None) -> _Graph:
-    """The graph of an agent.
-
-    Raises:
-        ValueError: if there is none of its class.
-    """
+    """The graph of an agent."""
     if isinstance(agent, PCN):
         return _CommandGraph(agent, condition).eval()
     if isinstance(agent, ConditionedMOPPO):
@@ -338,11 +329,7 @@ def _visited(
 def _check(
     content: bytes, graph: _Graph, agent: Any, experiment: Experiment, condition: NDArray[np.float32] | None
 ) -> float:
-    """Run the file in 1,000 states; the largest difference from PyTorch.
-
-    Raises:
-        ValueError: if a number differs by more than the tolerance, or an action that is not tied.
-    """
+    """Run the file in 1,000 states; the largest difference from PyTorch."""
     import onnxruntime
 
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])

@@ -100,9 +100,6 @@ def evaluate_front_policies(
 
     Returns:
         An evaluation per policy, in the order of the front.
-
-    Raises:
-        ValueError: if the front is not one of this agent.
     """
     for kind, of_front, of_agent in (
         ("objectives", front.objectives, agent.front_objectives),

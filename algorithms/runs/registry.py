@@ -44,11 +44,7 @@ def algorithm_names() -> list[str]:
 
 
 def find_algorithm(name: object, source: str = "algorithm.name") -> AlgorithmEntry:
-    """The entry of an algorithm: this project's, another library's, or a user's; ``source`` is the key of its name.
-
-    Raises:
-        ValueError: if there is none of this name, with the nearest name; if what a path names is no complete algorithm.
-    """
+    """The entry of an algorithm: this project's, another library's, or a user's; ``source`` is the key of its name."""
     if isinstance(name, str) and (name in ALGORITHMS or ":" in name):
         algorithm = agent_class(name)
         return AlgorithmEntry(name, bool(algorithm.known_utility), algorithm.Config, is_peer=False)
@@ -61,11 +57,7 @@ def find_algorithm(name: object, source: str = "algorithm.name") -> AlgorithmEnt
 
 
 def agent_class(name: str) -> type[Any]:
-    """The class of an algorithm, this project's or a user's.
-
-    Raises:
-        ValueError: if it is another library's or unknown; if what a path names is no complete algorithm.
-    """
+    """The class of an algorithm, this project's or a user's."""
     if ":" in name:
         return _users_class(name)
     if name not in ALGORITHMS and find_algorithm(name).is_peer:

@@ -86,11 +86,6 @@ class Run:
         Args:
             experiment: the experiment of the run.
             path: the directory; it may exist if it is empty.
-
-        Raises:
-            InUse: if another process is doing the same.
-            ValueError: if the directory is not empty.
-            OSError: if it cannot be written.
         """
         run = cls(expand_home(path), experiment)
         run.path.mkdir(parents=True, exist_ok=True)
@@ -114,9 +109,6 @@ class Run:
             path: the directory, or the name of the policy.
             trust: allow a config.yaml that names code to import (:func:`imported_paths`).
             imports: for a run that drives in another one: what the config of that one names, which is allowed anyway.
-
-        Raises:
-            ValueError: if neither exists, its config.yaml is not valid, or it names code and is not trusted.
         """
         path = expand_home(path)
         if not path.is_dir():
@@ -139,22 +131,13 @@ class Run:
         return cls(path, make_experiment(values, f"experiment {str(config)!r}", here=False))
 
     def write_config(self) -> None:
-        """Write config.yaml.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
+        """Write config.yaml."""
         atomic_write(self.path / CONFIG_FILE, dump(self.experiment.to_dict()).encode())
 
     def lock(self) -> None:
         """Lock the directory until this process ends, so that no two processes train in it.
 
         Temporary files of processes that were killed are removed.
-
-        Raises:
-            InUse: if another process holds it.
-            ValueError: if there is a link in the directory.
-            OSError: if the directory cannot be written.
         """
         for entry in self.path.iterdir():
             own_path(self.path, entry.name)
@@ -181,9 +164,6 @@ class Run:
 
         The seconds are sums over all processes; those of CPUs end with the training. A finished run also gets the
         record of its files (:mod:`algorithms.runs.run_files`).
-
-        Raises:
-            OSError: if it cannot be written, or a file cannot be recorded.
         """
         before, clocks = self.status, (perf_counter(), process_time())
         seconds, used = (
@@ -206,11 +186,7 @@ class Run:
         )
 
     def record_results(self) -> None:
-        """Record the final evaluation of a finished run again, after it was written anew.
-
-        Raises:
-            OSError: if a file cannot be read or written.
-        """
+        """Record the final evaluation of a finished run again, after it was written anew."""
         status = self.status
         if "files" in status:
             record = record_files(self.path)
@@ -278,11 +254,7 @@ def resume_options(paths: Sequence[Path], values: Mapping[str, Any]) -> str:
 
 
 def _refuse_contents(path: Path) -> None:
-    """Refuse the directory of a new run that has something in it; what a killed process left of a new run is nothing.
-
-    Raises:
-        ValueError: with the options that resume the run that is there.
-    """
+    """Refuse the directory of a new run that has something in it; what a killed process left of a new run is nothing."""
     names = {entry.name for entry in path.iterdir()}
     started = {LOCK_FILE, VERSIONS_FILE, STATUS_FILE}
     if CONFIG_FILE not in names and all(name in started or is_temporary(Path(name)) for name in names):
@@ -295,11 +267,7 @@ def _refuse_contents(path: Path) -> None:
 
 
 def default_directory(root: str | Path, config: str | Path, experiment: Experiment) -> Path:
-    """Make a new, empty directory: ``root/<config's stem>/<algorithm>-seed<N>-<time>``.
-
-    Raises:
-        OSError: if it cannot be made.
-    """
+    """Make a new, empty directory: ``root/<config's stem>/<algorithm>-seed<N>-<time>``."""
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     name = f"{directory_name(experiment.algorithm.name)}-seed{experiment.training.seed}-{stamp}"
     path = Path(root) / Path(config).stem / name

@@ -22,9 +22,6 @@ def record_files(run: Path) -> dict[str, dict[str, Any]]:
     """The size in bytes and the SHA-256 hash of each of :data:`RECORDED` that exists in a run's directory, by name.
 
     The record is kept under "files" in the status.json of a finished run.
-
-    Raises:
-        OSError: if a file cannot be read.
     """
     return {name: _record(run / name) for name in RECORDED if (run / name).is_file()}
 

@@ -24,9 +24,6 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
         name: a path, relative to the working directory; or, if there is no such file, a name of
             :func:`config_names` (also written as its path in a checkout, ``configs/NAME.yaml``).
         beside: a file that names the other one: ``name`` may be relative to its folder, too.
-
-    Raises:
-        ValueError: if there is neither, with the places and the nearest shipped names.
     """
     path = expand_home(name)
     candidates = [path]

@@ -79,9 +79,6 @@ def open_entry(source: str, *, trust: bool = False) -> Entry:
             ``package.module:name``. The object is a policy as of :func:`mo_deepdrive.suite.score`, or a class that is
             made of a task's id and is one then.
         trust: as for :meth:`algorithms.runs.run_directory.Run.open`.
-
-    Raises:
-        ValueError: if there is none, or it cannot be read.
     """
     path, _, name = source.partition(":")
     if path.endswith(".py"):
@@ -179,12 +176,7 @@ def _differences(experiment: Experiment, task: Task) -> list[str]:
 
 
 def check_experiment(experiment: Experiment, task_id: str, source: str) -> None:
-    """Refuse a run that cannot be an entry of a task, as far as its config says.
-
-    Raises:
-        ValueError: naming the run and the task, for a run of another task, one that met the partners of
-            the test, or one that trained on the scenarios of the test split.
-    """
+    """Refuse a run that cannot be an entry of a task, as far as its config says."""
     task, training = suite.load().task(task_id), experiment.training
     if differences := _differences(experiment, task):
         raise ValueError(f"{source!r} was not trained on task {task_id}: {', '.join(differences)}")
@@ -207,9 +199,6 @@ def recorded_rows(entry: str, *, trust: bool = False) -> list[Row]:
     Args:
         entry: the CSV file, or the run's directory.
         trust: as for :meth:`algorithms.runs.run_directory.Run.open`.
-
-    Raises:
-        ValueError: if there are none, or they are of another version of the suite.
     """
     path = Path(entry)
     rows = (
@@ -365,10 +354,6 @@ def score_run(run: Run, policy: Any) -> None:
     Args:
         run: with its final evaluation.
         policy: as of :func:`scorable`.
-
-    Raises:
-        ValueError: if the policy cannot drive in the task.
-        OSError: if the scores cannot be written.
     """
     settings = run.experiment.evaluation
     rows = suite.score(

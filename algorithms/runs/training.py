@@ -39,9 +39,6 @@ def resume(*runs: Run) -> Any:
 
     Returns:
         The agent of the runs.
-
-    Raises:
-        ValueError: if it cannot be built or loaded, or the runs cannot be trained side by side.
     """
     trainee = build_trainee([run.experiment for run in runs])
     checkpoints = [run.checkpoint for run in runs if run.checkpoint.exists()]
@@ -59,11 +56,6 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
         *paths: the runs' directories; several only of runs that differ in their seeds alone.
         trust: allow a config.yaml that names code to import.
         total_timesteps: a new, greater length of the training; None for that of the runs.
-
-    Raises:
-        ValueError: if there is no run, another process trains in it, its config.yaml is not trusted, its checkpoint or
-            its metrics cannot be resumed from, it cannot be trained longer, or runs cannot be trained side by side.
-        OSError: if a directory cannot be written.
     """
     runs = [Run.open(path, trust=trust) for path in paths]
     longer = [_longer(run.experiment, total_timesteps) for run in runs]
@@ -310,10 +302,6 @@ def finish(run: Run, agent: Any, console: Console) -> None:
     An agent that learnt a front has the front evaluated and drawn, four of its policies filmed, and the page written on
     which a person chooses a policy. Without ``logging.save_figures`` there are neither curves nor videos nor the page.
     If any of these fails, the reason is printed and the run is finished all the same.
-
-    Raises:
-        Stopped: if the numbers could not be written; the trained policy is saved.
-        Fault: if something is not finite, or an episode does not end.
     """
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
     try:

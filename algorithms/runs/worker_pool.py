@@ -150,10 +150,6 @@ def perform_all(
 
     Returns:
         The jobs that failed, each with its error.
-
-    Raises:
-        ValueError: before anything starts, if a directory holds another experiment.
-        DiskFull: if there is no space left; the running jobs are stopped first.
     """
     queue = deque(job for job in jobs if not job.done)
     failed: dict[Job, str] = {}

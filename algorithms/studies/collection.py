@@ -98,11 +98,7 @@ class Collection:
 
     @property
     def metrics(self) -> pl.DataFrame:
-        """The metrics of all runs.
-
-        Raises:
-            ValueError: if no run has any.
-        """
+        """The metrics of all runs."""
         if self.logged.is_empty():
             raise ValueError(
                 f"no run of sweep {str(self.sweep)!r} has any metrics yet: "
@@ -183,9 +179,6 @@ class Collection:
 
         Returns:
             "final" or "last", and a frame with the columns run, policy, vehicle, metric and value.
-
-        Raises:
-            ValueError: if no run has any metrics.
         """
         final = self.scores.select("run", *SCORE_KEYS, "value")
         if self.scored:
@@ -210,10 +203,6 @@ def collect(sweep: Path) -> Collection:
 
     Args:
         sweep: a directory with a manifest.
-
-    Raises:
-        ValueError: if there is no manifest, it is broken or empty, or a link leads out of ``collected``.
-        OSError: if something cannot be read.
     """
     rows = tuple(read_manifest(sweep))
     if not rows:
@@ -281,11 +270,7 @@ def _read_stored(path: Path) -> tuple[dict[str, list[int]], pl.DataFrame]:
 
 
 def _read_rows(path: Path) -> pl.DataFrame:
-    """The complete rows of a metrics.csv, with null for missing values.
-
-    Raises:
-        ValueError: if it is not a metrics file.
-    """
+    """The complete rows of a metrics.csv, with null for missing values."""
     data = path.read_bytes()
     data = data[: data.rfind(b"\n") + 1]
     # read_metrics is slow but tolerates ragged rows and says what is wrong; polars reads only files that are regular.

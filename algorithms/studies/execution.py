@@ -53,11 +53,7 @@ class Runner(ABC):
 
     @abstractmethod
     def expand(self, scores: Scores) -> list[ManifestRow]:
-        """The runs that are known by now: all of them, or those that ``scores`` suffice to choose.
-
-        Raises:
-            ValueError: naming what is invalid.
-        """
+        """The runs that are known by now: all of them, or those that ``scores`` suffice to choose."""
 
     @abstractmethod
     def metric_of(self, row: ManifestRow) -> str | None:
@@ -109,23 +105,14 @@ class Runner(ABC):
         return 1 if self._failed else 0
 
     def remake(self) -> int:
-        """Discard the finished runs whose files are broken, then :meth:`run`, which makes them again; its exit code.
-
-        Raises:
-            ValueError: if the directory has no manifest, or that of another sweep; this and other errors also as in
-                :meth:`run`.
-        """
+        """Discard the finished runs whose files are broken, then :meth:`run`, which makes them again; its exit code."""
         self._check_manifest()
         for row, problems in verify(self._directory, self._say):
             discard(self._directory, row, problems)
         return self.run()
 
     def print_batch_script(self) -> int:
-        """Print the batch script that would be submitted to Slurm; returns the exit code 0.
-
-        Raises:
-            ValueError: for an invalid sweep.
-        """
+        """Print the batch script that would be submitted to Slurm; returns the exit code 0."""
         from algorithms.studies.slurm import MAX_ARRAY_TASKS, batch_script
 
         jobs = [row.job(self._directory) for row in self._expand() if self.wanted(row)]
@@ -141,11 +128,7 @@ class Runner(ABC):
         return 0
 
     def _expand(self) -> list[ManifestRow]:
-        """The runs that are known by now.
-
-        Raises:
-            ValueError: for an invalid sweep, or the directory of a run or of another sweep.
-        """
+        """The runs that are known by now."""
         if is_run(self._directory):
             raise ValueError(f"{str(self._directory)!r} is the directory of a run; choose another directory")
         expanded = self.expand(self.scores())
@@ -153,11 +136,7 @@ class Runner(ABC):
         return expanded
 
     def scores(self) -> dict[str, float | None]:
-        """The scores by which runs are chosen, of the runs that have ended, by id; None for those that failed.
-
-        Raises:
-            ValueError: for the directory of another sweep, or scores that cannot be read.
-        """
+        """The scores by which runs are chosen, of the runs that have ended, by id; None for those that failed."""
         scores: dict[str, float | None] = {}
         if self._settings.adaptive and is_sweep(self._directory):
             self._check_manifest()  # the scores of another sweep may not have the metric
@@ -227,10 +206,6 @@ def read_score(name: str, run: Path, metric: str) -> dict[str, float | None]:
     """The value of a metric of a run that has ended, by its id; empty for any other run.
 
     For a pruned run this is the value of its last evaluation; None if it has none.
-
-    Raises:
-        ValueError: if the run does not have the metric, or its results have changed since or cannot be read; with what
-            to do, because a search that leaves a run out would go another way.
     """
     state = read_status(run).get("state")
     if state not in ("finished", "pruned"):
@@ -255,9 +230,6 @@ def verify(sweep: Path, say: Callable[[str], None]) -> list[tuple[ManifestRow, l
 
     Returns:
         The broken runs, each with what is broken.
-
-    Raises:
-        ValueError: if the directory has no manifest.
     """
     finished = [row for row in iterate_manifest(sweep) if read_status(sweep / row.directory).get("state") == "finished"]
     broken = []
@@ -279,10 +251,6 @@ def discard(sweep: Path, row: ManifestRow, problems: list[str]) -> None:
         sweep: the directory of the sweep.
         row: of the run.
         problems: what is broken, from :func:`verify`.
-
-    Raises:
-        ValueError: if a link leads out of the sweep, or another process uses the run.
-        OSError: if it cannot be changed or deleted.
     """
     directory = own_path(sweep, row.directory)
     if not {problem.partition(":")[0] for problem in problems} <= set(RESULTS):
@@ -295,9 +263,5 @@ def discard(sweep: Path, row: ManifestRow, problems: list[str]) -> None:
 
 
 def progress(sweep: Path) -> str:
-    """How many runs of a sweep are done, running, failed and waiting.
-
-    Raises:
-        ValueError: if the directory has no manifest, or a broken one.
-    """
+    """How many runs of a sweep are done, running, failed and waiting."""
     return summary_of(count_states(read_status(sweep / row.directory).get("state") for row in iterate_manifest(sweep)))

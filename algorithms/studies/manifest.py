@@ -113,9 +113,6 @@ def cell_rows(
         trial: number of the settings that are tried, which must be scored on the validation split; None if none are.
         metric: of the final evaluation, which the experiment must have; None to check none.
         build_once: build the agent, to check that it can be built.
-
-    Raises:
-        ValueError: naming the cell and its problem.
     """
     where = _cell_name(cell)
     values = _sorted(overridden(values, {"training.seed": seeds[0]}, cell))
@@ -192,11 +189,7 @@ def short_names(paths: Sequence[str]) -> dict[str, str]:
 
 
 def refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
-    """Refuse two cells that are the same run.
-
-    Raises:
-        ValueError: naming both.
-    """
+    """Refuse two cells that are the same run."""
     seen: dict[str, ManifestRow] = {}
     for row in rows:
         other = seen.setdefault(row.id, row)
@@ -208,12 +201,7 @@ def refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
 
 
 def write_manifest(sweep: Path, rows: Sequence[ManifestRow]) -> Path:
-    """Write the manifest into a sweep's directory, atomically; returns its path.
-
-    Raises:
-        ValueError: if a link leads out of the sweep.
-        OSError: if it cannot be written.
-    """
+    """Write the manifest into a sweep's directory, atomically; returns its path."""
     sweep.mkdir(parents=True, exist_ok=True)
     path = own_path(sweep, FILE)
     for row in rows:
@@ -233,11 +221,7 @@ def read_manifest(sweep: Path) -> list[ManifestRow]:
 
 
 def iterate_manifest(sweep: Path) -> Iterator[ManifestRow]:
-    """The rows of a sweep's manifest, one at a time, because all of a large sweep take much memory.
-
-    Raises:
-        ValueError: if it is missing; or naming the line that is broken, and the field.
-    """
+    """The rows of a sweep's manifest, one at a time, because all of a large sweep take much memory."""
     path, rows = sweep / FILE, TypeAdapter(ManifestRow)
     if not path.is_file():
         raise ValueError(f"{str(sweep)!r} is neither a sweep nor a study: it has no {FILE}")

@@ -71,12 +71,7 @@ QUICK_PROTOCOLS, QUICK_SEEDS, QUICK_SHARE, QUICK_EPISODES, QUICK_EVALUATIONS = (
 
 
 def load_paper(path: str | Path) -> Study:
-    """Read the study of the paper: a YAML file, or the name of a shipped one.
-
-    Raises:
-        ValueError: naming the file and every invalid key, a task whose name or title does not name its protocol, or
-            columns that the report needs.
-    """
+    """Read the study of the paper: a YAML file, or the name of a shipped one."""
     study = load_study(path)
     for key, task in study.tasks.items():
         if "/" not in key or ": " not in (task.title or ""):
@@ -99,9 +94,6 @@ def paper_plan(study: Study, tasks: Sequence[str], *, seeds: int | None = None, 
         tasks: without their protocols, all of which are selected.
         seeds: number of runs of each learner, instead of the study's; a task that names its seeds has at most these.
         quick: fewer seeds and steps, of the protocols that claims are judged by.
-
-    Raises:
-        ValueError: for an unknown task, or naming the arm that is not valid.
     """
     known = {key.partition("/")[0] for key in study.tasks}
     for task in tasks:
@@ -138,11 +130,7 @@ def _shortened(arm: Arm) -> Arm:
 
 
 def gather(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> PaperResults:
-    """The results of all runs that have finished in the directory of the study.
-
-    Raises:
-        ValueError: naming the finished run that cannot be read.
-    """
+    """The results of all runs that have finished in the directory of the study."""
     rows = results_of(plan, runs, directory)
     for row in [row for row in rows if row.column == HYPERVOLUME]:
         front = Front.read(directory / row.source)

@@ -139,11 +139,7 @@ class Claim:
 
 
 def compare(results: PaperResults, task: str, protocol: str) -> AlgorithmComparison:
-    """Compare the utilities of A2C and MO-A2C.
-
-    Raises:
-        KeyError: if either has no run with a utility.
-    """
+    """Compare the utilities of A2C and MO-A2C."""
     baseline, multi_objective = (
         results.values(task, protocol, learner, utility_metric(task)) for learner in (BASELINE, MULTI_OBJECTIVE)
     )

@@ -106,9 +106,6 @@ def write_report(
 
     Returns:
         The paths of the report and the figures.
-
-    Raises:
-        OSError: if a file cannot be written; no file is left half written.
     """
     results.write(directory)
     pictures: dict[int, list[Path]] = {}
@@ -126,11 +123,7 @@ def write_report(
 
 
 def draw_curves(number: int, results: PaperResults, path: Path) -> bool:
-    """Draw a figure of learning curves; returns False, without a file, if there are no results for it.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
+    """Draw a figure of learning curves; returns False, without a file, if there are no results for it."""
     title, all_tasks, metric = CURVE_FIGURES[number]
     panels = [
         (protocol, task)

@@ -54,11 +54,7 @@ class PaperResults:
     def values(
         self, task: str, protocol: str, learner: str, metric: str, policy: str = STOCHASTIC
     ) -> NDArray[np.float64]:
-        """Values (seeds,) of a metric, one per run, in the order of seeds.
-
-        Raises:
-            KeyError: if no run has the metric.
-        """
+        """Values (seeds,) of a metric, one per run, in the order of seeds."""
         by_seed = self.by_seed(f"{task}/{protocol}", learner, metric, policy)
         if not by_seed:
             raise KeyError(f"no run of {task}/{protocol}/{learner} has {metric!r} of the {policy} policy")
@@ -100,22 +96,14 @@ class PaperResults:
         return max(row.steps or 0 for row in self.rows if row.task == f"{task}/{protocol}")
 
     def write(self, directory: Path) -> None:
-        """Write both tables.
-
-        Raises:
-            OSError: if a file cannot be written; no file is left half written.
-        """
+        """Write both tables."""
         write_rows(directory / SCORES_FILE, self.rows)
         # Without name and time in the header, equal curves give equal bytes.
         atomic_write(directory / CURVES_FILE, gzip.compress(self.curves.write_csv().encode(), mtime=0))
 
     @classmethod
     def read(cls, study: Study, directory: Path) -> PaperResults:
-        """Read both tables from the directory that :meth:`write` wrote to.
-
-        Raises:
-            ValueError: if a file is missing or broken.
-        """
+        """Read both tables from the directory that :meth:`write` wrote to."""
         try:
             table = gzip.decompress((directory / CURVES_FILE).read_bytes())
             curves = pl.read_csv(table, infer_schema=False)

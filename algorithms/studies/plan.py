@@ -97,9 +97,6 @@ class StudyPlan:
         arms: learners on tasks.
         selected: task and learner of those that are to be trained now.
         idle: what has no effect, one line each: a learner that fits no task, a setting that no learner has.
-
-    Raises:
-        ValueError: naming the arm and what is invalid; for an unknown task or learner, or no arm that is to be trained.
     """
 
     def __init__(
@@ -130,9 +127,6 @@ class StudyPlan:
 
         Args:
             scores: of the runs that have ended, by id; None for those that failed.
-
-        Raises:
-            ValueError: naming the arm and what is invalid.
         """
         return [self._runs_of(arm, scores) for arm in self.arms]
 
@@ -216,11 +210,7 @@ def _mean(scores: Sequence[float | None]) -> float | None:
 
 
 def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str]]:
-    """The arms of a study, and what has no effect.
-
-    Raises:
-        ValueError: for an unknown task of the suite, or a learner without an algorithm or that fits no task.
-    """
+    """The arms of a study, and what has no effect."""
     arms: list[Arm] = []
     unused = {*overrides, *study.help, *(key for task in study.tasks.values() for key in task.help)}
     known: set[str] = set()
@@ -264,11 +254,7 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
 
 
 def _base(learner: Learner, where: str) -> dict[str, Any]:
-    """The sections of a learner's config, with the name of its algorithm.
-
-    Raises:
-        ValueError: if it has no algorithm.
-    """
+    """The sections of a learner's config, with the name of its algorithm."""
     values = {} if learner.config is None else read_mapping(find_config(learner.config))
     section = values.setdefault("algorithm", {})
     if "algorithm.name" in learner.overrides and isinstance(section, dict):
@@ -303,11 +289,7 @@ def _has(entry: AlgorithmEntry, key: str) -> bool:
 
 
 def _metric(study: Study, name: str) -> str:
-    """The metric of a task.
-
-    Raises:
-        ValueError: if there is none, or it names no policy.
-    """
+    """The metric of a task."""
     task = study.tasks[name]
     default = study.metric
     if task.task is not None:

@@ -208,11 +208,6 @@ def run_on_ray(
     """Train the runs as trials of Ray Tune.
 
     As :meth:`algorithms.studies.backends.Backend.train`; with early stopping, finished runs report what they logged.
-
-    Raises:
-        Stopped: if the cluster cannot be reached, or is lost. Ray ends this process itself, with one message and the
-            exit code 1, if it notices the loss first.
-        DiskFull: if there is no space left.
     """
     longest = max(job.experiment.training.total_timesteps for job in jobs)
     asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, longest)
@@ -274,9 +269,6 @@ def _connect(address: str | None, sweep: Path) -> None:
 
     Ray's workers look for packages first in the working directory of this moment; in that of the sweep they find none.
     Elsewhere, too, there may be another package ``algorithms``.
-
-    Raises:
-        Stopped: if the cluster cannot be reached.
     """
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     quiet["runtime_env"] = {"worker_process_setup_hook": "mo_deepdrive.__main__.load_algorithms"}
@@ -296,11 +288,7 @@ def _connect(address: str | None, sweep: Path) -> None:
 
 
 def _check_reachable(address: str) -> None:
-    """Check that something listens at ``host:port``; Ray itself would keep trying for minutes.
-
-    Raises:
-        OSError: if nothing does.
-    """
+    """Check that something listens at ``host:port``; Ray itself would keep trying for minutes."""
     host, _, port = address.rpartition(":")
     if host and port.isdecimal() and "/" not in host:
         socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT).close()

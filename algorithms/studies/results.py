@@ -41,9 +41,6 @@ def results_of(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> lis
         plan: of the study.
         runs: that are known by now.
         directory: of the study.
-
-    Raises:
-        ValueError: if a finished run cannot be read, or has no value of its metric.
     """
     return [row for arm in runs for seed in arm.arm.seeds for row in _rows_of_run(plan, arm, seed, directory)]
 
@@ -86,12 +83,7 @@ def _rows_of_run(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> l
 
 
 def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[StudyTable]:
-    """Write the results of a study into its directory; returns its tables.
-
-    Raises:
-        ValueError: as :func:`results_of`, or if one of the files is a link.
-        OSError: if a file cannot be written; it is then unchanged.
-    """
+    """Write the results of a study into its directory; returns its tables."""
     results = results_of(plan, runs, directory)
     write_rows(own_path(directory, RESULTS_FILE), results)
     if plan.study.tuning is not None:

@@ -153,11 +153,7 @@ class Study(BackendSettings):
 
 
 def load_study(path: str | Path) -> Study:
-    """Read the settings of a study: a YAML file, or the name of a shipped one.
-
-    Raises:
-        ValueError: naming the file and every invalid key; or a config that does not exist, with the places.
-    """
+    """Read the settings of a study: a YAML file, or the name of a shipped one."""
     name, path = str(path), find_config(path)
     given = read_mapping(path)
     if "tasks" not in given:

@@ -93,11 +93,7 @@ class TaskExecutor(submitit.SlurmExecutor):
 
 
 def slurm_folder(sweep: Path) -> Path:
-    """Where the logs of the jobs and the ids of submitted jobs are.
-
-    Raises:
-        ValueError: if a link leads out of the sweep.
-    """
+    """Where the logs of the jobs and the ids of submitted jobs are."""
     return own_path(sweep.resolve(), "slurm")
 
 
@@ -251,11 +247,7 @@ class SlurmQueue:
         self.states: dict[str, str] = {}
 
     def submit(self, jobs: Sequence[Job], settings: BackendSettings) -> None:
-        """Submit runs to Slurm, in as few job arrays as possible.
-
-        Raises:
-            Stopped: if Slurm rejects them.
-        """
+        """Submit runs to Slurm, in as few job arrays as possible."""
         executor, tasks = make_executor(settings, self._sweep), array_tasks(jobs, settings)
         for first in range(0, len(tasks), MAX_ARRAY_TASKS):
             array = tasks[first : first + MAX_ARRAY_TASKS]
@@ -317,10 +309,6 @@ def run_on_slurm(
 
     As :meth:`algorithms.studies.backends.Backend.train`; once ``stop`` returns True, the jobs stay in the queue.
     Without waiting, those of a search that have failed before are returned.
-
-    Raises:
-        ValueError: if Slurm is not installed.
-        Stopped: if Slurm rejects the jobs.
     """
     if shutil.which("sbatch") is None or shutil.which("squeue") is None:
         raise ValueError("--on slurm: Slurm is not installed (sbatch and squeue are not on the PATH)")

@@ -23,11 +23,7 @@ if not PUBLISHED.is_file():
 
 
 def selected_tasks(names: Sequence[str]) -> list[str]:
-    """The tasks of ids, of "core" and of "all" that count; each of them once.
-
-    Raises:
-        ValueError: for an unknown one.
-    """
+    """The tasks of ids, of "core" and of "all" that count; each of them once."""
     tasks = suite.load().tasks
     groups = {CORE: [key for key in tasks if tasks[key].core], ALL: [key for key in tasks if tasks[key].counted]}
     selected = dict.fromkeys(key for name in names for key in groups.get(name, [name]))
@@ -47,9 +43,6 @@ def plan_of(
         tasks: their ids, "core" or "all".
         seeds: number of seeds.
         overrides: as of :class:`algorithms.studies.plan.StudyPlan`.
-
-    Raises:
-        ValueError: naming what is unknown, or has no effect.
     """
     if seeds < 1:
         raise ValueError(f"--seeds {seeds} must be at least 1")

@@ -117,11 +117,7 @@ class Scoreboard:
         return Scores(by_seed | dict.fromkeys(failed, LOWEST), len(failed), unfinished)
 
     def _reference(self, option: str, learner: str | None) -> str:
-        """The learner that others are compared with: the one that is named, or else :data:`BASELINE`, or the first.
-
-        Raises:
-            ValueError: if there are no results of it.
-        """
+        """The learner that others are compared with: the one that is named, or else :data:`BASELINE`, or the first."""
         if learner is not None and learner not in self.learners:
             raise ValueError(f"{option} {learner}: there are no results of it; {nearest(learner, self.learners)}")
         return learner or (BASELINE if BASELINE in self.learners else self.learners[0])
@@ -147,9 +143,6 @@ class Scoreboard:
         Args:
             against: the learner that others are compared with; None for :data:`BASELINE` if it has results on the
                 track, else the first one there.
-
-        Raises:
-            ValueError: if there is no such learner.
         """
         if against is not None:
             self._reference("--against", against)
@@ -194,9 +187,6 @@ class Scoreboard:
         Args:
             baseline: with which the others are compared; None for :data:`BASELINE` if there is one, else the first.
             own: learners that are shown in any case; empty for all.
-
-        Raises:
-            ValueError: if there are no results of the baseline, or no task has results of it and of all of ``own``.
         """
         other = self._reference("--baseline", baseline)
         runs: dict[str, dict[str, dict[int, float]]] = {}  # by task, learner and seed
@@ -228,10 +218,6 @@ class Scoreboard:
         Args:
             path: of the picture.
             labels: what learners are called there, by their names; others by their names.
-
-        Raises:
-            ValueError: if no run has ended, or the ending of the path is not an image format.
-            OSError: if it cannot be written.
         """
         from matplotlib.figure import Figure
 

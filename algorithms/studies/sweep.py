@@ -35,9 +35,6 @@ def expand(settings: SweepSettings, scores: Scores) -> list[ManifestRow]:
         settings: the sweep.
         scores: of the runs that have ended, by id. A search continues from them, so that the last rows are those of
             its unfinished batch.
-
-    Raises:
-        ValueError: naming each invalid cell and its problem, or two cells with the same run.
     """
     bases = {path: read_mapping(find_config(path)) for path in settings.config}
     names = short_names(settings.config)
@@ -100,10 +97,6 @@ def propose_points(
         search: the settings.
         runs_of: called with each trial's number and point (values by key); returns the ids of its runs.
         scores: of the runs that have ended.
-
-    Raises:
-        MissingExtraError: if Optuna is not installed.
-        ValueError: naming the key whose range Optuna rejects.
     """
     with needed_for("a search"):
         import optuna

@@ -28,10 +28,6 @@ def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], war
         output: the image file of the curves.
         print_line: called with every line that describes what was drawn.
         warn: called with a message about everything that is left out.
-
-    Raises:
-        ValueError: if it is not a sweep, or an empty one, no run has any metrics, or the suffix is not an image format.
-        OSError: if a file cannot be written.
     """
     collection = collect(sweep)
     collection.report_problems(warn)
@@ -62,11 +58,7 @@ def best_cells(rankings: Sequence[Ranking]) -> list[Cell]:
 
 
 def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[CurveGroup]:
-    """The curves of the best cells, of those runs that have a score; with several cells of evaluations alone.
-
-    Raises:
-        ValueError: if no run has any metrics.
-    """
+    """The curves of the best cells, of those runs that have a score; with several cells of evaluations alone."""
     cells = best_cells(rankings)
     names = collection.metrics.columns
     wanted = {name for cell in cells for name in drawn(names, cell.experiment)}

@@ -201,11 +201,7 @@ class SweepSettings(BackendSettings):
 
 
 def load_sweep(path: str | Path) -> SweepSettings:
-    """Read the settings of a sweep: a YAML file, or the name of a shipped one.
-
-    Raises:
-        ValueError: naming the file and every invalid key; or a config that does not exist, with the places.
-    """
+    """Read the settings of a sweep: a YAML file, or the name of a shipped one."""
     name, path = str(path), find_config(path)
     what, given = f"sweep {name!r}", read_mapping(path)
     if "algorithm" in given and "config" not in given:
@@ -269,10 +265,6 @@ def replaced_keys(configs: Iterable[str], elsewhere: Mapping[str, str]) -> list[
 
 
 def found_beside(name: str, file: Path) -> str:
-    """``name``, or the path of the config that it names beside the file of a sweep or study.
-
-    Raises:
-        ValueError: if there is no such config.
-    """
+    """``name``, or the path of the config that it names beside the file of a sweep or study."""
     beside = file.parent / name
     return str(beside) if find_config(name, beside=file) == beside else name

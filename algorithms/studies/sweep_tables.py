@@ -78,9 +78,6 @@ def print_sweep(
 
     Returns:
         The scores of all cells, and those by which they are compared.
-
-    Raises:
-        ValueError: if it is not a sweep, or an empty one, or no run has a final evaluation, the metric or a column.
     """
     collection = collect(sweep)
     collection.report_problems(warn)
@@ -216,9 +213,6 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
         metric: such as "greedy/utility_esr" or "stochastic/vehicle_0/success"; without a policy, the first of
             :data:`mo_deepdrive.evaluation.metrics.POLICIES` that has the metric; None for the first of
             :data:`DEFAULT_METRICS` that the runs have.
-
-    Raises:
-        ValueError: if no run has the metric, as :func:`check_metric`.
     """
     comparable: dict[str, list[Cell]] = {}
     for cell in cells:
@@ -264,9 +258,6 @@ def check_metric(metric: str, scores: pl.DataFrame) -> None:
     Args:
         metric: such as "greedy/vehicle_0/success".
         scores: with the columns policy, vehicle and metric.
-
-    Raises:
-        ValueError: as :func:`mo_deepdrive.evaluation.metrics.known_metric`.
     """
     places = scores.select(SCORE_KEYS).unique().sort(SCORE_KEYS).rows()
     shortened = {

@@ -95,11 +95,7 @@ class FrontImprovement:
         return any(after < before for before, after in self.hypervolumes)
 
     def write(self, file: Path) -> int:
-        """Write the front found to ``file``, atomically; its size in characters.
-
-        Raises:
-            OSError: if the file cannot be written; it is then unchanged.
-        """
+        """Write the front found to ``file``, atomically; its size in characters."""
         text = format_front(self.settings.scenario, self.settings.action_type, self.policies)
         atomic_write(file, text.encode())
         return len(text)
@@ -123,9 +119,6 @@ def improve_front(
         shipped: file of the shipped front, which may be missing.
         recordings: of trained runs, from which the search also starts.
         on_progress: called after every generation with the number of decisions simulated.
-
-    Raises:
-        ValueError: if the shipped file is not a front of this action set.
     """
     search = FrontSearch(settings.scenario, settings.action_type, settings.seed)
     evaluator, plan_format = search.evaluator, search.evaluator.format

@@ -90,11 +90,7 @@ def _cell(value: Any) -> str:
 
 
 def drivers(options: argparse.Namespace) -> None:
-    """Write the rows of bounds, or of runs if some are given, in place of those that the file has of them.
-
-    Raises:
-        ValueError: for a run that drives elsewhere.
-    """
+    """Write the rows of bounds, or of runs if some are given, in place of those that the file has of them."""
     tasks = suite.load()
     runs = [Run.open(path) for path in options.runs]
     for run in runs:

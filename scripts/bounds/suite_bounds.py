@@ -121,11 +121,7 @@ class PlannedForPreferences:
 
 
 def ceiling(task_id: str) -> Found:
-    """The ceiling of a task.
-
-    Raises:
-        ValueError: if the plans of a planned one are missing.
-    """
+    """The ceiling of a task."""
     task = suite.load().task(task_id)
     config = task.config()
     if task_id.startswith("K6"):

@@ -51,9 +51,6 @@ def record_run(path: str, scenario: str, action_type: str, episodes: int, *, tru
         action_type: "discrete", "discrete-16" or "continuous".
         episodes: of sampled actions of each policy, after one of greedy actions.
         trust: as for :meth:`Run.open`.
-
-    Raises:
-        ValueError: if there is no such run, its config is not trusted, or it is of another scenario or action set.
     """
     run = Run.open(path, trust=trust)
     settings = run.experiment.environment

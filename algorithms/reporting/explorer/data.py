@@ -212,9 +212,6 @@ def explorable_best_known(name: str) -> ExplorableFront:
 
     Args:
         name: SCENARIO_ACTIONS, such as "one_waypoint_discrete".
-
-    Raises:
-        ValueError: if no such front is shipped.
     """
     scenario_name, _, action_type = name.rpartition("_")
     policies = reference_fronts.shipped(scenario_name, action_type)

@@ -56,11 +56,7 @@ def explorer_page(fronts: Sequence[ExplorableFront], title: str) -> str:
 
 
 def write_page(fronts: Sequence[ExplorableFront], path: str | Path, title: str) -> None:
-    """Write :func:`explorer_page` to a file.
-
-    Raises:
-        OSError: if it cannot be written; it is complete or unchanged.
-    """
+    """Write :func:`explorer_page` to a file."""
     atomic_write(path, explorer_page(fronts, title).encode())
 
 

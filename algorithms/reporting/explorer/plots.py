@@ -73,10 +73,6 @@ def draw_front(
 
     Returns:
         The files.
-
-    Raises:
-        ValueError: if there are fewer than two objectives, or the reference front does not have as many.
-        OSError: if a file cannot be written.
     """
     view = FrontView(front, title)
     d = len(front.objectives)
@@ -461,9 +457,6 @@ class FrontView:
         leading: index of the objective that orders and colours policies.
         importance: (K, d) :func:`importance` of the discounted returns, which determine the front: policies that
             differ in when they arrive alone have the same undiscounted ones.
-
-    Raises:
-        ValueError: if there are fewer than two objectives.
     """
 
     def __init__(self, front: Front, title: str = ""):
