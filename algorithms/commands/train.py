@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def open_runs(options: Namespace) -> tuple[list[Run], Any]:
-    """The new or resumed runs of the command line, and what trains them; several if the experiment has several seeds."""
+    """The new or resumed runs of the command line, one per seed, and what trains them."""
     from algorithms.runs.build import build_trainee
     from algorithms.runs.training import reopen
     from algorithms.studies.manifest import is_sweep

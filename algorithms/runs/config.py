@@ -288,7 +288,7 @@ def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
 
 
 def override(values: dict[str, Any], key: str, value: Any) -> None:
-    """Set ``section.key`` in nested ``values``; a mapping is merged into the existing one, which an empty one clears."""
+    """Set ``section.key`` in nested ``values``; a mapping is merged into the one there, an empty one clears it."""
     *sections, last = key.split(".")
     for depth, name in enumerate(sections):
         if values.get(name) is None:

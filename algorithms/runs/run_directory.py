@@ -254,7 +254,7 @@ def resume_options(paths: Sequence[Path], values: Mapping[str, Any]) -> str:
 
 
 def _refuse_contents(path: Path) -> None:
-    """Refuse the directory of a new run that has something in it; what a killed process left of a new run is nothing."""
+    """Refuse a directory for a new run that has more in it than a killed process left of a new run."""
     names = {entry.name for entry in path.iterdir()}
     started = {LOCK_FILE, VERSIONS_FILE, STATUS_FILE}
     if CONFIG_FILE not in names and all(name in started or is_temporary(Path(name)) for name in names):
