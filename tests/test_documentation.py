@@ -229,7 +229,7 @@ def test_a_command_is_understood_by_its_program(
     if words[0].startswith("docs/examples/"):
         assert words[1:] == [], "examples take no arguments"
         return
-    assert words[0] in COMMANDS or re.fullmatch(r"scripts/\w+\.py", words[0])
+    assert words[0] in COMMANDS or re.fullmatch(r"scripts/(bounds/)?\w+\.py", words[0])
     parsed = parse(words, monkeypatch)
     config = getattr(parsed.options, "config", None)
     keys = [key for key, _ in parse_overrides(parsed.others)]
