@@ -5,7 +5,6 @@ What becomes of a run that ends with an error is decided for all of them by :fun
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
     from algorithms.runs.dashboard import Dashboard
     from algorithms.runs.jobs import Job
-    from algorithms.studies.sweep_settings import BackendSettings, Resources
+    from algorithms.studies.settings import PlanSettings, Resources
 
 WORKER_MEMORY = GIB / 4  # bytes of a process that trains, without its rollouts
 
@@ -41,22 +40,19 @@ class Backend:
     def train(
         self,
         jobs: Sequence[Job],
-        settings: BackendSettings,
+        settings: PlanSettings,
         directory: Path,
         monitor: Dashboard,
         stop: Callable[[], bool],
     ) -> dict[Job, str]:
-        """Train the runs.
+        """Train the runs that are not done; returns those that failed, each with its reason.
 
         Args:
-            jobs: the runs; finished ones are skipped.
+            jobs: the runs.
             settings: of the sweep or study.
             directory: of the sweep or study, which all machines must see under the same path.
             monitor: shows the progress.
             stop: called several times a second; once it returns True, what is under way is saved and this returns.
-
-        Returns:
-            The jobs that failed, each with its reason.
 
         Raises:
             ValueError: if the backend is not available, or the given workers take more memory than there is.
@@ -85,11 +81,11 @@ class Backend:
         smallest = min((job.experiment for job in jobs), key=lambda experiment: experiment.training.num_envs)
         num_envs = smallest.training.num_envs
         memory = WORKER_MEMORY + training_memory(smallest, num_envs)
-        if self.workers is not None:
-            workers = min(self.workers, len(jobs))
-            check_memory(f"--workers {workers} with training.num_envs = {num_envs}", workers * memory)
-            return workers
-        return max(1, math.floor(min(available_cores() / resources.cpus, available_memory() / memory)))
+        if self.workers is None:
+            return max(1, int(min(available_cores() / resources.cpus, available_memory() / memory)))
+        workers = min(self.workers, len(jobs))
+        check_memory(f"--workers {workers} with training.num_envs = {num_envs}", workers * memory)
+        return workers
 
     def after_interrupt(self, directory: Path) -> str:
         """What the user can do after an interrupt."""
@@ -99,7 +95,6 @@ class Backend:
 
         queue = SlurmQueue(directory)
         queue.refresh()
-        cancel = queue.cancel_command()
-        if cancel is None:
-            return "no job is in Slurm's queue: the same command submits the runs that are not done"
-        return f"the jobs stay in Slurm's queue: the same command watches them again, `{cancel}` cancels them"
+        if cancel := queue.cancel_command():
+            return f"the jobs stay in Slurm's queue: the same command watches them again, `{cancel}` cancels them"
+        return "no job is in Slurm's queue: the same command submits the runs that are not done"

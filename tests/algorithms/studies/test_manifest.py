@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import datetime
 import json
+import math
 import os
 import random
 import re
@@ -22,13 +23,14 @@ from algorithms.runs.config import make_experiment
 from algorithms.studies.manifest import (
     FILE,
     ManifestRow,
+    Scores,
     label,
     read_manifest,
     run_id,
     write_manifest,
 )
-from algorithms.studies.sweep import expand
-from algorithms.studies.sweep_settings import load_sweep
+from algorithms.studies.plan import SweepPlan
+from algorithms.studies.settings import load_sweep
 from mo_deepdrive.support.extras import MissingExtraError
 from tests.helpers.short_runs import VALUES
 from tests.helpers.sweep_files import run_sweep, write_sweep
@@ -37,9 +39,24 @@ RATE = "algorithm.learning_rate"
 METRIC = "greedy/utility_esr"
 
 
-def expanded(folder: Path, scores: Mapping[str, float | None] | None = None, **settings: Any) -> list[ManifestRow]:
+class KnownScores(Scores):
+    """Scores by the ids of runs."""
+
+    def __init__(self, known: Mapping[str, float] | None = None):
+        self._known = known or {}
+
+    def of(self, row: ManifestRow, metric: str) -> float | None:
+        return self._known.get(row.id, math.nan)
+
+
+def expanded(folder: Path, scores: Mapping[str, float] | None = None, **settings: Any) -> list[ManifestRow]:
     """The runs of a sweep."""
-    return expand(load_sweep(write_sweep(folder, **settings)), scores or {})
+    return rows_of(write_sweep(folder, **settings), scores)
+
+
+def rows_of(file: Path | str, scores: Mapping[str, float] | None = None) -> list[ManifestRow]:
+    """The runs of a sweep's file."""
+    return SweepPlan(load_sweep(file)).rows(KnownScores(scores))
 
 
 def refused_cells(folder: Path, **settings: Any) -> str:
@@ -61,12 +78,12 @@ def test_the_manifest_is_the_same_in_another_directory_and_process(
 ) -> None:
     settings = {"grid": {RATE: [0.001, 0.003], "algorithm.steps": [8, 16]}, "seeds": 2}
     file = write_sweep(tmp_path, **settings)
-    here = b"".join(row.line() for row in expand(load_sweep(file), {}))
+    here = b"".join(row.line() for row in rows_of(file))
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     shutil.copy(file, elsewhere)
     monkeypatch.chdir(elsewhere)
-    assert b"".join(row.line() for row in expand(load_sweep("short.yaml"), {})) == here
+    assert b"".join(row.line() for row in rows_of("short.yaml")) == here
     write_yaml(tmp_path / "base.yaml", dict(reversed(VALUES.items())))
     environment = {**os.environ, "PYTHONHASHSEED": "7"}
     done = run_sweep(elsewhere / "short.yaml", "--on", "manifest", "--output", "made", environment=environment)
@@ -97,7 +114,7 @@ def test_the_manifest_does_not_depend_on_the_order_of_keys_in_a_base_config(
     found = set()
     for number in range(8):
         write_yaml(tmp_path / "base.yaml", reordered({**VALUES, "utility": utility}, random.Random(number)))
-        found.add(tuple(row.line() for row in expand(load_sweep(file), {})))
+        found.add(tuple(row.line() for row in rows_of(file)))
     assert len(found) == 1
 
 
@@ -110,7 +127,7 @@ def test_cells_are_in_the_order_of_the_file_and_seeds_in_order_within_each_cell(
         "seeds": [5, 1],
     }
     write_yaml(tmp_path / "second.yaml", {**VALUES, "algorithm": {**VALUES["algorithm"], "gamma": 0.5}})
-    rows = expand(load_sweep(write_yaml(tmp_path / "sweep.yaml", settings)), {})
+    rows = rows_of(write_yaml(tmp_path / "sweep.yaml", settings))
     assert [(*row.cell.values(), row.seed) for row in rows] == [
         (name, envs, rate, seed)
         for name in ("second", "first")
@@ -355,7 +372,7 @@ def test_a_search_adds_its_points_to_every_cell_of_the_grid(tmp_path: Path) -> N
     for row in rows:
         assert row.config["algorithm"]["learning_rate"] == row.cell[RATE]
         assert row.config["algorithm"]["steps"] == row.cell["algorithm.steps"]
-    scores: dict[str, float | None] = {row.id: 1.0 for row in rows if row.cell["algorithm.steps"] == 16}
+    scores = {row.id: 1.0 for row in rows if row.cell["algorithm.steps"] == 16}
     more = expanded(tmp_path, scores, **settings)
     assert [(row.cell["algorithm.steps"], row.trial) for row in more if row.seed == 0] == [
         *((8, trial) for trial in range(3)),
