@@ -114,8 +114,7 @@ def run_command(
         finish: what follows after training, and instead of it with --tables.
     """
     from algorithms.runs.console import make_console, print_line
-    from algorithms.studies.backends import Backend
-    from algorithms.studies.execution import Runner, progress, verify
+    from algorithms.studies.execution import Backend, Runner, progress, verify
 
     console = make_console()
     try:

@@ -1,10 +1,15 @@
-"""Train the runs of a plan in a directory, batch after batch where scores decide which are next; verify them."""
+"""Train the runs of a plan in a directory, batch after batch where scores decide which are next; verify them.
+
+They are trained on this machine, on Ray (:mod:`.ray_tune`) or on Slurm (:mod:`.slurm`). What becomes of a run that ends
+with an error is decided for all of them by :func:`algorithms.runs.jobs.verdict`.
+"""
 
 from __future__ import annotations
 
 import math
 import shutil
 import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +25,7 @@ from algorithms.studies.manifest import Scores, is_sweep, read_manifest, write_m
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import EVALUATION, known_metric
 from mo_deepdrive.support.atomic_io import own_path, write_json
+from mo_deepdrive.support.machine import GIB, available_cores, available_memory, check_memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,44 +34,103 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.runs.jobs import Job
-    from algorithms.studies.backends import Backend
     from algorithms.studies.manifest import ManifestRow
     from algorithms.studies.plan import Plan
+    from algorithms.studies.settings import PlanSettings, Resources
+
+
+WORKER_MEMORY = GIB / 4  # bytes of a process that trains, without its rollouts
+
+
+@dataclass(frozen=True)
+class Backend:
+    """What trains runs.
+
+    Attributes:
+        name: "local" for worker processes on this machine, "ray", "slurm", or "manifest" to only write the manifest.
+        workers: maximum number of concurrent runs (local, Ray); None for as many as there are cores or resources for.
+        address: of a running Ray cluster, or "auto"; None starts Ray in this process.
+        wait: whether to wait for the jobs after submitting them (Slurm).
+    """
+
+    name: str = "local"
+    workers: int | None = None
+    address: str | None = None
+    wait: bool = True
+
+    def train(
+        self,
+        jobs: Sequence[Job],
+        settings: PlanSettings,
+        directory: Path,
+        monitor: Dashboard,
+        stop: Callable[[], bool],
+    ) -> dict[Job, str]:
+        """Train the runs that are not done; returns those that failed, each with its reason.
+
+        All machines must see ``directory``, that of the sweep, under the same path. ``stop`` is called several times a
+        second; once it returns True, what is under way is saved and this returns. A backend that cannot continue, for
+        example because the disk is full, raises Stopped.
+        """
+        # What trains is imported now, because it takes seconds; Ray and submitit are optional dependencies, too.
+        if self.name == "ray":
+            from algorithms.studies.ray_tune import run_on_ray
+
+            return run_on_ray(jobs, settings, directory, monitor, stop=stop, address=self.address, workers=self.workers)
+        if self.name == "slurm":
+            from algorithms.studies.slurm import run_on_slurm
+
+            return run_on_slurm(jobs, settings, directory, monitor, stop=stop, wait=self.wait)
+        from algorithms.runs.worker_pool import perform_all
+
+        workers = self._local_workers([job for job in jobs if not job.done], settings.resources)
+        return perform_all(jobs, workers, monitor, retries=settings.retries, stop=stop)
+
+    def _local_workers(self, jobs: Sequence[Job], resources: Resources) -> int:
+        """The number of worker processes: the given one, or as many as there are cores and memory for."""
+        from algorithms.runs.build import training_memory
+
+        if not jobs:  # another process has just finished the last one
+            return 1
+        smallest = min((job.experiment for job in jobs), key=lambda experiment: experiment.training.num_envs)
+        num_envs = smallest.training.num_envs
+        memory = WORKER_MEMORY + training_memory(smallest, num_envs)
+        if self.workers is None:
+            return max(1, int(min(available_cores() / resources.cpus, available_memory() / memory)))
+        workers = min(self.workers, len(jobs))
+        check_memory(f"--workers {workers} with training.num_envs = {num_envs}", workers * memory)
+        return workers
+
+    def after_interrupt(self, directory: Path) -> str:
+        """What the user can do after an interrupt."""
+        if self.name != "slurm":
+            return "the runs in progress are saved: the same command resumes them"
+        from algorithms.studies.slurm import SlurmQueue
+
+        queue = SlurmQueue(directory)
+        queue.refresh()
+        if cancel := queue.cancel_command():
+            return f"the jobs stay in Slurm's queue: the same command watches them again, `{cancel}` cancels them"
+        return "no job is in Slurm's queue: the same command submits the runs that are not done"
 
 
 class Runner(Scores):
-    """Trains the runs of a plan; it knows the scores of those in its directory, by which the plan chooses others.
-
-    Args:
-        plan: of a sweep or study.
-        directory: has the manifest and the run directories.
-        backend: what trains the runs.
-        console: shows the progress.
-    """
+    """Trains the runs of a plan; it knows the scores of those in its directory, by which the plan chooses others."""
 
     def __init__(self, plan: Plan, directory: Path, backend: Backend, console: Console):
-        self._plan = plan
-        self._directory = directory
-        self._backend = backend
-        self._console = console
+        self._plan, self._directory = plan, directory
+        self._backend, self._console = backend, console
         self._failed: dict[Job, str] = {}
         self._listed = read_manifest(directory) if is_sweep(directory) else []
 
     def run(self) -> int:
         """Train all runs that are not done; with the backend "manifest", only list them.
 
-        Returns:
-            The exit code: 0 if all runs are done, or submitted without waiting; 1 if some failed; 128 plus the number
-            of the signal that interrupted the training.
-
-        Raises:
-            ValueError: for an invalid plan, or if the backend is not available.
-            OSError: if the manifest cannot be written.
-            Stopped: if the backend cannot continue, for example because the disk is full.
+        Returns the exit code: 0 if all runs are done, or submitted without waiting; 1 if some failed; 128 plus the
+        number of the signal that interrupted the training.
         """
         if self._backend.name == "manifest":
-            rows = self._expand()
-            self._announce()
+            rows = self._begin()
             print(f"{write_manifest(self._directory, rows)}: {len(rows)} runs")
             return 0
         with Interrupts() as interrupts:
@@ -108,14 +173,19 @@ class Runner(Scores):
 
     def settle(self, earlier: Sequence[ManifestRow], later: Sequence[ManifestRow]) -> bool:
         """As of the base class: runs that failed before count if those were made that were chosen without them."""
-        jobs = {row.job(self._directory): read_status(self._directory / row.directory) for row in earlier}
-        before = {job: str(status.get("reason")) for job, status in jobs.items() if status.get("state") == "failed"}
-        if before.keys() <= self._failed.keys():
-            return True
-        settled = {row.id for row in later} <= {row.id for row in self._listed}
+        statuses = {row.job(self._directory): read_status(self._directory / row.directory) for row in earlier}
+        before = {job: str(status.get("reason")) for job, status in statuses.items() if status.get("state") == "failed"}
+        settled = before.keys() <= self._failed.keys() or {row.id for row in later} <= {row.id for row in self._listed}
         if settled:
             self._failed = before | self._failed
         return settled
+
+    def _begin(self) -> list[ManifestRow]:
+        """The runs that are known at the beginning, after what is to be said before anything is trained."""
+        rows = self._expand()
+        for line in self._plan.announcement():
+            self._say(line)
+        return rows
 
     def _expand(self) -> list[ManifestRow]:
         """The runs that are known by now: of what is wanted, and what the manifest has of the rest."""
@@ -134,14 +204,9 @@ class Runner(Scores):
                 f"{next(iter(before.values()))}, is in this one; choose another directory, or delete that sweep"
             )
 
-    def _announce(self) -> None:
-        for line in self._plan.announcement():
-            self._say(line)
-
     def _train(self, stop: Callable[[], bool]) -> list[Job]:
         """Train the runs, batch after batch; returns all of them, whether they succeeded or not."""
-        rows = self._expand()
-        self._announce()
+        rows = self._begin()
         while True:
             if removed := len({row.id for row in self._listed} - {row.id for row in rows}):
                 self._say(
@@ -187,14 +252,9 @@ def read_score(run: Path, metric: str) -> float | None:
 
 
 def verify(sweep: Path, say: Callable[[str], None]) -> list[tuple[ManifestRow, list[str]]]:
-    """Compare all files of the finished runs of a sweep with their recorded sizes and hashes.
+    """Compare the files of the finished runs with their recorded sizes and hashes; returns what is broken, by run.
 
-    Args:
-        sweep: its directory.
-        say: called with a line about each run that is broken, and with a summary.
-
-    Returns:
-        The broken runs, each with what is broken.
+    ``say`` is called with a line about each run that is broken, and with a summary.
     """
     finished = [row for row in read_manifest(sweep) if read_status(sweep / row.directory).get("state") == "finished"]
     broken = [(row, problems) for row in finished if (problems := changed_files(sweep / row.directory))]

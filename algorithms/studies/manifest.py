@@ -125,15 +125,10 @@ def cell_rows(
     metric: str | None = None,
     build_once: bool = True,
 ) -> list[ManifestRow]:
-    """The rows of one cell, one per seed.
+    """The rows of one cell, one per seed, with ``values`` as the sections of their experiments.
 
-    Args:
-        cell: the varied values, by key.
-        values: the sections of the experiment.
-        seeds: of the runs.
-        trial: number of the settings that are tried, which must be scored on the validation split; None if none are.
-        metric: of the final evaluation, which the experiment must have; None to check none.
-        build_once: build the agent, to check that it can be built.
+    Settings that are tried, as number ``trial``, must be scored on the validation split. The final evaluation must have
+    the metric, if one is given; ``build_once`` checks that the agent can be built.
     """
     where = f"cell [{label(cell)}]"
     experiment = make_experiment(overridden(values, {"training.seed": seeds[0]}, cell), where, here=False)

@@ -16,9 +16,8 @@ import polars as pl
 from algorithms.runs.accessories import sole_purpose
 from algorithms.runs.shipped import CONFIGS
 from algorithms.studies import FIGURES
-from algorithms.studies.backends import Backend
 from algorithms.studies.collection import collect
-from algorithms.studies.execution import Runner
+from algorithms.studies.execution import Backend, Runner
 from algorithms.studies.manifest import overridden
 from algorithms.studies.paper_claims import (
     CLAIMS,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from itertools import count, product
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from mo_deepdrive.support.names import nearest, nearest_few
 from mo_deepdrive.support.yaml import read_mapping
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Mapping, Sequence
+    from collections.abc import Generator, Iterable, Mapping, Sequence
 
     import optuna
 
@@ -48,9 +48,8 @@ MAX_PROBLEMS = 5  # invalid cells that an error message lists
 class Plan(ABC):
     """The runs of a sweep or study."""
 
-    settings: PlanSettings
-
-    def __init__(self) -> None:
+    def __init__(self, settings: PlanSettings) -> None:
+        self.settings = settings
         self._cells: dict[str, list[ManifestRow]] = {}
 
     @abstractmethod
@@ -81,15 +80,21 @@ class Plan(ABC):
         return self._cells[key]
 
 
+def _once(rows: Iterable[ManifestRow]) -> list[ManifestRow]:
+    """The first row of every run."""
+    by_id: dict[str, ManifestRow] = {}
+    for row in rows:
+        by_id.setdefault(row.id, row)
+    return list(by_id.values())
+
+
 # ------------------------------------------------------------------------------------------------------------- a sweep
 
 
 class SweepPlan(Plan):
     """The cells of a sweep, each of which may have a search."""
 
-    def __init__(self, settings: SweepSettings):
-        super().__init__()
-        self.settings: SweepSettings = settings
+    settings: SweepSettings
 
     def rows(self, scores: Scores) -> list[ManifestRow]:
         """As of the base class; all invalid cells are refused together."""
@@ -134,28 +139,24 @@ class SweepPlan(Plan):
         evaluation = values.get("evaluation")
         if not isinstance(evaluation, dict) or "split" not in evaluation:
             values = overridden(values, {"evaluation.split": "validation"}, cell)
-        rows: dict[str, ManifestRow] = {}
-        before: list[ManifestRow] = []
+        by_point: list[list[ManifestRow]] = []
         means: list[float | None] | None = None
-        proposals, trials = propose_points(search), count()
+        proposals, first = propose_points(search), 0
         while points := proposals.send(means):
             batch = []
-            for point in points:
-                trial = next(trials)
+            for trial, point in enumerate(points, len(by_point)):
                 keys = {**cell, **point}
-                metric = None if trial else search.metric
-                batch.append(
-                    self._cell(keys, overridden(values, point, keys), self.settings.seeds, trial, metric=metric)
-                )
-            of_batch = [row for of_point in batch for row in of_point]
-            if not scores.settle(before, of_batch):
+                sections, metric = overridden(values, point, keys), None if trial else search.metric
+                batch.append(self._cell(keys, sections, self.settings.seeds, trial, metric=metric))
+            earlier, later = ([row for rows in points for row in rows] for points in (by_point[first:], batch))
+            if not scores.settle(earlier, later):
                 break
-            for row in of_batch:
-                rows.setdefault(row.id, row)  # a search may choose a point twice
-            means, before = [scores.mean(of_point, search.metric) for of_point in batch], of_batch
+            first = len(by_point)
+            by_point += batch
+            means = [scores.mean(rows, search.metric) for rows in batch]
             if any(mean is not None and math.isnan(mean) for mean in means):
                 break
-        return list(rows.values())
+        return _once(row for rows in by_point for row in rows)  # a search may choose a point twice
 
 
 def propose_points(search: SearchSettings) -> Generator[list[dict[str, Any]], list[float | None] | None, None]:
@@ -187,11 +188,12 @@ def _distribution(key: str, values: SearchRange) -> optuna.distributions.BaseDis
 
     if values.choices is not None:
         return CategoricalDistribution(values.choices)
-    low, high, step = values.low, values.high, values.step
+    bounds: tuple[Any, Any] = values.low, values.high  # not None: checked by the settings
+    step: Any = values.step
     try:
-        if all(isinstance(number, int) for number in (low, high, step or 1)):
-            return IntDistribution(low, high, log=values.log, step=1 if step is None else step)
-        return FloatDistribution(low, high, log=values.log, step=step)
+        if all(isinstance(number, int) for number in (*bounds, step or 1)):
+            return IntDistribution(*bounds, log=values.log, step=1 if step is None else step)
+        return FloatDistribution(*bounds, log=values.log, step=step)
     except ValueError as error:
         raise ValueError(f"search.space.{key}: {error}") from None
 
@@ -201,16 +203,9 @@ def _distribution(key: str, values: SearchRange) -> optuna.distributions.BaseDis
 
 @dataclass(frozen=True)
 class Arm:
-    """A learner on a task.
+    """A learner on a task: the sections of its experiment, and the points, values by key, that are tried for it.
 
-    Attributes:
-        task, learner: their names.
-        label: of the learner.
-        metric: of the final evaluation, by which settings are chosen and learners are compared.
-        values: the sections of the experiment.
-        points: the settings that are tried, values by key; none if the study does not tune.
-        tuning_share: of a run's steps, in which they are tried.
-        seeds: that count.
+    Settings are chosen and learners are compared by ``metric``, of the final evaluation.
     """
 
     task: str
@@ -230,14 +225,11 @@ class Arm:
 
 @dataclass(frozen=True)
 class ArmRuns:
-    """The runs of an arm that are known by now.
+    """The runs of an arm that are known by now: those of every point of its tuning, and the final ones, which count.
 
     Attributes:
-        arm: whose they are.
-        tuning: one per tuning seed of every point.
-        scores: mean score of every point; None if a run of it failed, NaN if one has not ended.
+        scores: the mean of every point; None if a run of it failed, NaN if one has not ended.
         chosen: index of the best point; None while it is not known, or if the study does not tune.
-        final: those that count; none while the settings are not chosen.
     """
 
     arm: Arm
@@ -258,12 +250,9 @@ class ArmRuns:
 
 
 class StudyPlan(Plan):
-    """The arms of a study.
+    """The arms of a study, all or those of some tasks and learners.
 
     Args:
-        study: its settings.
-        tasks: of the arms that are to be trained now; None for all.
-        learners: of these arms; None for all.
         overrides: values of experiment keys for every learner that has them, which count for more than those of the
             study and of the learners.
 
@@ -280,8 +269,8 @@ class StudyPlan(Plan):
         learners: Sequence[str] | None = None,
         overrides: Mapping[str, Any] | None = None,
     ):
-        super().__init__()
-        self.settings = self.study = study
+        super().__init__(study)
+        self.study = study
         self.arms, self.idle = _arms(study, overrides or {})
         for option, given, i in (("--tasks", tasks, 0), ("--learners", learners, 1)):
             known = dict.fromkeys(arm.key[i] for arm in self.arms)
@@ -311,10 +300,7 @@ class StudyPlan(Plan):
         arms = sorted(self.runs(scores), key=lambda runs: runs.arm.key not in self.selected)
         self._check_columns([runs.rows[0] for runs in arms])
         tuning = [row for arm in arms for rows in arm.tuning for row in rows]
-        by_id: dict[str, ManifestRow] = {}
-        for row in [*tuning, *(row for arm in arms for row in arm.final)]:
-            by_id.setdefault(row.id, row)
-        return list(by_id.values())
+        return _once([*tuning, *(row for arm in arms for row in arm.final)])
 
     def announcement(self) -> list[str]:
         """As of the base class: all runs of the arms that are to be trained now, in a line."""

@@ -196,7 +196,7 @@ def run_on_ray(
 ) -> dict[Job, str]:
     """Train the runs as trials of Ray Tune.
 
-    As :meth:`algorithms.studies.backends.Backend.train`; with early stopping, finished runs report what they logged.
+    As :meth:`algorithms.studies.execution.Backend.train`; with early stopping, finished runs report what they logged.
     """
     longest = max(job.experiment.training.total_timesteps for job in jobs)
     asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, longest)

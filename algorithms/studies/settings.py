@@ -34,16 +34,6 @@ def _as_seeds(value: Any) -> Any:
     return list(range(value)) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
-def _as_configs(value: Any) -> Any:
-    """A single config file is short for a list of one."""
-    return [value] if isinstance(value, str) else value
-
-
-def _as_range(value: Any) -> Any:
-    """A list is short for ``choices``."""
-    return {"choices": value} if isinstance(value, list) else value
-
-
 def _as_tasks(value: Any) -> Any:
     """A list is short for tasks of the suite."""
     if not isinstance(value, list):
@@ -53,10 +43,7 @@ def _as_tasks(value: Any) -> Any:
     return {name: {"task": name} for name in value}
 
 
-T = TypeVar("T", int, str)
-
-
-def _distinct(values: list[T]) -> list[T]:
+def _distinct(values: list[Any]) -> list[Any]:
     if len(set(values)) < len(values):
         raise ValueError("it has a duplicate")
     return values
@@ -169,6 +156,11 @@ class SearchRange(Settings):
     choices: Annotated[list[Any] | None, Field(min_length=1)] = None
     """The values themselves, instead of an interval."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_choices(cls, value: Any) -> Any:
+        return {"choices": value} if isinstance(value, list) else value
+
     @model_validator(mode="after")
     def _check(self) -> SearchRange:
         if self.choices is not None and self.model_fields_set != {"choices"}:
@@ -181,7 +173,7 @@ class SearchRange(Settings):
 class SearchSettings(Settings):
     """A hyperparameter search with Optuna."""
 
-    space: dict[str, Annotated[SearchRange, BeforeValidator(_as_range)]] = Field(min_length=1)
+    space: dict[str, SearchRange] = Field(min_length=1)
     """The values of each key; a list is short for ``choices``."""
     metric: str
     """The objective, a metric of the final evaluation such as "greedy/utility_esr", "stochastic/success" or
@@ -208,7 +200,12 @@ class SearchSettings(Settings):
 class SweepSettings(PlanSettings):
     """A sweep: a base experiment, what varies, and the resources of each run."""
 
-    config: Annotated[list[str], BeforeValidator(_as_configs), Field(min_length=1), AfterValidator(_distinct)]
+    config: Annotated[
+        list[str],
+        BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
+        Field(min_length=1),
+        AfterValidator(_distinct),
+    ]
     """YAML file of the base experiment, relative to the working directory or to the folder of the sweep's own file, or
     the name of a shipped one; a list is the outermost dimension of the grid."""
     grid: Values = {}

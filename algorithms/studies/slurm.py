@@ -255,7 +255,7 @@ def run_on_slurm(
 ) -> dict[Job, str]:
     """Submit the runs that are neither done nor already submitted, and wait for all runs.
 
-    As :meth:`algorithms.studies.backends.Backend.train`; once ``stop`` returns True, the jobs stay in the queue.
+    As :meth:`algorithms.studies.execution.Backend.train`; once ``stop`` returns True, the jobs stay in the queue.
     Without waiting, those of a search that have failed before are returned.
     """
     if shutil.which("sbatch") is None or shutil.which("squeue") is None:

@@ -15,8 +15,7 @@ import pytest
 from rich.console import Console
 
 from algorithms.runs.jobs import Job
-from algorithms.studies.backends import Backend
-from algorithms.studies.execution import Runner
+from algorithms.studies.execution import Backend, Runner
 from algorithms.studies.manifest import read_manifest
 from algorithms.studies.plan import SweepPlan
 from algorithms.studies.settings import load_sweep

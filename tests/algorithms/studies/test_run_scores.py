@@ -75,22 +75,18 @@ def test_an_unknown_metric_is_refused_with_the_nearest_ones(finished: Job, prune
         assert METRIC in str(error.value)
 
 
-def test_a_changed_evaluation_is_refused(finished: Job, tmp_path: Path) -> None:
-    changed = shutil.copytree(finished.path, tmp_path / "changed")
-    path = changed / "evaluation.json"
-    path.write_text(path.read_text() + "\n")
-    with pytest.raises(ValueError, match=f"cannot use {changed}: evaluation.json: .*; --remake makes it again"):
-        read_score(changed, METRIC)
-
-
 def test_results_that_cannot_be_read_are_refused_with_what_to_do(finished: Job, pruned: Job, tmp_path: Path) -> None:
     (pruned.path / "metrics.csv").write_text("\n")
-    unreadable = replace(finished, path=tmp_path / "finished")
-    unreadable.path.mkdir()
-    (unreadable.path / "status.json").write_text('{"state": "finished"}')
-    (unreadable.path / "evaluation.json").write_text("{")
-    for wanted, fault in ((pruned, "has no column 'step'"), (unreadable, "is not a final evaluation")):
-        with pytest.raises(
-            ValueError, match=f"cannot use {wanted.path}: .*{fault}.*; delete it, and it is made again$"
-        ):
-            read_score(wanted.path, METRIC)
+    unreadable, changed = (tmp_path / name for name in ("unreadable", "changed"))
+    unreadable.mkdir()
+    (unreadable / "status.json").write_text('{"state": "finished"}')
+    (unreadable / "evaluation.json").write_text("{")
+    shutil.copytree(finished.path, changed)
+    (changed / "evaluation.json").write_text((changed / "evaluation.json").read_text() + "\n")
+    for path, fault in (
+        (pruned.path, ".*has no column 'step'.*; delete it, and it is made again"),
+        (unreadable, ".*is not a final evaluation.*; delete it, and it is made again"),
+        (changed, "evaluation.json: .*; --remake makes it again"),
+    ):
+        with pytest.raises(ValueError, match=f"cannot use {path}: {fault}$"):
+            read_score(path, METRIC)

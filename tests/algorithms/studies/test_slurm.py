@@ -26,8 +26,7 @@ from pathlib import Path
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
 from algorithms.studies import slurm
-from algorithms.studies.backends import Backend
-from algorithms.studies.execution import Runner
+from algorithms.studies.execution import Backend, Runner
 from algorithms.studies.manifest import Scores, read_manifest
 from algorithms.studies.plan import SweepPlan
 from algorithms.studies.settings import SweepSettings, load_sweep
@@ -128,13 +127,6 @@ def test_a_task_requests_the_resources_of_all_its_concurrent_runs(tmp_path: Path
     assert wanted["additional_parameters"] == {"requeue": True, "nice": 1}
     assert "partition" not in wanted
     assert "mem" not in slurm.sbatch_options(load_sweep(write_sweep(tmp_path)), "name")
-
-
-def test_several_tasks_are_an_array_and_one_is_not(tmp_path: Path) -> None:
-    settings = load_sweep(write_sweep(tmp_path))
-    assert "#SBATCH --array=0-2%" in slurm.batch_script(3, settings, tmp_path)
-    assert "#SBATCH --array=0-1%" in slurm.batch_script(2, settings, tmp_path)
-    assert "--array" not in slurm.batch_script(1, settings, tmp_path)
 
 
 def test_a_task_imports_the_package_even_where_the_working_directory_has_one_of_its_name(tmp_path: Path) -> None:
@@ -285,11 +277,11 @@ def test_after_an_interrupt_the_command_that_cancels_the_jobs_is_shown_if_there_
     assert Backend("slurm").after_interrupt(tmp_path) == message
 
 
-def test_a_dry_run_prints_the_script_of_the_first_array(
+def test_a_dry_run_prints_the_script_of_the_first_array_if_there_are_several_tasks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(slurm, "MAX_ARRAY_TASKS", 3)
-    settings = load_sweep(write_sweep(tmp_path, grid={}, seeds=4))
-    sweep = Runner(SweepPlan(settings), tmp_path / "sweep", Backend("slurm"), quiet())
-    assert sweep.print_batch_script() == 0
-    assert "#SBATCH --array=0-2%3\n" in capsys.readouterr().out
+    for seeds in (1, 4):
+        settings = load_sweep(write_sweep(tmp_path, grid={}, seeds=seeds))
+        assert Runner(SweepPlan(settings), tmp_path / "sweep", Backend("slurm"), quiet()).print_batch_script() == 0
+        assert ("#SBATCH --array=0-2%3\n" in capsys.readouterr().out) == (seeds > 1)

@@ -17,8 +17,7 @@ from rich.console import Console
 
 from algorithms.commands.study import main, write_tables
 from algorithms.runs.jobs import Job
-from algorithms.studies.backends import Backend
-from algorithms.studies.execution import Runner
+from algorithms.studies.execution import Backend, Runner
 from algorithms.studies.manifest import Scores, read_manifest
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.settings import load_study
