@@ -20,7 +20,7 @@ from algorithms.runs.shipped import find_config
 from algorithms.studies.manifest import ManifestRow, Scores, cell_rows, overridden, refuse_duplicates, short_names
 from algorithms.studies.settings import ELSEWHERE, SEED_KEYS, learners_in, replaced_keys
 from mo_deepdrive import suite
-from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
+from mo_deepdrive.evaluation.metrics import SUITE_SCORE, lower_is_better
 from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.support.names import nearest, nearest_few
 from mo_deepdrive.support.yaml import read_mapping
@@ -441,6 +441,4 @@ def _metric(study: Study, name: str) -> str:
     metric = task.metric or default
     if metric is None:
         raise ValueError(f"task {name!r} has no metric; give one to it or to the study")
-    if not split_name(metric).policy:
-        raise ValueError(f"task {name!r}: metric = {metric!r} must begin with a policy, one of {', '.join(POLICIES)}")
     return metric

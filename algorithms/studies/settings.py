@@ -442,12 +442,7 @@ def tried_keys(values: Mapping[str, list[Any]]) -> list[str]:
 
 
 def key_problems(places: Mapping[str, list[str]], elsewhere: Mapping[str, str]) -> list[str]:
-    """What is wrong with the experiment keys in a file, one line each: they are set elsewhere, or twice in a place.
-
-    Args:
-        places: the keys of every place in the file.
-        elsewhere: the keys that are set elsewhere, and where.
-    """
+    """What is wrong with the keys of every place in a file, one line each: set elsewhere, or twice in a place."""
     problems = []
     for place, keys in places.items():
         problems += [f"{key!r} in {place}: {elsewhere[key]}" for key in dict.fromkeys(keys) if key in elsewhere]

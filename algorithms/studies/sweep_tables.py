@@ -155,9 +155,8 @@ class Ranking(NamedTuple):
     """Cells whose scores are comparable, ranked: same environment, utility, discount and reference point.
 
     Attributes:
-        title: environment and utility as text.
-        policy, vehicle, metric: the score that the cells are ranked by. The vehicle is "" for one vehicle, or all
-            together, and TOTAL for the sum over vehicles; all three are "" if no run has a score.
+        policy, vehicle, metric: the score that the cells are ranked by; the vehicle is "" for one vehicle, or all
+            together, and TOTAL for the sum over vehicles. All three are "" if no run has a score.
         cells: best first, then those without a score.
         ranked: the means of the former.
         scores: by run id.
