@@ -402,12 +402,10 @@ def load_study(path: str | Path) -> Study:
 def _load(model: type[P], kind: str, path: str | Path) -> P:
     name, path = str(path), find_config(path)
     values = read_mapping(path)
-    other, (command, _) = next(
-        ((key, value) for key, value in COMMANDS.items() if value[1] in values), (kind, ("", ""))
-    )
-    if other != kind:
-        article = "an" if other == "experiment" else "a"
-        raise ValueError(f"{name!r} is the file of {article} {other}; mo-deepdrive {command} --config {name} trains it")
+    actual = next((other for other, (_, key) in COMMANDS.items() if key in values), kind)
+    if actual != kind:
+        command = f"mo-deepdrive {COMMANDS[actual][0]} --config {name}"
+        raise ValueError(f"{name!r} is the file of a{'n' * (actual[0] == 'e')} {actual}; {command} trains it")
     return parse(model, _with_paths(values, path), f"{kind} {name!r}")
 
 
