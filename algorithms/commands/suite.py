@@ -20,7 +20,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from algorithms.commands.study import add_study_arguments, study_runner
+from algorithms.commands.study import STUDY_OPTIONS, write_tables
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import run_command
 from algorithms.runs.cli import TRUST, check_file, exit_on_error, make_parser
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from algorithms.runs.suite_entries import Entry
+    from algorithms.studies.plan import StudyPlan
     from mo_deepdrive.suite import Row
 
 
@@ -77,7 +78,8 @@ def parse_arguments(arguments: list[str]) -> Namespace:
     tasks = f"their ids, {CORE} (the default), or {ALL} that count"
     run.add_argument("--tasks", nargs="+", action="extend", metavar="TASK", help=tasks)
     run.add_argument("--seeds", type=int, default=10, metavar="N", help="seeds of each task (default: %(default)s)")
-    add_study_arguments(run)
+    for option in STUDY_OPTIONS:
+        option.add_to(run)
 
     table = add("table", "normalised scores per task and learner, and per track", suite_table)
     results = "of a study (default: the reference results)"
@@ -266,9 +268,13 @@ def suite_run(options: Namespace) -> int:
     from algorithms.studies.suite_plan import plan_of
 
     overrides = dict(parse_overrides(options.overrides))
-    make = study_runner(lambda: plan_of(options.learner, options.tasks or [CORE], options.seeds, overrides), options)
     name = "-".join(["suite", *short_names(options.learner).values()]).replace("/", "-")
-    return run_command(options, options.output or Path("runs") / "studies" / name, make)
+    directory = options.output or Path("runs") / "studies" / name
+
+    def make_plan() -> StudyPlan:
+        return plan_of(options.learner, options.tasks or [CORE], options.seeds, overrides)
+
+    return run_command(options, directory, make_plan, write_tables)
 
 
 # ------------------------------------------------------------------------------------------------------------- table

@@ -68,18 +68,6 @@ def test_rllibs_checker_passes(config: dict[str, Any]) -> None:
     check_multiagent_environments(DrivingMultiAgentEnv(config))
 
 
-def test_spaces_and_objectives_are_those_of_the_parallel_environment() -> None:
-    options = {"scenario": "static_obstacle", "action_type": "continuous", "objectives": ["jerk", "distance"]}
-    weights = {"name": "linear", "arguments": {"weights": [0.1, 1.0]}}
-    env, parallel = DrivingMultiAgentEnv({**options, "utility": weights}), DrivingParallelEnv(**options)
-    assert env.possible_agents == parallel.possible_agents == ["vehicle_0"]
-    assert env.objectives == parallel.objectives == ("jerk", "distance")
-    for agent in env.possible_agents:
-        assert env.get_observation_space(agent) == parallel.observation_space(agent)
-        assert env.get_action_space(agent) == parallel.action_space(agent)
-        assert env.reward_spaces[agent] == parallel.reward_space(agent)
-
-
 @pytest.mark.parametrize("config", CONFIGS)
 def test_the_reward_is_the_utility_of_the_vector_reward(config: dict[str, Any]) -> None:
     env = DrivingMultiAgentEnv(config)
