@@ -267,6 +267,14 @@ def check_directory(option: str, path: str | Path | None) -> None:
         raise ValueError(f"{option} {str(path)!r}: {str(existing)!r} is not a directory")
 
 
+def check_at_least(options: argparse.Namespace, least: int, *names: str) -> None:
+    """Refuse, with a ValueError, options below ``least``; those that are None were not given."""
+    for name in names:
+        value = getattr(options, name)
+        if value is not None and value < least:
+            raise ValueError(f"--{name} {value} must be at least {least}")
+
+
 def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> dict[str, float]:
     """Parse ``["distance=1", "jerk=0.1"]``, values of an ``option``, as a mapping."""
     numbers: dict[str, float] = {}

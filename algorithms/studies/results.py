@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import astuple, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import polars as pl
 
 from algorithms.reporting.run_records import experiment_record, read_evaluation
 from algorithms.reporting.tables import markdown
@@ -32,6 +34,15 @@ FINISHED, WAITING = "finished", "waiting"
 NOTE = (
     "Means over seeds with 95% bootstrap intervals. Runs that failed or are not finished have no score and are counted."
 )
+
+
+ROW_TYPES = {"str": pl.String, "int": pl.Int64, "float": pl.Float64}
+
+
+def frame_of(rows: Sequence[Row]) -> pl.DataFrame:
+    """The rows as a data frame, with a column for each attribute."""
+    schema = {field.name: ROW_TYPES[str(field.type).partition(" ")[0]] for field in fields(Row)}
+    return pl.DataFrame([astuple(row) for row in rows], schema, orient="row")
 
 
 def results_of(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[Row]:

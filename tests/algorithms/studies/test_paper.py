@@ -143,7 +143,7 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     assert {(row.task, row.learner, row.seed, row.policy) for row in found.rows} == {
         (*arm_of(row), row.seed, policy) for row in rows for policy in ("greedy", "stochastic")
     }
-    curves = found.learning_curves("one_waypoint_linear", "best", "a2c")
+    curves = found.tasks["one_waypoint_linear"]["best"].learning_curves("a2c")
     assert [curve["step"][-1] for curve in curves] == [800, 800]
     (results / "reproduction.md").unlink()
     code, _, _ = call("--claim", "1", "--redraw", "--output", "out")
