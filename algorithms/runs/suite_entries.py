@@ -17,7 +17,7 @@ from mo_deepdrive.evaluation.env_adapter import find_spec
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE, split_name
 from mo_deepdrive.evaluation.splits import SPLITS
-from mo_deepdrive.suite.scoring import FAILED
+from mo_deepdrive.suite.results import FAILED
 from mo_deepdrive.support.atomic_io import write_json
 from mo_deepdrive.support.importing import failure, import_named
 from mo_deepdrive.support.names import nearest

@@ -19,7 +19,7 @@ from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE
 from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.suite import Row, write_rows
-from mo_deepdrive.suite.scoring import FAILED
+from mo_deepdrive.suite.results import FAILED
 from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, own_path
 
 if TYPE_CHECKING:

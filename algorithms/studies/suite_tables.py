@@ -17,8 +17,8 @@ from mo_deepdrive.evaluation.statistics import (
     mean,
     mean_difference,
 )
+from mo_deepdrive.suite.results import FAILED
 from mo_deepdrive.suite.scorers import SCORE
-from mo_deepdrive.suite.scoring import FAILED
 from mo_deepdrive.suite.tasks import LOWEST
 from mo_deepdrive.support.names import nearest
 
