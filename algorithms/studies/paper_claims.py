@@ -1,6 +1,7 @@
-"""The paper's claims and the criteria that decide them, which were fixed before the runs were trained.
+"""Whether results reproduce the paper's claims, which are in ``paper_claims.yaml`` with the criteria that decide them.
 
-The one exception is the rule that learning curves must be flat, which was added afterwards (docs/reproduction.md).
+The claims were fixed before the runs were trained; the one exception is the rule that learning curves must be flat,
+which was added afterwards (docs/reproduction.md).
 
 A criterion is decided by a 95% bootstrap interval over seeds: it passes, fails, or is inconclusive if the interval
 contains the limit. If training stopped before the learning curves were flat (:func:`is_settled`), it is inconclusive
@@ -12,23 +13,15 @@ is the policy that actor-critics optimise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+import yaml
 
-from algorithms.studies.paper_results import BASELINE, FRONT_LEARNER, FRONT_TASK, LABELS, MULTI_OBJECTIVE
-from mo_deepdrive.evaluation.metrics import (
-    CARDINALITY,
-    FRONT,
-    HIGHEST_DISTANCE,
-    HYPERVOLUME,
-    LOWEST_DISTANCE,
-    STOCHASTIC,
-    SUCCESS,
-    return_of,
-)
+from algorithms.studies.paper_results import BASELINE, FRONT_LEARNER, LABELS, MULTI_OBJECTIVE
+from mo_deepdrive.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS, return_of
 from mo_deepdrive.evaluation.statistics import (
     Estimate,
     iqm,
@@ -38,6 +31,7 @@ from mo_deepdrive.evaluation.statistics import (
     spread_ratio,
     spread_ratio_power,
 )
+from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -46,22 +40,10 @@ if TYPE_CHECKING:
 
     from algorithms.studies.paper_results import PaperResults, TaskResults
 
-# Limits of the criteria.
-SOLVED, LEARNED, FAILED = 0.95, 0.5, 0.05  # success rates
 SIMILAR = 0.05  # relative to the baseline's utility
 FLAT = 0.05  # gain at the end of training, relative to the score that is reached
 RATIOS = (0.5, 0.25)  # true ratios of deviations, for which the power of the test is reported
 MIN_EVALUATIONS = 5  # of a learning curve, to tell whether it is flat
-
-Conclusion = Literal["reproduced", "not reproduced", "inconclusive"]
-
-
-class Measured(NamedTuple):
-    """What is measured, with its text; limits are in multiples of the unit."""
-
-    estimate: Estimate
-    text: str
-    unit: float = 1.0
 
 
 class Check(NamedTuple):
@@ -76,38 +58,10 @@ class Check(NamedTuple):
     stopped_at: int | None = None
 
 
-@dataclass(frozen=True)
-class Criterion:
-    """That what is measured of a task lies between two limits.
-
-    Attributes:
-        task: its name, without the protocol.
-        text: the criterion in words.
-        measure: raises KeyError if results are missing.
-        above, below: the limits.
-        lasting: the answer that longer training could only confirm; None if it could change both.
-    """
-
-    task: str
-    text: str
-    measure: Callable[[TaskResults], Measured]
-    above: float = -inf
-    below: float = inf
-    lasting: bool | None = None
-
-    def check(self, results: TaskResults) -> Check:
-        """Apply it to results of its task."""
-        estimate, measured, unit = self.measure(results)
-        passed = is_between(estimate, unit * self.above, unit * self.below)
-        if passed is None or passed is self.lasting or is_settled(results):
-            return Check(self.text, measured, passed)
-        return Check(self.text, measured, None, results.steps)
-
-
 class Verdict(NamedTuple):
     """Whether a claim is reproduced under a protocol, and the checks that decide it."""
 
-    conclusion: Conclusion
+    conclusion: Literal["reproduced", "not reproduced", "inconclusive"]
     checks: tuple[Check, ...]
 
     @property
@@ -118,14 +72,44 @@ class Verdict(NamedTuple):
         return f"{self.conclusion}: stopped at {max(steps):,} steps" if early else self.conclusion
 
 
-@dataclass(frozen=True)
-class Claim:
-    """A claim of the paper: its number, the paper's figures, the claim in words, and the criteria that decide it."""
+class Criterion(Settings):
+    """That what is measured of a task lies between two limits."""
+
+    text: str
+    """The criterion in words."""
+    task: str
+    """The name of the task, without the protocol."""
+    measure: Literal["success", "progress", "difference", "relative_difference", "deviations", "front"]
+    """What is measured, a key of :data:`MEASURES`."""
+    of: str = ""
+    """The learner, or the metric of the front."""
+    above: float = -inf
+    """The lower limit."""
+    below: float = inf
+    """The upper limit."""
+    lasting: bool | None = None
+    """The answer that longer training could only confirm; None if it could change both."""
+
+    def check(self, results: TaskResults) -> Check:
+        """Apply it to results of its task; KeyError if some are missing."""
+        estimate, measured, unit = MEASURES[self.measure](results, self.of)
+        passed = is_between(estimate, unit * self.above, unit * self.below)
+        if passed is None or passed is self.lasting or is_settled(results):
+            return Check(self.text, measured, passed)
+        return Check(self.text, measured, None, results.steps)
+
+
+class Claim(Settings):
+    """A claim of the paper."""
 
     number: int
-    figures: tuple[int, ...]
+    """As in the documentation."""
     statement: str
-    criteria: Sequence[Criterion]
+    """The claim in words."""
+    figures: list[int]
+    """The figures of the paper that show it."""
+    criteria: list[Criterion]
+    """What decides it."""
 
     @property
     def tasks(self) -> list[str]:
@@ -138,9 +122,10 @@ class Claim:
             checks = tuple(criterion.check(results.tasks[criterion.task][protocol]) for criterion in self.criteria)
         except KeyError:
             return None
-        passed = [check.passed for check in checks]
-        conclusion: Conclusion = "inconclusive" if None in passed else "reproduced"
-        return Verdict("not reproduced" if False in passed else conclusion, checks)
+        passed = {check.passed for check in checks}
+        return Verdict(
+            "not reproduced" if False in passed else "inconclusive" if None in passed else "reproduced", checks
+        )
 
     def verdicts(self, results: PaperResults) -> dict[str, Verdict]:
         """The verdicts by protocol; only protocols with results for all tasks."""
@@ -148,15 +133,13 @@ class Claim:
         return {protocol: verdict for protocol, verdict in judged.items() if verdict is not None}
 
 
+CLAIMS = [Claim(**claim) for claim in yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8"))]
+
+
 def compare(results: TaskResults) -> tuple[Estimate, Estimate, Estimate, Estimate]:
     """Utilities of A2C and MO-A2C: interquartile means over seeds, their difference, P(a run of MO-A2C is higher)."""
     first, second = (results.values(learner, results.utility) for learner in LABELS)
     return iqm(first), iqm(second), iqm_difference(second, first), probability_of_improvement(second, first)
-
-
-def utility_kind(task: str) -> str:
-    """Either "linear" or "non-linear"."""
-    return "non-linear" if task.endswith("nonlinear") else "linear"
 
 
 def is_settled(results: TaskResults) -> bool:
@@ -169,7 +152,7 @@ def is_settled(results: TaskResults) -> bool:
     name = f"{FRONT}/{HYPERVOLUME}" if results.is_front else f"{STOCHASTIC}/{results.utility}"
     return all(
         _is_flat([curve[name] for curve in results.learning_curves(learner) if name in curve])
-        for learner in ((FRONT_LEARNER,) if results.is_front else (BASELINE, MULTI_OBJECTIVE))
+        for learner in ((FRONT_LEARNER,) if results.is_front else LABELS)
     )
 
 
@@ -203,125 +186,50 @@ def percent(estimate: Estimate) -> str:
     return f"{shown(Estimate(100.0 * estimate.value, *bounds))}%"
 
 
-# ---------------------------------------------------------------------------------------------------------- criteria
+# ------------------------------------------------------------------------------------------------------------ measures
+# Each gives an estimate, its text, and the unit of the limits that it is compared with.
+
+Measured = tuple[Estimate, str, float]
 
 
-def _arrives(task: str, learner: str, *, above: float = -inf, below: float = inf) -> Criterion:
-    """The share of episodes in which the vehicle, or all vehicles, arrive is above or below a limit."""
-    limit = f"above {above:.0%}" if above > -inf else f"below {below:.0%}"
-    which = f" ({utility_kind(task)} utility)" if task.startswith("intersection") else ""
-
-    def measure(results: TaskResults) -> Measured:
-        rate = iqm(results.values(learner, SUCCESS))
-        return Measured(rate, f"success rate {percent(rate)}")
-
-    text = f"{LABELS[learner]}: success rate {limit}{which}"
-    return Criterion(task, text, measure, above, below, lasting=above > -inf)
+def _success(results: TaskResults, learner: str) -> Measured:
+    rate = iqm(results.values(learner, SUCCESS))
+    return rate, f"success rate {percent(rate)}", 1.0
 
 
-def _progress_of_baseline(results: TaskResults) -> Measured:
-    progress = iqm(results.values(BASELINE, return_of("distance")))
-    return Measured(progress, f"progress {shown(progress)} m")
+def _progress(results: TaskResults, learner: str) -> Measured:
+    progress = iqm(results.values(learner, return_of("distance")))
+    return progress, f"progress {shown(progress)} m", 1.0
 
 
-def _relative_difference(results: TaskResults) -> Measured:
-    baseline, _, difference, _ = compare(results)
-    utility = abs(baseline.value)
-    return Measured(difference, f"difference {shown(difference)}, {SIMILAR:.0%} is {SIMILAR * utility:.2g}", utility)
-
-
-def _difference(results: TaskResults) -> Measured:
+def _difference(results: TaskResults, _: str) -> Measured:
     difference = compare(results)[2]
-    return Measured(difference, f"difference {shown(difference)}")
+    return difference, f"difference {shown(difference)}", 1.0
 
 
-def _deviations(results: TaskResults) -> Measured:
+def _relative_difference(results: TaskResults, _: str) -> Measured:
+    baseline, difference = compare(results)[::2]
+    unit = abs(baseline.value)
+    return difference, f"difference {shown(difference)}, {SIMILAR:.0%} is {SIMILAR * unit:.2g}", unit
+
+
+def _deviations(results: TaskResults, _: str) -> Measured:
     first, second = (results.values(learner, results.utility) for learner in (MULTI_OBJECTIVE, BASELINE))
     ratio, runs = spread_ratio(first, second), min(len(first), len(second))
     powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
-    return Measured(ratio, f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}")
+    return ratio, f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}", 1.0
 
 
-def _similar(task: str) -> Criterion:
-    text = f"the utilities differ by less than {SIMILAR:.0%}"
-    return Criterion(task, text, _relative_difference, -SIMILAR, SIMILAR)
+def _front(results: TaskResults, metric: str) -> Measured:
+    score = iqm(results.values(FRONT_LEARNER, metric, FRONT))
+    return score, shown(score) + ("" if metric == CARDINALITY else " m"), 1.0
 
 
-def _higher(task: str) -> Criterion:
-    return Criterion(task, "MO-A2C has the higher utility", _difference, above=0.0)
-
-
-def _front(metric: str, unit: str, text: str, **limits: float) -> Criterion:
-    """A metric of PCN's front, which longer training broadens, is on the right side of a limit."""
-
-    def measure(results: TaskResults) -> Measured:
-        score = iqm(results.values(FRONT_LEARNER, metric, FRONT))
-        return Measured(score, shown(score) + unit)
-
-    return Criterion(FRONT_TASK, text, measure, lasting=True, **limits)
-
-
-CLAIMS = (
-    Claim(
-        1,
-        (4,),
-        "OneWaypoint, linear utility: A2C and MO-A2C both solve it, with similar utility (fig. 4a)",
-        [
-            _arrives("one_waypoint_linear", BASELINE, above=SOLVED),
-            _arrives("one_waypoint_linear", MULTI_OBJECTIVE, above=SOLVED),
-            _similar("one_waypoint_linear"),
-        ],
-    ),
-    Claim(
-        2,
-        (4,),
-        "OneWaypoint, non-linear utility: MO-A2C reaches a higher utility, more consistently (fig. 4b)",
-        [
-            _higher("one_waypoint_nonlinear"),
-            Criterion("one_waypoint_nonlinear", "MO-A2C varies less between seeds", _deviations, below=1.0),
-        ],
-    ),
-    Claim(
-        3,
-        (5,),
-        "StaticObstacle, linear utility: A2C and MO-A2C reach similar utility (fig. 5a)",
-        [_similar("static_obstacle_linear")],
-    ),
-    Claim(
-        4,
-        (5,),
-        "StaticObstacle, non-linear utility: MO-A2C learns; A2C does not, and moves away from the destination "
-        "(fig. 5b)",
-        [
-            _arrives("static_obstacle_nonlinear", MULTI_OBJECTIVE, above=LEARNED),
-            _arrives("static_obstacle_nonlinear", BASELINE, below=LEARNED),
-            Criterion(
-                "static_obstacle_nonlinear", "A2C moves away from the destination", _progress_of_baseline, below=0.0
-            ),
-        ],
-    ),
-    Claim(
-        5,
-        (6, 8, 9),
-        "Intersection: independent learners of both kinds fail; MO-A2C fails less badly under the non-linear utility "
-        "(fig. 6, 8, 9)",
-        [
-            *(
-                _arrives(task, learner, below=FAILED)
-                for task in ("intersection_linear", "intersection_nonlinear")
-                for learner in (BASELINE, MULTI_OBJECTIVE)
-            ),
-            _higher("intersection_nonlinear"),
-        ],
-    ),
-    Claim(
-        6,
-        (7, 10),
-        "OneWaypoint, unknown utility: PCN finds a broad range of behaviours (fig. 7, 10)",
-        [
-            _front(CARDINALITY, "", "over 10 non-dominated policies", above=10),
-            _front(LOWEST_DISTANCE, " m", "some policy progresses less than 1 m", below=1.0),  # it stands still
-            _front(HIGHEST_DISTANCE, " m", "some policy progresses over 10 m", above=10.0),  # it nearly arrives
-        ],
-    ),
-)
+MEASURES: dict[str, Callable[[TaskResults, str], Measured]] = {
+    "success": _success,
+    "progress": _progress,
+    "difference": _difference,
+    "relative_difference": _relative_difference,
+    "deviations": _deviations,
+    "front": _front,
+}

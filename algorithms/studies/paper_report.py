@@ -11,15 +11,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
-from rich.box import SIMPLE_HEAD
-from rich.table import Column, Table
-from rich.text import Text
 
 from algorithms.reporting.curves import curve
 from algorithms.reporting.explorer.plots import draw_front
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
-from algorithms.reporting.tables import markdown
-from algorithms.studies.paper_claims import CLAIMS, Claim, compare, percent, shown, utility_kind
+from algorithms.reporting.tables import markdown, print_rows
+from algorithms.studies.paper_claims import CLAIMS, Claim, compare, percent, shown
 from algorithms.studies.paper_results import FRONT_LEARNER, LABELS
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.metrics import (
@@ -167,7 +164,7 @@ def _draw_panel(axis: Axes, results: TaskResults, metric: str) -> None:
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(6))
     axis.margins(x=0.015)
-    axis.set_title(f"{utility_kind(results.task).capitalize()} utility\n{results.titles[1]}", fontsize=9.5)
+    axis.set_title(f"{results.utility_kind.capitalize()} utility\n{results.titles[1]}", fontsize=9.5)
 
 
 def _draw_fronts(number: int, path: Path) -> list[Path]:
@@ -199,10 +196,7 @@ def print_verdicts(results: PaperResults, console: Console, *, quick: bool = Fal
     """Print the verdicts: a table per claim."""
     for claim in CLAIMS:
         if rows := _verdict_rows(claim, results, quick=quick):
-            table = Table(*(Column(name, overflow="fold") for name in VERDICT_COLUMNS), box=SIMPLE_HEAD)
-            for row in rows:
-                table.add_row(*(Text(cell.replace(" [", "\n[")) for cell in row))  # intervals below their values
-            console.print(Text(f"{claim.number}. {claim.statement}", style="bold"), table)
+            print_rows(console, [[*VERDICT_COLUMNS], *rows], f"{claim.number}. {claim.statement}", 1)
 
 
 def _verdict_rows(claim: Claim, results: PaperResults, *, quick: bool) -> Rows:
@@ -212,7 +206,7 @@ def _verdict_rows(claim: Claim, results: PaperResults, *, quick: bool) -> Rows:
         conclusion = "not judged" if quick else verdict.text
         for task in claim.tasks:
             of_task = results.tasks[task][protocol]
-            which = f" ({utility_kind(task)})" if len(claim.tasks) > 1 else ""
+            which = f" ({of_task.utility_kind})" if len(claim.tasks) > 1 else ""
             if of_task.is_front:
                 count = iqm(of_task.values(FRONT_LEARNER, CARDINALITY, FRONT))
                 effect = ["", "", f"PCN: {count.text()} non-dominated policies", ""]

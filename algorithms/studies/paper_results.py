@@ -71,6 +71,11 @@ class TaskResults:
         return TOTAL_UTILITY_ESR if self.vehicles > 1 else UTILITY_ESR
 
     @property
+    def utility_kind(self) -> str:
+        """Either "linear" or "non-linear"."""
+        return "non-linear" if self.task.endswith("nonlinear") else "linear"
+
+    @property
     def titles(self) -> tuple[str, str]:
         """The titles of the task and of the protocol."""
         title, _, conditions = (self.study.tasks[self.key].title or "").partition(": ")

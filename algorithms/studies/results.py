@@ -13,10 +13,10 @@ import polars as pl
 from algorithms.reporting.run_records import experiment_record, read_evaluation
 from algorithms.reporting.tables import markdown
 from algorithms.runs.run_directory import read_status
+from algorithms.runs.suite_entries import rows_of
 from algorithms.studies.manifest import label
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
-from mo_deepdrive.evaluation.metrics import SUITE
 from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.suite import Row, write_rows
 from mo_deepdrive.suite.results import FAILED
@@ -34,9 +34,7 @@ FINISHED, WAITING = "finished", "waiting"
 NOTE = (
     "Means over seeds with 95% bootstrap intervals. Runs that failed or are not finished have no score and are counted."
 )
-
-
-ROW_TYPES = {"str": pl.String, "int": pl.Int64, "float": pl.Float64}
+ROW_TYPES = {"str": pl.String, "int": pl.Int64, "FiniteFloat": pl.Float64}
 
 
 def frame_of(rows: Sequence[Row]) -> pl.DataFrame:
@@ -83,14 +81,7 @@ def _rows_of_run(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> l
             f"run {str(path)!r} was scored as version {version} of the suite, which is now {suite.load().version}; "
             f"delete its {EVALUATION_FILE}, and --remake scores it again"
         )
-    shown = {arm.arm.metric.partition("/")[2], *plan.study.columns}
-    rows = []
-    for name, score in evaluation.scores.items():
-        policy, _, metric = name.partition("/")
-        if metric in shown or metric.startswith(SUITE):
-            numbers = (score.value, score.low, score.high)
-            rows.append(Row(*key, policy, metric.removeprefix(SUITE), *numbers, version=version or 0, **about))
-    return rows
+    return rows_of(evaluation, key, arm.arm.metric.partition("/")[2], *plan.study.columns, **about)
 
 
 def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[StudyTable]:

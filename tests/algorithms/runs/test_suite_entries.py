@@ -49,7 +49,7 @@ def experiment(task_id: str, arguments: dict[str, Any] | None = None, **training
         (
             "K5",
             {"arguments": {"yield_to_oncoming": True}},
-            r"not trained on task K5: yield_to_oncoming = True \(not",
+            r"not trained on task K5: environment.arguments.yield_to_oncoming = True \(not",
         ),
         ("K2", {"arguments": {"action_type": "discrete"}}, "action_type = 'discrete'"),
         ("K1", {"total_timesteps": 100_000_000}, "trained for 100,000,000 environment steps; task K1 allows 3,000,000"),

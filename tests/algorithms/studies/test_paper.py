@@ -264,4 +264,4 @@ def test_a_report_of_some_tasks_omits_the_others_and_a_quick_one_judges_nothing(
     console = Console(width=100, record=True)
     print_verdicts(results, console)
     shown = " ".join(console.export_text().split())
-    assert "best effort 10.00 10.00 0.00 0.50 reproduced [9.99, 10.01] [9.99, 10.01]" in shown
+    assert "10.00 [9.99, 10.01] 10.00 [9.99, 10.01] 0.00 [-0.01, 0.01] 0.50 [0.14, 0.86] reproduced" in shown
