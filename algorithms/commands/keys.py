@@ -16,8 +16,7 @@ from algorithms.runs import cli
 from algorithms.runs.config import load_experiment
 from algorithms.runs.key_listing import Key, differing_values, experiment_keys, model_keys
 from algorithms.runs.registry import agent_class, algorithm_names, find_algorithm
-from algorithms.studies.settings import Learner, Study, StudyTask
-from algorithms.studies.sweep_settings import SweepSettings
+from algorithms.studies.settings import Learner, Study, StudyTask, SweepSettings
 
 if TYPE_CHECKING:
     from argparse import Namespace

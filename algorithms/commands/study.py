@@ -15,63 +15,48 @@ results.csv (a row per number of a run), tuning.csv and results.md.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
-from algorithms.commands.sweep import add_run_arguments, run_command
-from algorithms.runs.cli import make_parser, refuse_beside
+from algorithms.commands.sweep import directory_of, run_command, run_options
+from algorithms.runs.cli import Command, flag, many, option
 
 if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-    from collections.abc import Callable
+    from argparse import Namespace
+    from pathlib import Path
 
     from rich.console import Console
 
-    from algorithms.studies.backends import Backend
     from algorithms.studies.execution import Runner
     from algorithms.studies.plan import StudyPlan
 
-
-def add_study_arguments(parser: ArgumentParser) -> None:
-    """The options of what trains a study."""
-    instead = add_run_arguments(parser, "study")
-    instead.add_argument("--tables", action="store_true", help="write the tables of what has finished")
+STUDY_OPTIONS = run_options("study", flag("--tables", "write the tables of what has finished"))
 
 
-def parse_arguments(arguments: list[str]) -> Namespace:
-    """The options."""
-    parser = make_parser(__doc__, "study")
-    parser.add_argument("--config", metavar="FILE", help="YAML file of the study, or the name of a shipped one")
-    parser.add_argument(
-        "--tasks", nargs="+", action="extend", metavar="TASK", help="train on some of its tasks (default: all)"
-    )
-    parser.add_argument(
-        "--learners", nargs="+", action="extend", metavar="NAME", help="train some of its learners (default: all)"
-    )
-    add_study_arguments(parser)
-    options = parser.parse_args(arguments)
-    if options.config is None and not ((options.status or options.verify) and options.output):
-        parser.error("--config is required, except for --status and --verify with --output")
-    if options.status or options.verify:
-        refuse_beside(parser, options, "--status" if options.status else "--verify", "tasks", "learners")
-    return options
+def write_tables(plan: StudyPlan, runner: Runner, directory: Path, console: Console) -> None:
+    """Write and print the tables: of the arms that were selected, and of others that were begun before."""
+    from algorithms.reporting.tables import print_rows
+    from algorithms.runs.console import print_line
+    from algorithms.runs.run_directory import is_run
+    from algorithms.studies.manifest import is_sweep
+    from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, write_results
+
+    if not is_sweep(directory):
+        raise ValueError(f"there is no study in {str(directory)!r} yet; leave out --tables to train its runs")
+    runs = [
+        arm
+        for arm in plan.runs(runner)
+        if arm.arm.key in plan.selected or any(is_run(directory / row.directory) for row in arm.rows)
+    ]
+    for table in write_results(plan, runs, directory):
+        print_rows(console, table.rows, table.title, 1)
+        console.print(table.to_cite, highlight=False)
+    console.print(NOTE, highlight=False)
+    print_line(console, f"written: {directory / RESULTS_FILE}, {directory / TABLES_FILE}")
 
 
-def study_runner(make_plan: Callable[[], StudyPlan], options: Namespace) -> Callable[..., Runner]:
-    """What makes the runner of a study for :func:`run_command`."""
-
-    def make(directory: Path, backend: Backend, console: Console) -> Runner:
-        from algorithms.studies.runner import StudyRunner
-
-        return StudyRunner(make_plan(), directory, backend, console, train=not options.tables)
-
-    return make
-
-
-def main(arguments: list[str]) -> int:
-    """Run the command line ``arguments`` and return the exit code."""
-    options = parse_arguments(arguments)
+def train_study(options: Namespace) -> int:
+    """Do what the options say; returns the exit code."""
 
     def make_plan() -> StudyPlan:
         from algorithms.studies.plan import StudyPlan
@@ -82,5 +67,17 @@ def main(arguments: list[str]) -> int:
             raise ValueError(f"invalid study {options.config!r}: {'; '.join(plan.idle)}")
         return plan
 
-    directory = options.output or Path("runs") / "studies" / Path(options.config).stem
-    return run_command(options, directory, study_runner(make_plan, options))
+    directory = directory_of(options, "studies")
+    for name in ("tasks", "learners"):
+        if (options.status or options.verify) and getattr(options, name):
+            raise ValueError(f"--{name} has no effect beside {'--status' if options.status else '--verify'}")
+    return run_command(options, directory, make_plan, write_tables)
+
+
+OPTIONS = (
+    option("--config", "FILE", "YAML file of the study, or the name of a shipped one"),
+    many("--tasks", "TASK", "train on some of its tasks (default: all)"),
+    many("--learners", "NAME", "train some of its learners (default: all)"),
+    *STUDY_OPTIONS,
+)
+main = Command("study", __doc__, OPTIONS, train_study)

@@ -19,7 +19,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.commands.study import add_study_arguments, study_runner
+from algorithms.commands.study import STUDY_OPTIONS, write_tables
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import run_command
 from algorithms.runs.cli import TRUST, Command, CommandGroup, check_at_least, check_file, flag, many, option
@@ -27,7 +27,9 @@ from algorithms.runs.config import parse_overrides
 from algorithms.studies import ALL, CORE, REFERENCE
 
 if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
+    from argparse import Namespace
+
+    from algorithms.studies.plan import StudyPlan
 
 
 def suite_list(_options: Namespace) -> int:
@@ -44,8 +46,8 @@ def suite_list(_options: Namespace) -> int:
     table = Table(*columns, title="The suite")
     for name, task in suite.load().tasks.items():
         track = task.track if task.counted else "(not counted)"
-        bounds = f"{task.floor.value:.4g}", f"{task.ceiling.value:.4g}", task.ceiling.kind
         about = f"{task.steps / 1e6:g} M", f"{minutes[name]:.1f}" if name in minutes else ""
+        bounds = f"{task.floor.value:.4g}", f"{task.ceiling.value:.4g}", task.ceiling.kind
         table.add_row(f"{name}{' *' if task.core else ''}", track, task.title, *about, *bounds, task.tests)
     version = suite.load().version
     table.caption = f"version {version}; * of the core subset; minutes of one core, the median of published runs"
@@ -144,9 +146,12 @@ def suite_run(options: Namespace) -> int:
     from algorithms.studies.suite_plan import plan_of
 
     overrides = dict(parse_overrides(options.overrides))
-    make = study_runner(lambda: plan_of(options.learner, options.tasks or [CORE], options.seeds, overrides), options)
     name = "-".join(["suite", *short_names(options.learner).values()]).replace("/", "-")
-    return run_command(options, options.output or Path("runs") / "studies" / name, make)
+
+    def make_plan() -> StudyPlan:
+        return plan_of(options.learner, options.tasks or [CORE], options.seeds, overrides)
+
+    return run_command(options, options.output or Path("runs") / "studies" / name, make_plan, write_tables)
 
 
 def suite_table(options: Namespace) -> int:
@@ -196,14 +201,6 @@ def suite_table(options: Namespace) -> int:
     return 0
 
 
-class StudyOptions:
-    """The options of what trains a study, among those of a command."""
-
-    def add_to(self, parser: ArgumentParser) -> None:
-        """Add them to a parser."""
-        add_study_arguments(parser)
-
-
 POLICY = "a run, a policy of the zoo, policy.py, policy.py:name or package.module:name; a class is made of a task's id"
 LEARNER = (
     "YAML file with an algorithm, the name of a shipped one, an own package.module:Class, or a learner of the "
@@ -227,7 +224,7 @@ RUN_OPTIONS = (
     many("--learner", "L", LEARNER, required=True),
     many("--tasks", "TASK", f"their ids, {CORE} (the default), or {ALL} that count"),
     option("--seeds", "N", "seeds of each task (default: %(default)s)", type=int, default=10),
-    StudyOptions(),
+    *STUDY_OPTIONS,
 )
 TABLE_OPTIONS = (
     option("results", "RESULTS.csv", "of a study (default: the reference results)", nargs="?", type=Path),

@@ -18,21 +18,22 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from algorithms.runs.cli import PROCESS_DEFAULTS, check_directory, make_parser, warn
+from algorithms.runs.cli import PROCESS_DEFAULTS, Command, OneOf, Option, check_directory, flag, option, warn
 from algorithms.runs.interrupts import Stopped, no_space
 from algorithms.studies import BACKENDS
-from algorithms.studies.sweep_settings import load_sweep
 
 if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace, _MutuallyExclusiveGroup
+    from argparse import Namespace
     from collections.abc import Callable
 
     from rich.console import Console
 
-    from algorithms.studies.backends import Backend
     from algorithms.studies.execution import Runner
+    from algorithms.studies.plan import Plan, SweepPlan
+
+    P = TypeVar("P", bound=Plan)
 
 ENVIRONMENT = {
     **PROCESS_DEFAULTS,
@@ -52,48 +53,26 @@ BACKENDS_OF_OPTIONS = {
 WHILE_TRAINING = {"on": "local", "workers": None, "address": None, "no_wait": False}  # options, with their defaults
 
 
-def parse_arguments(arguments: list[str]) -> Namespace:
-    """The options."""
-    parser = make_parser(__doc__, "sweep")
-    parser.add_argument("--config", metavar="FILE", help="YAML file of the sweep, or the name of a shipped one")
-    add_run_arguments(parser, "sweep")
-    options = parser.parse_args(arguments)
-    if options.config is None and not ((options.status or options.verify) and options.output):
-        parser.error("--config is required, except for --status and --verify with --output")
-    return options
-
-
-def add_run_arguments(parser: ArgumentParser, what: str) -> _MutuallyExclusiveGroup:
-    """The options of what trains many runs; returns those of which one alone can be given.
-
-    Args:
-        parser: which they are added to.
-        what: is trained.
-    """
-    parser.add_argument("--on", choices=BACKENDS, default="local", help="where to train the runs (default: local)")
+def run_options(what: str, *instead: Option) -> tuple[Option | OneOf, ...]:
+    """The options of what trains many runs; ``instead`` are others of its own that do something else."""
     folder = {"sweep": "sweeps", "study": "studies"}[what]
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help=f"the {what}'s directory (default: runs/{folder}/NAME)"
+    checks = "compare the files of finished runs with their recorded hashes, name what is broken and exit"
+    return (
+        option("--on", None, "where to train the runs (default: local)", choices=BACKENDS, default="local"),
+        option("--output", "DIR", f"the {what}'s directory (default: runs/{folder}/NAME)", type=Path),
+        option("--workers", "N", "maximum number of concurrent runs (default: limited by the cores)", type=int),
+        option("--address", "A", "address of a running Ray cluster, or auto (default: start Ray here)"),
+        flag("--no-wait", "Slurm: submit the jobs and exit"),
+        OneOf(
+            (
+                flag("--dry-run", "Slurm: print the batch script and write nothing"),
+                flag("--status", f"show the progress of the {what} and exit"),
+                flag("--verify", checks),
+                flag("--remake", "also make finished runs again whose files are broken, in their place"),
+                *instead,
+            )
+        ),
     )
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="maximum number of concurrent runs (default: limited by the cores)"
-    )
-    parser.add_argument(
-        "--address", metavar="A", help="address of a running Ray cluster, or auto (default: start Ray here)"
-    )
-    parser.add_argument("--no-wait", action="store_true", help="Slurm: submit the jobs and exit")
-    instead = parser.add_mutually_exclusive_group()
-    instead.add_argument("--dry-run", action="store_true", help="Slurm: print the batch script and write nothing")
-    instead.add_argument("--status", action="store_true", help=f"show the progress of the {what} and exit")
-    instead.add_argument(
-        "--verify",
-        action="store_true",
-        help="compare the files of finished runs with their recorded hashes, name what is broken and exit",
-    )
-    instead.add_argument(
-        "--remake", action="store_true", help="also make finished runs again whose files are broken, in their place"
-    )
-    return instead
 
 
 def check_options(options: Namespace) -> None:
@@ -101,29 +80,41 @@ def check_options(options: Namespace) -> None:
     if options.workers is not None and options.workers < 1:
         raise ValueError(f"--workers {options.workers} must be at least 1")
     check_directory("--output", options.output)
-    for flag in (name for name in ("status", "verify", "tables") if getattr(options, name, False)):
+    for given in (name for name in ("status", "verify", "tables") if getattr(options, name, False)):
         for name, default in WHILE_TRAINING.items():
-            if getattr(options, name, None) not in (None, default):
-                raise ValueError(f"--{name.replace('_', '-')} has no effect beside --{flag}, which trains nothing")
+            if getattr(options, name) != default:
+                raise ValueError(f"--{name.replace('_', '-')} has no effect beside --{given}, which trains nothing")
     for name, backends in BACKENDS_OF_OPTIONS.items():
-        if getattr(options, name, False) and options.on not in backends:
+        if getattr(options, name) and options.on not in backends:
             raise ValueError(f"--{name.replace('_', '-')} is for --on {' and '.join(backends)}, not {options.on}")
     module = REQUIRED_MODULES.get(options.on)
     if module is not None and find_spec(module) is None:
         raise ValueError(f"--on {options.on} needs {module}: pip install 'mo-deepdrive[sweep]'")
 
 
-def run_command(options: Namespace, directory: Path, make: Callable[[Path, Backend, Console], Runner]) -> int:
-    """Do what the options of :func:`add_run_arguments` say; returns the exit code.
+def directory_of(options: Namespace, folder: str) -> Path:
+    """The directory of the runs: --output, or that of the name of --config in ``runs/FOLDER``."""
+    if options.config is None and not ((options.status or options.verify) and options.output):
+        raise ValueError("--config is required, except for --status and --verify with --output")
+    return options.output or Path("runs") / folder / Path(options.config).stem
+
+
+def run_command(
+    options: Namespace,
+    directory: Path,
+    make_plan: Callable[[], P],
+    finish: Callable[[P, Runner, Path, Console], None] | None = None,
+) -> int:
+    """Do what the options of :func:`run_options` say; returns the exit code.
 
     Args:
         options: the options.
         directory: of the runs.
-        make: what makes the runner.
+        make_plan: what makes the plan of the runs.
+        finish: what follows after training, and instead of it with --tables.
     """
     from algorithms.runs.console import make_console, print_line
-    from algorithms.studies.backends import Backend
-    from algorithms.studies.execution import progress, verify
+    from algorithms.studies.execution import Backend, Runner, progress, verify
 
     console = make_console()
     try:
@@ -133,11 +124,17 @@ def run_command(options: Namespace, directory: Path, make: Callable[[Path, Backe
             return 0
         if options.verify:
             return 1 if verify(directory, lambda line: print_line(console, line)) else 0
+        plan = make_plan()
         backend = Backend(options.on, options.workers, options.address, wait=not options.no_wait)
-        runner = make(directory, backend, console)
-        if options.remake:
-            return runner.remake()
-        return runner.print_batch_script() if options.dry_run else runner.run()
+        runner = Runner(plan, directory, backend, console)
+        if options.dry_run:
+            return runner.print_batch_script()
+        code = 0
+        if not getattr(options, "tables", False):
+            code = runner.remake() if options.remake else runner.run()
+        if finish is not None and options.on != "manifest":
+            finish(plan, runner, directory, console)
+        return code
     except (ValueError, OSError) as error:
         warn(f"error: {error}")
         return 1 if isinstance(error, OSError) and no_space(error) else 2
@@ -146,14 +143,17 @@ def run_command(options: Namespace, directory: Path, make: Callable[[Path, Backe
         return 1
 
 
-def main(arguments: list[str]) -> int:
-    """Run the command line ``arguments`` and return the exit code."""
-    options = parse_arguments(arguments)
+def train_sweep(options: Namespace) -> int:
+    """Do what the options say; returns the exit code."""
 
-    def make(directory: Path, backend: Backend, console: Console) -> Runner:
-        from algorithms.studies.sweep import SweepRunner
+    def make_plan() -> SweepPlan:
+        from algorithms.studies.plan import SweepPlan
+        from algorithms.studies.settings import load_sweep
 
-        return SweepRunner(load_sweep(options.config), directory, backend, console)
+        return SweepPlan(load_sweep(options.config))
 
-    directory = options.output or Path("runs") / "sweeps" / Path(options.config).stem
-    return run_command(options, directory, make)
+    return run_command(options, directory_of(options, "sweeps"), make_plan)
+
+
+CONFIG = option("--config", "FILE", "YAML file of the sweep, or the name of a shipped one")
+main = Command("sweep", __doc__, (CONFIG, *run_options("sweep")), train_sweep)

@@ -1,15 +1,16 @@
-"""The manifest of a sweep: one line of JSON per run, byte for byte the same on every machine and for every backend."""
+"""The manifest of a sweep or study: one line of JSON per run, byte for byte the same on every machine and backend."""
 
 from __future__ import annotations
 
 import copy
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from statistics import fmean
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -20,8 +21,8 @@ from algorithms.runs.registry import directory_name, find_algorithm, peer_runnin
 from mo_deepdrive.support.atomic_io import atomic_write, own_path
 from mo_deepdrive.support.names import nearest_few
 
-# Score by run id; None for a run that failed or has no finite score.
-Scores = Mapping[str, float | None]
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 FILE = "manifest.jsonl"
 RUNS = "runs"
@@ -30,14 +31,14 @@ ID_DIGITS = 12
 
 @dataclass(frozen=True)
 class ManifestRow:
-    """A line of the manifest: one run of the sweep.
+    """A line of the manifest: one run.
 
     Attributes:
         id: a hexadecimal hash of everything in ``config`` that affects the result of the run.
         directory: of the run, relative to the sweep's; its name has the algorithm, the seed and the id.
-        cell: the varied values, by key.
+        cell: what the run differs in from those of other cells, by key; the runs of a cell differ in their seed alone.
         seed: of the run.
-        trial: number of the point in a hyperparameter search; None without a search.
+        trial: number of the settings that are tried, in a search or a tuning; None for a run that tries none.
         config: the resolved experiment.
     """
 
@@ -66,8 +67,28 @@ class ManifestRow:
 
     def line(self) -> bytes:
         """The row as a line of a manifest file."""
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return json.dumps(values, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+
+
+class Scores:
+    """What a plan knows of runs that have ended: here nothing, so that it has the runs with which it begins."""
+
+    def of(self, row: ManifestRow, metric: str) -> float | None:
+        """The value of a metric; None for a run that failed or has no finite value, NaN for one that has not ended."""
+        del row, metric
+        return math.nan
+
+    def settle(self, earlier: Sequence[ManifestRow], later: Sequence[ManifestRow]) -> bool:
+        """Whether ``later`` runs may be chosen by the scores of ``earlier`` ones, or failed ones are repeated first."""
+        del earlier, later
+        return True
+
+    def mean(self, rows: Sequence[ManifestRow], metric: str) -> float | None:
+        """The mean of :meth:`of`, which is NaN as long as a run has not ended, then None if one failed."""
+        scores = [self.of(row, metric) for row in rows]
+        known = [score for score in scores if score is not None]
+        return fmean(known) if len(known) == len(scores) or any(map(math.isnan, known)) else None
 
 
 def label(cell: Mapping[str, Any]) -> str:
@@ -104,27 +125,24 @@ def cell_rows(
     metric: str | None = None,
     build_once: bool = True,
 ) -> list[ManifestRow]:
-    """The rows of one cell, one per seed.
+    """The rows of one cell, one per seed, with ``values`` as the sections of their experiments.
 
-    Args:
-        cell: the varied values, by key.
-        values: the sections of the experiment.
-        seeds: of the runs.
-        trial: number of the settings that are tried, which must be scored on the validation split; None if none are.
-        metric: of the final evaluation, which the experiment must have; None to check none.
-        build_once: build the agent, to check that it can be built.
+    Settings that are tried, as number ``trial``, must be scored on the validation split. The final evaluation must have
+    the metric, if one is given; ``build_once`` checks that the agent can be built.
     """
-    where = _cell_name(cell)
-    values = _sorted(overridden(values, {"training.seed": seeds[0]}, cell))
-    experiment = make_experiment(values, where, here=False)
+    where = f"cell [{label(cell)}]"
+    experiment = make_experiment(overridden(values, {"training.seed": seeds[0]}, cell), where, here=False)
     if trial is not None and experiment.evaluation.split != "validation":
         raise ValueError(
             f"{where}: evaluation.split = {experiment.evaluation.split!r}: settings are chosen by the final scores, "
             "which needs 'validation'"
         )
     if build_once:
-        _check_buildable(experiment, where, metric)
-    resolved = _sorted(experiment.to_dict())
+        try:
+            _check_buildable(experiment, metric)
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from None
+    resolved = json.loads(json.dumps(experiment.to_dict(), sort_keys=True))
     rows: list[ManifestRow] = []
     for seed in seeds:
         config = {**resolved, "training": {**resolved["training"], "seed": seed}}
@@ -137,31 +155,22 @@ def cell_rows(
     return rows
 
 
-def _check_buildable(experiment: Experiment, where: str, metric: str | None) -> None:
+def _check_buildable(experiment: Experiment, metric: str | None) -> None:
     """Raise now the error that the run would raise when it starts, or whoever needs the metric at its end."""
     from algorithms.runs.build import build, check_resident
     from algorithms.runs.policy_evaluation import final_metrics
 
-    try:
-        check_loggers(experiment)
-        if find_algorithm(experiment.algorithm.name).is_peer:
-            # This machine may not have the run's device.
-            settings = experiment.training.model_copy(update={"device": "cpu"})
-            here = experiment.model_copy(update={"training": settings})
-            peer_running().prepare(here, lambda _step, _metrics: None)
-        else:
-            if experiment.is_resident:
-                check_resident(experiment)
-            build(experiment, num_envs=1)
-        if metric is not None and metric not in (known := final_metrics(experiment)):
-            raise ValueError(f"metric {metric!r} is unknown; the nearest ones: {nearest_few(metric, known)}")
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
-
-
-def _cell_name(cell: Mapping[str, Any]) -> str:
-    """The name of a cell in messages."""
-    return f"cell [{label(cell)}]"
+    check_loggers(experiment)
+    if find_algorithm(experiment.algorithm.name).is_peer:
+        # This machine may not have the run's device.
+        settings = experiment.training.model_copy(update={"device": "cpu"})
+        peer_running().prepare(experiment.model_copy(update={"training": settings}), lambda _step, _metrics: None)
+    else:
+        if experiment.is_resident:
+            check_resident(experiment)
+        build(experiment, num_envs=1)
+    if metric is not None and metric not in (known := final_metrics(experiment)):
+        raise ValueError(f"metric {metric!r} is unknown; the nearest ones: {nearest_few(metric, known)}")
 
 
 def overridden(values: Mapping[str, Any], changes: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
@@ -171,15 +180,8 @@ def overridden(values: Mapping[str, Any], changes: Mapping[str, Any], cell: Mapp
         for key, value in changes.items():
             override(result, key, copy.deepcopy(value))
     except ValueError as error:
-        raise ValueError(f"{_cell_name(cell)}: {error}") from None
+        raise ValueError(f"cell [{label(cell)}]: {error}") from None
     return result
-
-
-def _sorted(value: Any) -> Any:
-    """The value with the keys of all its mappings in alphabetical order."""
-    if isinstance(value, Mapping):
-        return {key: _sorted(value[key]) for key in sorted(value, key=str)}
-    return [_sorted(each) for each in value] if isinstance(value, list) else value
 
 
 def short_names(paths: Sequence[str]) -> dict[str, str]:
@@ -192,12 +194,12 @@ def refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
     """Refuse two cells that are the same run."""
     seen: dict[str, ManifestRow] = {}
     for row in rows:
-        other = seen.setdefault(row.id, row)
-        if other is not row:
+        if other := seen.get(row.id):
             raise ValueError(
                 f"cells [{label(other.cell)}] and [{label(row.cell)}] have the same run (seed {row.seed}, {row.id}): "
                 "they do not differ in anything that affects its result"
             )
+        seen[row.id] = row
 
 
 def write_manifest(sweep: Path, rows: Sequence[ManifestRow]) -> Path:
@@ -211,27 +213,21 @@ def write_manifest(sweep: Path, rows: Sequence[ManifestRow]) -> Path:
 
 
 def is_sweep(path: Path) -> bool:
-    """Whether a directory is that of a sweep."""
+    """Whether a directory is that of a sweep or study."""
     return (path / FILE).is_file()
 
 
 def read_manifest(sweep: Path) -> list[ManifestRow]:
-    """All rows of a sweep's manifest; errors as of :func:`iterate_manifest`."""
-    return list(iterate_manifest(sweep))
-
-
-def iterate_manifest(sweep: Path) -> Iterator[ManifestRow]:
-    """The rows of a sweep's manifest, one at a time, because all of a large sweep take much memory."""
+    """The rows of a manifest."""
     path, rows = sweep / FILE, TypeAdapter(ManifestRow)
     if not path.is_file():
         raise ValueError(f"{str(sweep)!r} is neither a sweep nor a study: it has no {FILE}")
-    with path.open("rb") as lines:
-        for number, line in enumerate(lines, 1):
-            try:
-                yield rows.validate_json(line)
-            except ValidationError as error:
-                problem = error.errors(include_url=False)[0]
-                field = f"{'.'.join(map(str, problem['loc']))} = {problem['input']!r}: " if problem["loc"] else ""
-                raise ValueError(
-                    f"manifest {str(path)!r} is broken in line {number}: {field}{problem['msg']}"
-                ) from None
+    read = []
+    for number, line in enumerate(path.read_bytes().splitlines(), 1):
+        try:
+            read.append(rows.validate_json(line))
+        except ValidationError as error:
+            problem = error.errors(include_url=False)[0]
+            field = f"{'.'.join(map(str, problem['loc']))} = {problem['input']!r}: " if problem["loc"] else ""
+            raise ValueError(f"manifest {str(path)!r} is broken in line {number}: {field}{problem['msg']}") from None
+    return read

@@ -16,15 +16,14 @@ import polars as pl
 from algorithms.runs.accessories import sole_purpose
 from algorithms.runs.shipped import CONFIGS
 from algorithms.studies import FIGURES
-from algorithms.studies.backends import Backend
 from algorithms.studies.collection import collect
+from algorithms.studies.execution import Backend, Runner
 from algorithms.studies.manifest import overridden
 from algorithms.studies.paper_claims import CLAIMS
 from algorithms.studies.paper_report import QUICK, print_verdicts, write_report
 from algorithms.studies.paper_results import FRONT_LEARNER, FRONT_TASK, PaperResults
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.results import results_of
-from algorithms.studies.runner import StudyRunner
 from algorithms.studies.settings import load_study
 from algorithms.zoo.exporting import export
 from mo_deepdrive.evaluation.front import Front
@@ -132,8 +131,7 @@ def gather(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> PaperRe
             distances = front.returns[:, front.objectives.index("distance")]
             for column, value in ((LOWEST_DISTANCE, distances.min()), (HIGHEST_DISTANCE, distances.max())):
                 rows.append(replace(row, column=column, value=float(value), low=None, high=None))
-    collection = collect(directory)
-    collection.report_problems(lambda line: print(line, file=sys.stderr))
+    collection = collect(directory, lambda line: print(line, file=sys.stderr))
     keys = pl.DataFrame(
         [(row.id, *arm.arm.key, row.seed) for arm in runs for row in arm.final],
         {"run": pl.String, "task": pl.String, "learner": pl.String, "seed": pl.Int64},
@@ -203,11 +201,11 @@ class Reproduction:
             self._write(PaperResults.read(self.study, self.output_folder), figures, console)
             return 0
         plan = paper_plan(self.study, tasks, seeds=self.seeds, quick=self.quick)
-        runner = StudyRunner(plan, self.run_folder, Backend(workers=self.workers), console)
-        code = runner.train()
+        runner = Runner(plan, self.run_folder, Backend(workers=self.workers), console)
+        code = runner.run()
         if code > 1:  # it was interrupted
             return code
-        runs = [arm for arm in runner.runs_of_arms() if arm.arm.key in plan.selected]
+        runs = [arm for arm in plan.runs(runner) if arm.arm.key in plan.selected]
         results = gather(plan, runs, self.run_folder)
         if not results.tasks:
             raise ValueError("no run has finished")

@@ -1,42 +1,211 @@
-"""From a study to its runs: those of the tuning first, and those that count of every arm whose tuning has scores."""
+"""From a sweep or study to its runs, which are known batch by batch where scores decide which settings are next.
+
+A sweep has a cell for every combination of its grid, or the points that Optuna chooses in each. A study has arms, each
+a learner on a task: first the settings that are tried, then the runs that count with the best of them. What is chosen
+depends on scores alone, not on which run is faster.
+"""
 
 from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.runs.config import make_experiment
 from algorithms.runs.registry import find_algorithm
 from algorithms.runs.shipped import find_config
-from algorithms.studies.manifest import ManifestRow, Scores, cell_rows, overridden, refuse_duplicates
+from algorithms.studies.manifest import ManifestRow, Scores, cell_rows, overridden, refuse_duplicates, short_names
+from algorithms.studies.settings import ELSEWHERE, SEED_KEYS, learners_in, replaced_keys
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
+from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.support.names import nearest, nearest_few
 from mo_deepdrive.support.yaml import read_mapping
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Generator, Iterable, Mapping, Sequence
+
+    import optuna
 
     from algorithms.runs.registry import AlgorithmEntry
-    from algorithms.studies.settings import Learner, Study, StudyTask
+    from algorithms.studies.settings import (
+        Learner,
+        PlanSettings,
+        SearchRange,
+        SearchSettings,
+        Study,
+        StudyTask,
+        SweepSettings,
+    )
 
-TASK, LEARNER = "task", "learner"  # keys of every cell
+TASK, LEARNER = "task", "learner"  # keys of every cell of a study
+MAX_PROBLEMS = 5  # invalid cells that an error message lists
+
+
+class Plan(ABC):
+    """The runs of a sweep or study."""
+
+    def __init__(self, settings: PlanSettings) -> None:
+        self.settings = settings
+        self._cells: dict[str, list[ManifestRow]] = {}
+
+    @abstractmethod
+    def rows(self, scores: Scores) -> list[ManifestRow]:
+        """The runs that are known by now."""
+
+    @abstractmethod
+    def announcement(self) -> list[str]:
+        """What is said before anything is trained, one line each."""
+
+    def wanted(self, row: ManifestRow) -> bool:
+        """Whether a run is to be trained now."""
+        del row
+        return True
+
+    def _cell(
+        self,
+        cell: dict[str, Any],
+        values: Mapping[str, Any],
+        seeds: Sequence[int],
+        trial: int | None = None,
+        **checks: Any,
+    ) -> list[ManifestRow]:
+        """The rows of a cell, which is checked and built once; the arguments are those of ``cell_rows``."""
+        key = repr((cell, trial))
+        if key not in self._cells:
+            self._cells[key] = cell_rows(cell, values, seeds, trial, **checks)
+        return self._cells[key]
+
+
+def _once(rows: Iterable[ManifestRow]) -> list[ManifestRow]:
+    """The first row of every run."""
+    by_id: dict[str, ManifestRow] = {}
+    for row in rows:
+        by_id.setdefault(row.id, row)
+    return list(by_id.values())
+
+
+# ------------------------------------------------------------------------------------------------------------- a sweep
+
+
+class SweepPlan(Plan):
+    """The cells of a sweep, each of which may have a search."""
+
+    settings: SweepSettings
+
+    def rows(self, scores: Scores) -> list[ManifestRow]:
+        """As of the base class; all invalid cells are refused together."""
+        settings = self.settings
+        bases, names = {path: read_mapping(find_config(path)) for path in settings.config}, short_names(settings.config)
+        metric = settings.ray.asha and settings.ray.asha.metric
+        rows: list[ManifestRow] = []
+        problems: list[str] = []
+        combinations = list(product(bases, *settings.grid.values()))
+        for path, *values in combinations:
+            grid = dict(zip(settings.grid, values, strict=True))
+            cell = {"config": names[path], **grid} if len(bases) > 1 else grid
+            try:
+                sections = overridden(bases[path], {**settings.overrides, **grid}, cell)
+                if settings.search is None:
+                    rows += self._cell(cell, sections, settings.seeds, metric=metric)
+                else:
+                    rows += self._search_rows(settings.search, cell, sections, scores)
+            except ValueError as error:
+                problems.append(str(error))
+        if problems:
+            more = len(problems) - MAX_PROBLEMS
+            shown = [*problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
+            raise ValueError(f"{len(problems)} of {len(combinations)} cells are invalid:\n  " + "\n  ".join(shown))
+        refuse_duplicates(rows)
+        return rows
+
+    def announcement(self) -> list[str]:
+        """As of the base class: all runs of a search, of which the manifest has one batch."""
+        settings, search = self.settings, self.settings.search
+        lines = replaced_keys(settings.config, SEED_KEYS)
+        if search is not None:
+            cells = len(settings.config) * math.prod(map(len, settings.grid.values()))
+            runs = cells * search.trials * len(settings.seeds)
+            lines.append(f"at most {runs} runs: {cells} searches of {search.trials} points, with every seed")
+        return lines
+
+    def _search_rows(
+        self, search: SearchSettings, cell: dict[str, Any], values: dict[str, Any], scores: Scores
+    ) -> list[ManifestRow]:
+        """The rows of a search within a cell of the grid, up to the first batch of which a run has not ended."""
+        evaluation = values.get("evaluation")
+        if not isinstance(evaluation, dict) or "split" not in evaluation:
+            values = overridden(values, {"evaluation.split": "validation"}, cell)
+        by_point: list[list[ManifestRow]] = []
+        means: list[float | None] | None = None
+        proposals, first = propose_points(search), 0
+        while points := proposals.send(means):
+            batch = []
+            for trial, point in enumerate(points, len(by_point)):
+                keys = {**cell, **point}
+                sections, metric = overridden(values, point, keys), None if trial else search.metric
+                batch.append(self._cell(keys, sections, self.settings.seeds, trial, metric=metric))
+            earlier, later = ([row for rows in points for row in rows] for points in (by_point[first:], batch))
+            if not scores.settle(earlier, later):
+                break
+            first = len(by_point)
+            by_point += batch
+            means = [scores.mean(rows, search.metric) for rows in batch]
+            if any(mean is not None and math.isnan(mean) for mean in means):
+                break
+        return _once(row for rows in by_point for row in rows)  # a search may choose a point twice
+
+
+def propose_points(search: SearchSettings) -> Generator[list[dict[str, Any]], list[float | None] | None, None]:
+    """The points of a search, values by key: batches, each of which takes the scores of the one before, then nothing.
+
+    The same scores give the same points. A point without a score, None, has failed.
+    """
+    with needed_for("a search"):
+        import optuna
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    if search.sampler == "random":
+        sampler: optuna.samplers.BaseSampler = optuna.samplers.RandomSampler(seed=search.seed)
+    else:
+        # Without constant_liar the points of a batch, which have no scores yet, would be close to each other.
+        sampler = optuna.samplers.TPESampler(seed=search.seed, constant_liar=True)
+    study = optuna.create_study(sampler=sampler, direction=search.direction)
+    space = {key: _distribution(key, values) for key, values in search.space.items()}
+    size = search.batch if search.sampler == "tpe" else search.trials
+    for first in range(0, search.trials, size):
+        trials = [study.ask(space) for _ in range(min(size, search.trials - first))]
+        scores = yield [dict(trial.params) for trial in trials]
+        for trial, score in zip(trials, scores or [], strict=True):
+            study.tell(trial, score, optuna.trial.TrialState.FAIL if score is None else None)
+    yield []
+
+
+def _distribution(key: str, values: SearchRange) -> optuna.distributions.BaseDistribution:
+    from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+
+    if values.choices is not None:
+        return CategoricalDistribution(values.choices)
+    bounds: tuple[Any, Any] = values.low, values.high  # not None: checked by the settings
+    step: Any = values.step
+    try:
+        if all(isinstance(number, int) for number in (*bounds, step or 1)):
+            return IntDistribution(*bounds, log=values.log, step=1 if step is None else step)
+        return FloatDistribution(*bounds, log=values.log, step=step)
+    except ValueError as error:
+        raise ValueError(f"search.space.{key}: {error}") from None
+
+
+# ------------------------------------------------------------------------------------------------------------- a study
 
 
 @dataclass(frozen=True)
 class Arm:
-    """A learner on a task.
+    """A learner on a task: the sections of its experiment, and the points, values by key, that are tried for it.
 
-    Attributes:
-        task, learner: their names.
-        label: of the learner.
-        metric: of the final evaluation, by which settings are chosen and learners are compared.
-        values: the sections of the experiment.
-        points: the settings that are tried, values by key; none if the study does not tune.
-        tuning_share: of a run's steps, in which they are tried.
-        seeds: that count.
+    Settings are chosen and learners are compared by ``metric``, of the final evaluation.
     """
 
     task: str
@@ -56,21 +225,18 @@ class Arm:
 
 @dataclass(frozen=True)
 class ArmRuns:
-    """The runs of an arm that are known by now.
+    """The runs of an arm that are known by now: those of every point of its tuning, and the final ones, which count.
 
     Attributes:
-        arm: whose they are.
-        tuning: one per tuning seed of every point.
-        scores: mean score of every point; None if a run of it failed, NaN if one has not ended.
+        scores: the mean of every point; None if a run of it failed, NaN if one has not ended.
         chosen: index of the best point; None while it is not known, or if the study does not tune.
-        final: those that count; none while the settings are not chosen.
     """
 
     arm: Arm
-    tuning: tuple[tuple[ManifestRow, ...], ...]
+    tuning: tuple[list[ManifestRow], ...]
     scores: tuple[float | None, ...]
     chosen: int | None
-    final: tuple[ManifestRow, ...]
+    final: list[ManifestRow]
 
     @property
     def rows(self) -> list[ManifestRow]:
@@ -83,13 +249,10 @@ class ArmRuns:
         return bool(self.tuning) and all(score is None for score in self.scores)
 
 
-class StudyPlan:
-    """The arms of a study.
+class StudyPlan(Plan):
+    """The arms of a study, all or those of some tasks and learners.
 
     Args:
-        study: its settings.
-        tasks: of the arms that are to be trained now; None for all.
-        learners: of these arms; None for all.
         overrides: values of experiment keys for every learner that has them, which count for more than those of the
             study and of the learners.
 
@@ -106,6 +269,7 @@ class StudyPlan:
         learners: Sequence[str] | None = None,
         overrides: Mapping[str, Any] | None = None,
     ):
+        super().__init__(study)
         self.study = study
         self.arms, self.idle = _arms(study, overrides or {})
         for option, given, i in (("--tasks", tasks, 0), ("--learners", learners, 1)):
@@ -114,99 +278,80 @@ class StudyPlan:
                 if name not in known:
                     missing = "no learner of the study is trained on it", "the study has no such learner"
                     raise ValueError(f"{option} {name}: {missing[i]}; {nearest(name, known)}")
-        wanted = [arm.key for arm in self.arms if tasks is None or arm.task in tasks]
-        self.selected = {key for key in wanted if learners is None or key[1] in learners}
+        on_tasks = [arm.key for arm in self.arms if tasks is None or arm.task in tasks]
+        self.selected = {key for key in on_tasks if learners is None or key[1] in learners}
         for name in learners or ():
             if not any(name == key[1] for key in self.selected):
                 raise ValueError(f"learner {name!r} fits none of the tasks {', '.join(tasks or study.tasks)}")
-        self._rows: dict[tuple[str, str, int | None], tuple[ManifestRow, ...]] = {}
-        self._columns_known = False
 
-    def runs(self, scores: Scores) -> list[ArmRuns]:
-        """The runs that are known by now, by arm.
+    def wanted(self, row: ManifestRow) -> bool:
+        """As of the base class: whether its arm is selected."""
+        return (str(row.cell.get(TASK)), str(row.cell.get(LEARNER))) in self.selected
 
-        Args:
-            scores: of the runs that have ended, by id; None for those that failed.
-        """
-        return [self._runs_of(arm, scores) for arm in self.arms]
+    def runs(self, scores: Scores | None = None) -> list[ArmRuns]:
+        """The runs that are known by now, by arm."""
+        return [self._runs_of(arm, scores or Scores()) for arm in self.arms]
 
     def rows(self, scores: Scores) -> list[ManifestRow]:
-        """The same as the rows of a manifest: those of the tuning first, a run that two arms share once.
+        """As of the base class: those of the tuning first, a run that two arms share once.
 
         It is then one of an arm that is to be trained now, if any of them is.
         """
         arms = sorted(self.runs(scores), key=lambda runs: runs.arm.key not in self.selected)
         self._check_columns([runs.rows[0] for runs in arms])
         tuning = [row for arm in arms for rows in arm.tuning for row in rows]
-        by_id: dict[str, ManifestRow] = {}
-        for row in [*tuning, *(row for arm in arms for row in arm.final)]:
-            by_id.setdefault(row.id, row)
-        return list(by_id.values())
+        return _once([*tuning, *(row for arm in arms for row in arm.final)])
 
-    def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
-        """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
-        if self._columns_known:
-            return
-        from algorithms.runs.policy_evaluation import final_metrics
-
-        known: set[str] = set()
-        for row in rows:
-            if known.issuperset(self.study.columns):
-                break
-            known |= {name.partition("/")[2] for name in final_metrics(make_experiment(row.config, here=False))}
-        for column in self.study.columns:
-            if column not in known:
-                raise ValueError(
-                    f"columns has {column!r}, which no run has; the nearest ones: {nearest_few(column, known)}"
-                )
-        self._columns_known = True
-
-    def announcement(self) -> str:
-        """All runs of the arms that are to be trained now, in a line."""
+    def announcement(self) -> list[str]:
+        """As of the base class: all runs of the arms that are to be trained now, in a line."""
         arms = [arm for arm in self.arms if arm.key in self.selected]
         tried = sum(len(arm.points) for arm in arms) * len(self.study.tuning.seeds if self.study.tuning else ())
         counted = sum(len(arm.seeds) for arm in arms)
         learners, tasks = (", ".join(dict.fromkeys(arm.key[i] for arm in arms)) for i in (1, 0))
         runs = f"{tried} runs of tuning, then {counted}" if tried else f"{counted} runs, without tuning,"
-        return f"{runs} that count: {learners} on {tasks}"
+        lines = replaced_keys((learner.config for _, learner in learners_in(self.study)), ELSEWHERE)
+        return [*lines, f"{runs} that count: {learners} on {tasks}"]
+
+    def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
+        """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
+        from algorithms.runs.policy_evaluation import final_metrics
+
+        known: set[str] = set()
+        for row in rows:
+            if known.issuperset(self.study.columns):
+                return
+            known |= {name.partition("/")[2] for name in final_metrics(row.experiment)}
+        for column in self.study.columns:
+            if column not in known:
+                near = nearest_few(column, known)
+                raise ValueError(f"columns has {column!r}, which no run has; the nearest ones: {near}")
 
     def _runs_of(self, arm: Arm, scores: Scores) -> ArmRuns:
-        tuning = tuple(self._cell(arm, trial) for trial in range(len(arm.points)))
-        refuse_duplicates([row for rows in tuning for row in rows])
-        means = tuple(_mean([scores.get(row.id, np.nan) for row in rows]) for rows in tuning)
+        tuning = tuple(self._rows_of(arm, point, trial) for trial, point in enumerate(arm.points))
+        if not tuning:
+            return ArmRuns(arm, (), (), None, self._rows_of(arm, {}))
+        tried = [row for rows in tuning for row in rows]
+        refuse_duplicates(tried)
+        means = tuple(scores.mean(rows, arm.metric) for rows in tuning)
         known = [score for score in means if score is not None]
-        if not arm.points:
-            return ArmRuns(arm, (), (), None, self._cell(arm, None))
-        if not known or np.isnan(known).any():
-            return ArmRuns(arm, tuning, means, None, ())
-        chosen = means.index((min if lower_is_better(arm.metric) else max)(known))
-        return ArmRuns(arm, tuning, means, chosen, self._cell(arm, None, chosen))
+        if known and not np.isnan(known).any():
+            chosen = means.index((min if lower_is_better(arm.metric) else max)(known))
+            final = self._rows_of(arm, arm.points[chosen])
+            if scores.settle(tried, final):
+                return ArmRuns(arm, tuning, means, chosen, final)
+        return ArmRuns(arm, tuning, means, None, [])
 
-    def _cell(self, arm: Arm, trial: int | None, chosen: int | None = None) -> tuple[ManifestRow, ...]:
-        """The rows of a point of the tuning, or those that count with the chosen point; every cell is checked once."""
-        key = (*arm.key, trial if chosen is None else -1 - chosen)
-        if key not in self._rows:
-            index = trial if trial is not None else chosen
-            point = {} if index is None else arm.points[index]
-            cell = {TASK: arm.task, LEARNER: arm.learner, **point}
-            split = "test" if trial is None else "validation"
-            values = overridden(arm.values, {**point, "evaluation.split": split}, cell)
-            seeds = arm.seeds
-            if trial is not None:
-                assert self.study.tuning is not None
-                seeds = tuple(self.study.tuning.seeds)
-                if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
-                    values["training"]["total_timesteps"] = max(1, round(arm.tuning_share * steps))
-            build_once = arm.key in self.selected  # others may need what is not installed here
-            rows = cell_rows(cell, values, seeds, trial, metric=arm.metric, build_once=build_once)
-            self._rows[key] = tuple(rows)
-        return self._rows[key]
-
-
-def _mean(scores: Sequence[float | None]) -> float | None:
-    """The mean of the scores of a point; None if a run failed, NaN if one has not ended."""
-    known = [score for score in scores if score is not None]
-    return float(np.mean(known)) if len(known) == len(scores) else None
+    def _rows_of(self, arm: Arm, point: dict[str, Any], trial: int | None = None) -> list[ManifestRow]:
+        """The rows of a point that is tried, or those that count with the chosen point."""
+        cell, seeds = {TASK: arm.task, LEARNER: arm.learner, **point}, arm.seeds
+        split = "test" if trial is None else "validation"
+        values = overridden(arm.values, {**point, "evaluation.split": split}, cell)
+        if trial is not None and self.study.tuning is not None:
+            seeds = tuple(self.study.tuning.seeds)
+            if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
+                values["training"]["total_timesteps"] = max(1, round(arm.tuning_share * steps))
+        build_once = arm.key in self.selected  # others may need what is not installed here
+        return self._cell(cell, values, seeds, trial, metric=arm.metric, build_once=build_once)
 
 
 def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str]]:
@@ -214,8 +359,10 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
     arms: list[Arm] = []
     unused = {*overrides, *study.help, *(key for task in study.tasks.values() for key in task.help)}
     known: set[str] = set()
+    learners: set[str] = set()
     for name, task in study.tasks.items():
         for key, learner in study.learners_of(name).items():
+            learners.add(key)
             where = f"learner {key!r} on task {name!r}"
             values = _base(learner, where)
             entry = find_algorithm(values["algorithm"]["name"], where)
@@ -245,8 +392,7 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
             arms.append(Arm(name, key, learner.label or key, _metric(study, name), values, points, share, seeds))
     if not arms:
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
-    learners = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}
-    idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners)]
+    idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners - {arm.learner for arm in arms})]
     hints = {key: f"no learner has the setting {key!r}; {nearest(key, known)}" for key in sorted(unused)}
     for key in (key for key in overrides if key in hints):
         raise ValueError(hints[key])
@@ -291,9 +437,7 @@ def _has(entry: AlgorithmEntry, key: str) -> bool:
 def _metric(study: Study, name: str) -> str:
     """The metric of a task."""
     task = study.tasks[name]
-    default = study.metric
-    if task.task is not None:
-        default = f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
+    default = study.metric if task.task is None else f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
     metric = task.metric or default
     if metric is None:
         raise ValueError(f"task {name!r} has no metric; give one to it or to the study")

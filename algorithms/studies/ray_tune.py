@@ -24,7 +24,7 @@ from algorithms.reporting.run_records import final_metrics
 from algorithms.reporting.training_log import read_metrics
 from algorithms.runs.interrupts import DiskFull, JobFailed, Stopped, describe
 from algorithms.runs.jobs import BUSY, DIED, Job, WorkerDied, perform, record, verdict
-from algorithms.runs.run_directory import read_status
+from algorithms.runs.run_directory import METRICS_FILE, read_status
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
 from mo_deepdrive.support.atomic_io import own_path
 from mo_deepdrive.support.machine import GIB
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from algorithms.runs.dashboard import Dashboard
-    from algorithms.studies.sweep_settings import AshaSettings, BackendSettings
+    from algorithms.studies.settings import AshaSettings, PlanSettings
 
 TuneReport = dict[str, Any]
 CONNECT_TIMEOUT = 10.0  # s, to find out whether a cluster can be reached
@@ -54,9 +54,7 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
         self._reports: queue.SimpleQueue[TuneReport | BaseException] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._last: TuneReport = {}
-        self._thread = threading.Thread(
-            target=self._run_job, args=(config, self._reports, self._stop), daemon=True, name="training"
-        )
+        self._thread = threading.Thread(target=self._train, args=(Job.unpack(config["run"]),), daemon=True)
         self._thread.start()
 
     def reset_config(self, new_config: dict[str, Any]) -> bool:
@@ -66,11 +64,7 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
         return True
 
     def step(self) -> TuneReport:
-        """Wait for the next report.
-
-        Raises:
-            RuntimeError: if the run failed for a reason for which Tune should retry it.
-        """
+        """Wait for the next report; an error after which Tune should retry the run is raised."""
         report = self._reports.get()
         if isinstance(report, BaseException):
             raise report
@@ -82,16 +76,14 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
         self._stop.set()
         self._thread.join()
 
-    @staticmethod
-    def _run_job(
-        config: dict[str, Any], reports: queue.SimpleQueue[TuneReport | BaseException], stop: threading.Event
-    ) -> None:
+    def _train(self, job: Job) -> None:
+        reports, stop = self._reports, self._stop  # reset_config replaces them
+
         def watch(step: int, metrics: Mapping[str, float]) -> None:
             if any(name.startswith(EVALUATION) for name in metrics):
                 reports.put({STEP: step, **metrics})
 
         try:
-            job = Job.unpack(config["run"])
             for step, metrics in _logged_evaluations(job):
                 watch(step, metrics)
             while not stop.is_set():
@@ -111,22 +103,20 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
             if outcome == "retry":
                 reports.put(RuntimeError(describe(error)))
             else:
-                full = {"disk_full": True} if outcome == "stop" else {}
-                reports.put({"done": True, "error": describe(error), **full})
+                reports.put({"done": True, "error": describe(error), "disk_full": outcome == "stop"})
 
 
 def _logged_evaluations(job: Job) -> list[tuple[int, dict[str, float]]]:
     """The evaluations that a resumed run logged up to its last checkpoint, which early stopping needs."""
-    path = job.path / "metrics.csv"
+    path = job.path / METRICS_FILE
     if not path.is_file():
         return []
     columns = read_metrics(path)
     steps = columns.pop(STEP)
-    last = read_status(job.path).get("step", 0)
+    until = np.flatnonzero(steps <= read_status(job.path).get("step", 0))
     return [
-        (int(step), {name: float(column[i]) for name, column in columns.items() if not np.isnan(column[i])})
-        for i, step in enumerate(steps)
-        if step <= last
+        (int(steps[i]), {name: float(column[i]) for name, column in columns.items() if not np.isnan(column[i])})
+        for i in until
     ]
 
 
@@ -181,8 +171,7 @@ class _Driver(tune.Callback, tune.Stopper):  # type: ignore[misc]  # Ray's types
     def on_trial_result(self, *_arguments: Any, trial: Any, result: TuneReport, **_info: Any) -> None:
         if "error" in result:
             self._record(trial, JobFailed(result["error"]))
-        if "disk_full" in result:
-            self.disk_full = result["error"]
+            self.disk_full = result["error"] if result["disk_full"] else self.disk_full
 
     def on_trial_error(self, *_arguments: Any, trial: Any, **_info: Any) -> None:
         text = str(trial.get_error() or trial.get_pickled_error() or "")
@@ -197,7 +186,7 @@ class _Driver(tune.Callback, tune.Stopper):  # type: ignore[misc]  # Ray's types
 
 def run_on_ray(
     jobs: Sequence[Job],
-    settings: BackendSettings,
+    settings: PlanSettings,
     sweep: Path,
     monitor: Dashboard,
     *,
@@ -207,7 +196,7 @@ def run_on_ray(
 ) -> dict[Job, str]:
     """Train the runs as trials of Ray Tune.
 
-    As :meth:`algorithms.studies.backends.Backend.train`; with early stopping, finished runs report what they logged.
+    As :meth:`algorithms.studies.execution.Backend.train`; with early stopping, finished runs report what they logged.
     """
     longest = max(job.experiment.training.total_timesteps for job in jobs)
     asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, longest)
@@ -278,17 +267,12 @@ def _connect(address: str | None, sweep: Path) -> None:
         if address is None:
             ray.init(address="local", include_dashboard=False, **quiet)
         else:
-            _check_reachable(address)
+            host, _, port = address.rpartition(":")
+            if host and port.isdecimal() and "/" not in host:  # Ray itself would keep trying for minutes
+                socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT).close()
             ray.init(address=address, **quiet)
     except (OSError, ValueError) as error:
         hint = "if the cluster asks for a token, set RAY_AUTH_MODE=token"
         raise Stopped(f"--address {address}: {' '.join(str(error).split())} ({hint})") from None
     finally:
         os.chdir(folder)
-
-
-def _check_reachable(address: str) -> None:
-    """Check that something listens at ``host:port``; Ray itself would keep trying for minutes."""
-    host, _, port = address.rpartition(":")
-    if host and port.isdecimal() and "/" not in host:
-        socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT).close()

@@ -1,39 +1,37 @@
-"""The settings of a study, as its YAML file gives them."""
+"""The settings of sweeps and studies, as their YAML files give them."""
 
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from algorithms.runs.config import Count, UtilitySettings
 from algorithms.runs.shipped import find_config
-from algorithms.studies.sweep_settings import (
-    SEED_KEYS,
-    BackendSettings,
-    Seeds,
-    found_beside,
-    key_problems,
-    keys_in,
-    tried_keys,
-)
 from mo_deepdrive.support.yaml import read_mapping
 from mo_deepdrive.world.config import EnvironmentSettings, Settings, parse
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-MAX_TUNING_RUNS = 12  # of an arm
-# Experiment keys that are set elsewhere, and where.
+MAX_TUNING_RUNS = 12  # of a learner on a task
+# Experiment keys that are set elsewhere, and where; in a study, and beside it, some more.
+SEED_KEYS = dict.fromkeys(("seed", "training.seed", "training.seeds"), "set seeds with the key 'seeds'")
 ELSEWHERE = {
     **SEED_KEYS,
     "evaluation.split": "a study scores its tuning on the validation split, and the runs that count on the test split",
     "evaluation.task": "name the task of the suite as 'task' of a task",
 }
 
-Values = dict[str, Annotated[list[Any], Field(min_length=1)]]
+
+# -------------------------------------------------------------------------------------------------------- short forms
+
+
+def _as_seeds(value: Any) -> Any:
+    """A number is short for that many seeds: 5 for 0, 1, 2, 3 and 4."""
+    return list(range(value)) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
 def _as_tasks(value: Any) -> Any:
@@ -43,6 +41,192 @@ def _as_tasks(value: Any) -> Any:
     if not all(isinstance(name, str) for name in value) or len(set(value)) < len(value):
         raise ValueError("a list must have the ids of tasks of the suite, each of them once; other tasks have names")
     return {name: {"task": name} for name in value}
+
+
+def _distinct(values: list[Any]) -> list[Any]:
+    if len(set(values)) < len(values):
+        raise ValueError("it has a duplicate")
+    return values
+
+
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+Seeds = Annotated[list[Seed], BeforeValidator(_as_seeds), Field(min_length=1), AfterValidator(_distinct)]
+Values = dict[str, Annotated[list[Any], Field(min_length=1)]]
+
+
+# ----------------------------------------------------------------------------------------------- where runs are trained
+
+
+class Resources(Settings):
+    """What one run needs."""
+
+    cpus: float = Field(default=1.0, gt=0)
+    """Cores; with a fraction, several runs share a core."""
+    gpus: float = Field(default=0.0, ge=0)
+    """Devices; with a fraction, several runs share a device (Ray); Slurm rounds up."""
+    memory_gb: float | None = Field(default=None, gt=0)
+    """Main memory in GB; None for the backend's default."""
+    minutes: Count = 60
+    """Wall-clock limit of a Slurm job, after which it is requeued and resumes."""
+
+
+class AshaSettings(Settings):
+    """Early stopping on Ray by asynchronous successive halving (Li et al. 2020): poor runs are pruned at each rung."""
+
+    metric: str
+    """The objective, a metric of the evaluations during training, named as the metric of a search."""
+    direction: Literal["maximize", "minimize"] = "maximize"
+    """Whether to maximize or minimize it."""
+    grace_period: Count
+    """Environment steps before a run may be pruned."""
+    reduction_factor: float = Field(default=4.0, gt=1)
+    """One in this many runs continues past each rung."""
+
+
+class RaySettings(Settings):
+    """Settings of the Ray Tune backend."""
+
+    asha: AshaSettings | None = None
+    """Early stopping; None to run every run to its end."""
+
+
+class SlurmSettings(Settings):
+    """Settings of the Slurm backend; :func:`algorithms.studies.slurm.sbatch_options` turns them into options."""
+
+    partition: str | None = None
+    """Passed to sbatch."""
+    account: str | None = None
+    """Passed to sbatch."""
+    qos: str | None = None
+    """Passed to sbatch."""
+    constraint: str | None = None
+    """Passed to sbatch."""
+    runs_per_job: Count = 1
+    """Number of runs in one task of the job array."""
+    side_by_side: Count = 1
+    """How many of these run concurrently."""
+    array_parallelism: Count = 256
+    """Maximum number of tasks that run concurrently."""
+    signal_delay_s: Count = 90
+    """Seconds before the time limit at which a job is told to save and requeue."""
+    max_requeues: Count = 100
+    """How often a job may reach its time limit."""
+    setup: list[str] = []
+    """Shell commands to run before each job."""
+    additional: dict[str, Any] = {}
+    """Any other options of sbatch."""
+
+
+class PlanSettings(Settings):
+    """What sweeps and studies have in common: values of all runs, what each needs, and the settings of the backends."""
+
+    overrides: dict[str, Any] = {}
+    """Values of experiment keys, the same for all runs."""
+    seeds: Seeds = [0]
+    """Seeds of each cell of a sweep, or those that count in a study; a number is short for that many from 0 on."""
+    resources: Resources = Resources()
+    """What each run needs."""
+    retries: int = Field(default=3, ge=0)
+    """How often to retry a run whose process died or could not write."""
+    ray: RaySettings = RaySettings()
+    """Settings of the backend of this name."""
+    slurm: SlurmSettings = SlurmSettings()
+    """Settings of the backend of this name."""
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether later runs are chosen by the scores of earlier ones: those of a search or of a tuning."""
+        return any(getattr(self, name, None) is not None for name in ("search", "tuning"))
+
+
+# ------------------------------------------------------------------------------------------------------------- a sweep
+
+
+class SearchRange(Settings):
+    """The values that a search may choose for a key: numbers in an interval, or a list of choices."""
+
+    low: int | float | None = None
+    """Bounds, inclusive; if both are integers, so are the values."""
+    high: int | float | None = None
+    """Bounds, inclusive; if both are integers, so are the values."""
+    log: bool = False
+    """Whether to sample on a logarithmic scale."""
+    step: int | float | None = None
+    """Distance between values; None for a continuous range."""
+    choices: Annotated[list[Any] | None, Field(min_length=1)] = None
+    """The values themselves, instead of an interval."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_choices(cls, value: Any) -> Any:
+        return {"choices": value} if isinstance(value, list) else value
+
+    @model_validator(mode="after")
+    def _check(self) -> SearchRange:
+        if self.choices is not None and self.model_fields_set != {"choices"}:
+            raise ValueError("'choices' excludes the other keys")
+        if self.choices is None and (self.low is None or self.high is None):
+            raise ValueError("needs 'low' and 'high', or 'choices'")
+        return self
+
+
+class SearchSettings(Settings):
+    """A hyperparameter search with Optuna."""
+
+    space: dict[str, SearchRange] = Field(min_length=1)
+    """The values of each key; a list is short for ``choices``."""
+    metric: str
+    """The objective, a metric of the final evaluation such as "greedy/utility_esr", "stochastic/success" or
+    "front/hypervolume"; averaged over seeds."""
+    direction: Literal["maximize", "minimize"] = "maximize"
+    """Whether to maximize or minimize it."""
+    sampler: Literal["tpe", "random"] = "tpe"
+    """The sampler; "random" chooses all points in advance, "tpe" from the scores of earlier points."""
+    trials: Count
+    """Number of points."""
+    batch: Count = 8
+    """Number of points that "tpe" chooses at a time; all runs of a batch end before the next is chosen, so that the
+    points do not depend on which run finishes first."""
+    seed: Seed = 0
+    """Seed of the sampler."""
+
+    @model_validator(mode="after")
+    def _check(self) -> SearchSettings:
+        if self.sampler == "random" and "batch" in self.model_fields_set:
+            raise ValueError("'batch' has no effect with the sampler 'random', which chooses all points in advance")
+        return self
+
+
+class SweepSettings(PlanSettings):
+    """A sweep: a base experiment, what varies, and the resources of each run."""
+
+    config: Annotated[
+        list[str],
+        BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
+        Field(min_length=1),
+        AfterValidator(_distinct),
+    ]
+    """YAML file of the base experiment, relative to the working directory or to the folder of the sweep's own file, or
+    the name of a shipped one; a list is the outermost dimension of the grid."""
+    grid: Values = {}
+    """Values of experiment keys; every combination is a cell. A mapping is merged into its section."""
+    search: SearchSettings | None = None
+    """A hyperparameter search, instead of a grid or within each cell of it."""
+
+    @model_validator(mode="after")
+    def _check(self) -> SweepSettings:
+        space = self.search.space if self.search else {}
+        places = {"overrides": keys_in(self.overrides), "grid": tried_keys(self.grid), "search.space": [*space]}
+        problems = key_problems(places, SEED_KEYS)
+        for key in dict.fromkeys(key for keys in places.values() for key in keys):
+            having = [place for place, keys in places.items() if key in keys]
+            problems += [f"{key!r} is in {' and in '.join(having)}"] if len(having) > 1 else []
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+
+# ------------------------------------------------------------------------------------------------------------- a study
 
 
 class Learner(Settings):
@@ -103,7 +287,7 @@ class StudyTask(Settings):
     """Further learners of this task by name, and what differs here from the study's learner of that name."""
 
 
-class Study(BackendSettings):
+class Study(PlanSettings):
     """A study: tasks, learners, and how settings are chosen."""
 
     title: str = ""
@@ -112,8 +296,6 @@ class Study(BackendSettings):
     """What is learnt, by name; a list of ids is short for tasks of the suite."""
     learners: dict[str, Learner] = {}
     """What learns, by name."""
-    seeds: Seeds = [0]
-    """Seeds that count, scored on the test split; a number is short for that many from 0 on."""
     tuning: Tuning | None = None
     """How settings are chosen; None to train every learner with its own."""
     metric: str | None = None
@@ -123,26 +305,19 @@ class Study(BackendSettings):
     """Further metrics of the final evaluation that the results have, without the policy, such as "success"."""
     help: dict[str, Any] = {}
     """Settings that every learner gets that has them, so that all have the same help."""
-    overrides: dict[str, Any] = {}
-    """Values of experiment keys, the same for all runs."""
-
-    @property
-    def adaptive(self) -> bool:
-        """As of the base class."""
-        return self.tuning is not None
 
     @property
     def labels(self) -> dict[str, str]:
         """The names of learners in tables and figures, of those that have one."""
         learners = [self.learners, *(task.learners for task in self.tasks.values())]
-        return {name: learner.label for each in learners for name, learner in each.items() if learner.label}
+        return {name: learner.label for group in learners for name, learner in group.items() if learner.label}
 
     def learners_of(self, task: str) -> dict[str, Learner]:
         """The learners of a task, by name."""
-        own = self.tasks[task].learners
+        changes = self.tasks[task].learners
         return {
-            name: self.learners.get(name, Learner()).with_changes(own.get(name, Learner()))
-            for name in {**self.learners, **own}
+            name: self.learners.get(name, Learner()).with_changes(changes.get(name, Learner()))
+            for name in {**self.learners, **changes}
         }
 
     def points(self, learner: Learner) -> list[dict[str, Any]]:
@@ -151,30 +326,11 @@ class Study(BackendSettings):
         combinations = product(*values.values()) if values else ()
         return [dict(zip(values, combination, strict=True)) for combination in combinations]
 
-
-def load_study(path: str | Path) -> Study:
-    """Read the settings of a study: a YAML file, or the name of a shipped one."""
-    name, path = str(path), find_config(path)
-    given = read_mapping(path)
-    if "tasks" not in given:
-        kind, command = ("sweep", "sweep") if "config" in given else ("experiment", "train")
-        raise ValueError(f"{name!r} is the file of a{'n' * (kind[0] == 'e')} {kind}; mo-deepdrive {command} takes it")
-    study = parse(Study, given, f"study {name!r}")
-    problems = problems_of(study)
-    if problems:
-        raise ValueError(f"invalid study {name!r}: {'; '.join(problems)}")
-
-    def beside(learners: dict[str, Learner]) -> dict[str, Learner]:
-        """The learners, whose configs may be beside the study's file."""
-        return {
-            key: learner.model_copy(update={"config": found_beside(learner.config, path)})
-            if learner.config
-            else learner
-            for key, learner in learners.items()
-        }
-
-    tasks = {key: task.model_copy(update={"learners": beside(task.learners)}) for key, task in study.tasks.items()}
-    return study.model_copy(update={"tasks": tasks, "learners": beside(study.learners)})
+    @model_validator(mode="after")
+    def _check(self) -> Study:
+        if problems := problems_of(self):
+            raise ValueError("; ".join(problems))
+        return self
 
 
 def learners_in(study: Study) -> Iterator[tuple[str, Learner]]:
@@ -184,43 +340,32 @@ def learners_in(study: Study) -> Iterator[tuple[str, Learner]]:
         yield from ((f"tasks.{key}.learners.{name}", learner) for name, learner in task.learners.items())
 
 
-def _keys_by_place(study: Study) -> dict[str, list[str]]:
-    """The experiment keys in a study, by where they are in it."""
-    keys = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
-    if study.tuning is not None:
-        keys["tuning.values"] = tried_keys(study.tuning.values)
-    for key, task in study.tasks.items():
-        keys |= {f"tasks.{key}.overrides": keys_in(task.overrides), f"tasks.{key}.help": keys_in(task.help)}
-    for place, learner in learners_in(study):
-        keys |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": tried_keys(learner.tuning or {})}
-    return keys
-
-
 def problems_of(study: Study) -> list[str]:
     """What is invalid in a study by itself, one line each."""
     problems = []
-    tuning = [] if study.tuning is None else study.tuning.seeds
-    counted = {"seeds": study.seeds, **{f"tasks.{key}.seeds": task.seeds or [] for key, task in study.tasks.items()}}
-    for where, seeds in {**counted, "tuning.seeds": tuning}.items():
-        if len(set(seeds)) < len(seeds):
-            problems.append(f"{where} = {seeds} has a duplicate seed")
-        if where in counted and (both := set(seeds) & set(tuning)):
-            problems.append(f"{where} has {min(both)}, a seed of the tuning; take others")
-    problems += key_problems(_keys_by_place(study), ELSEWHERE)
+    tuning, tasks = [] if study.tuning is None else study.tuning.seeds, study.tasks.values()
+    keys = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
+    keys["tuning.values"] = tried_keys(study.tuning.values if study.tuning else {})
+    counted = {"seeds": study.seeds}
+    for name, task in study.tasks.items():
+        place = f"tasks.{name}"
+        keys |= {f"{place}.overrides": keys_in(task.overrides), f"{place}.help": keys_in(task.help)}
+        counted[f"{place}.seeds"] = task.seeds or []
+        if task.task is not None and task.environment is not None:
+            problems.append(f"{place}.environment: the suite's task {task.task!r} has an environment of its own")
     for place, learner in learners_in(study):
+        keys |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": tried_keys(learner.tuning or {})}
         for name in ("tuning", "tuning_share") if study.tuning is None else ():
             if getattr(learner, name) is not None:
                 problems.append(f"{place}.{name} has no effect in a study without tuning")
-    for key, task in study.tasks.items():
-        if task.task is not None and task.environment is not None:
-            problems.append(f"tasks.{key}.environment: the suite's task {task.task!r} has an environment of its own")
-    tasks = study.tasks.values()
-    for name, used in {
-        "metric": any(task.task is None and task.metric is None for task in tasks),
-        "seeds": any(task.seeds is None for task in tasks),
-    }.items():
-        if name in study.model_fields_set and getattr(study, name) is not None and not used:
-            problems.append(f"{name} has no effect: every task has its own")
+    problems += key_problems(keys, ELSEWHERE)
+    for place, seeds in counted.items():
+        if both := set(seeds) & set(tuning):
+            problems.append(f"{place} has {min(both)}, a seed of the tuning; take others")
+    if study.metric is not None and all(task.task or task.metric for task in tasks):
+        problems.append("metric has no effect: every task has its own")
+    if "seeds" in study.model_fields_set and all(task.seeds for task in tasks):
+        problems.append("seeds has no effect: every task has its own")
     if study.ray.asha is not None:
         problems.append("ray.asha would prune runs that count")
     for name in study.tasks:
@@ -235,3 +380,83 @@ def problems_of(study: Study) -> list[str]:
         if (most := max(runs.values(), default=0)) > MAX_TUNING_RUNS:
             problems.append(f"task {name!r}: {most} tuning runs of a learner; at most {MAX_TUNING_RUNS} are allowed")
     return problems
+
+
+# ---------------------------------------------------------------------------------------------------------- their files
+
+P = TypeVar("P", bound=PlanSettings)
+# The commands that train from files, and the keys that only these files have.
+COMMANDS = {"study": ("study", "tasks"), "sweep": ("sweep", "config"), "experiment": ("train", "algorithm")}
+
+
+def load_sweep(path: str | Path) -> SweepSettings:
+    """Read the settings of a sweep: a YAML file, or the name of a shipped one."""
+    return _load(SweepSettings, "sweep", path)
+
+
+def load_study(path: str | Path) -> Study:
+    """Read the settings of a study: a YAML file, or the name of a shipped one."""
+    return _load(Study, "study", path)
+
+
+def _load(model: type[P], kind: str, path: str | Path) -> P:
+    name, path = str(path), find_config(path)
+    values = read_mapping(path)
+    other, (command, _) = next(
+        ((key, value) for key, value in COMMANDS.items() if value[1] in values), (kind, ("", ""))
+    )
+    if other != kind:
+        article = "an" if other == "experiment" else "a"
+        raise ValueError(f"{name!r} is the file of {article} {other}; mo-deepdrive {command} --config {name} trains it")
+    return parse(model, _with_paths(values, path), f"{kind} {name!r}")
+
+
+def _with_paths(value: Any, file: Path, key: str = "") -> Any:
+    """What a file says, with the paths of the configs that are beside it instead of their names."""
+    if isinstance(value, dict):
+        return {name: _with_paths(inner, file, name) for name, inner in value.items()}
+    if key != "config":
+        return value
+    if isinstance(value, list):
+        return [_with_paths(name, file, key) for name in value]
+    beside = str(file.parent / value) if isinstance(value, str) else None
+    return beside if beside and str(find_config(value, beside=file)) == beside else value
+
+
+def keys_in(values: Mapping[str, Any]) -> list[str]:
+    """The dotted experiment keys that a mapping sets, those in its mappings included."""
+    return [
+        f"{key}.{inner}" if inner else key
+        for key, value in values.items()
+        for inner in (keys_in(value) if isinstance(value, dict) and value else [""])
+    ]
+
+
+def tried_keys(values: Mapping[str, list[Any]]) -> list[str]:
+    """The same of a mapping from keys to the values that are tried for them."""
+    return [
+        key
+        for name, choices in values.items()
+        for key in dict.fromkeys(key for choice in choices for key in keys_in({name: choice}))
+    ]
+
+
+def key_problems(places: Mapping[str, list[str]], elsewhere: Mapping[str, str]) -> list[str]:
+    """What is wrong with the experiment keys in a file, one line each: they are set elsewhere, or twice in a place.
+
+    Args:
+        places: the keys of every place in the file.
+        elsewhere: the keys that are set elsewhere, and where.
+    """
+    problems = []
+    for place, keys in places.items():
+        problems += [f"{key!r} in {place}: {elsewhere[key]}" for key in dict.fromkeys(keys) if key in elsewhere]
+        problems += [f"{key!r} is in {place} twice" for key in dict.fromkeys(keys) if keys.count(key) > 1]
+    return problems
+
+
+def replaced_keys(configs: Iterable[str | None], elsewhere: Mapping[str, str]) -> list[str]:
+    """What configs say that is set elsewhere, one line each; the arguments are as of :func:`key_problems`."""
+    names = [name for name in dict.fromkeys(configs) if name is not None]
+    keys = ((name, key) for name in names for key in keys_in(read_mapping(find_config(name))))
+    return [f"{name}: {key} is not used; {elsewhere[key]}" for name, key in keys if key in elsewhere]

@@ -1,29 +1,8 @@
 """The Slurm backend: the batch script of a sweep, its submission as a job array through submitit, and its watch.
 
-:func:`sbatch_options` is the place to change the batch script; submitit writes the text around the options. Print it
-with ``mo-deepdrive sweep --config FILE --on slurm --dry-run``. For sweeps/one_waypoint it is::
-
-    #!/bin/bash
-
-    # Parameters
-    #SBATCH --array=0-9%10
-    #SBATCH --cpus-per-task=1
-    #SBATCH --job-name=one_waypoint
-    #SBATCH --mem=2048MB
-    #SBATCH --nodes=1
-    #SBATCH --open-mode=append
-    #SBATCH --output=SWEEP/slurm/%A_%a_0_log.out
-    #SBATCH --requeue
-    #SBATCH --signal=USR2@90
-    #SBATCH --time=30
-    #SBATCH --wckey=submitit
-
-    # command
-    export SUBMITIT_EXECUTOR=slurm
-    srun --unbuffered --output LOG --cpus-per-task=1 python -u -c '...; submitit_main()' SWEEP/slurm
-
-Each task of the array unpickles and calls its :class:`ArrayTask`. Before the time limit, or when pre-empted, a task
-saves its runs and requeues itself.
+:func:`sbatch_options` is the place to change the batch script; submitit writes the text around the options, and
+``mo-deepdrive sweep --config FILE --on slurm --dry-run`` prints it. Each task of the array unpickles and calls its
+:class:`ArrayTask`. Before the time limit, or when pre-empted, a task saves its runs and requeues itself.
 """
 
 from __future__ import annotations
@@ -54,14 +33,13 @@ from algorithms.runs.worker_pool import perform_all
 from mo_deepdrive.support.atomic_io import own_path, write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from algorithms.runs.jobs import Job
-    from algorithms.studies.sweep_settings import BackendSettings
+    from algorithms.studies.settings import PlanSettings
 
 POLL = 5.0  # s between queries of the queue
-JOBS_PER_QUERY = 500  # the length of a command line is limited
 MAX_ARRAY_TASKS = 1000  # Slurm's default limit is 1001 (MaxArraySize)
 # States of a Slurm job that will not run (again).
 FINAL_STATES = (
@@ -92,53 +70,43 @@ class TaskExecutor(submitit.SlurmExecutor):
         return 1
 
 
-def slurm_folder(sweep: Path) -> Path:
-    """Where the logs of the jobs and the ids of submitted jobs are."""
-    return own_path(sweep.resolve(), "slurm")
-
-
-def sbatch_options(settings: BackendSettings, name: str) -> dict[str, Any]:
+def sbatch_options(settings: PlanSettings, name: str) -> dict[str, Any]:
     """The options of sbatch for each task of the array, under submitit's names.
 
-    Args:
-        settings: of the sweep; a task runs ``slurm.side_by_side`` runs at a time, with ``resources`` for each.
-        name: of the job.
+    A task trains ``slurm.side_by_side`` runs at a time, with ``resources`` for each; ``name`` is that of the job.
     """
     slurm, resources = settings.slurm, settings.resources
     cpus = max(1, math.ceil(resources.cpus * slurm.side_by_side))
-    gpus = math.ceil(resources.gpus * slurm.side_by_side)
-    memory = None if resources.memory_gb is None else math.ceil(1024 * resources.memory_gb * slurm.side_by_side)
-    optional = {
+    memory = math.ceil(1024 * (resources.memory_gb or 0.0) * slurm.side_by_side)
+    options: dict[str, Any] = {
         "partition": slurm.partition,
         "account": slurm.account,
         "qos": slurm.qos,
         "constraint": slurm.constraint,
-        "gpus_per_node": gpus or None,
-        "mem": None if memory is None else f"{memory}MB",
-        "setup": slurm.setup or None,
-    }
-    return {
         "job_name": name,
         "time": resources.minutes,
         "cpus_per_task": cpus,
+        "gpus_per_node": math.ceil(resources.gpus * slurm.side_by_side),
+        "mem": f"{memory}MB" if memory else None,
         "array_parallelism": slurm.array_parallelism,
         "signal_delay_s": slurm.signal_delay_s,
         "stderr_to_stdout": True,
         # Since Slurm 22.05, srun does not inherit --cpus-per-task from sbatch.
         "srun_args": [f"--cpus-per-task={cpus}"],
         "additional_parameters": {"requeue": True, **slurm.additional},
-        **{key: value for key, value in optional.items() if value is not None},
+        "setup": slurm.setup,
     }
+    return {key: value for key, value in options.items() if value}
 
 
-def make_executor(settings: BackendSettings, sweep: Path) -> TaskExecutor:
+def make_executor(settings: PlanSettings, sweep: Path) -> TaskExecutor:
     """What writes and submits the batch script of a sweep."""
-    executor = TaskExecutor(slurm_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
+    executor = TaskExecutor(own_path(sweep.resolve(), "slurm"), max_num_timeout=settings.slurm.max_requeues)
     executor.update_parameters(**sbatch_options(settings, sweep.name))
     return executor
 
 
-def batch_script(tasks: int, settings: BackendSettings, sweep: Path) -> str:
+def batch_script(tasks: int, settings: PlanSettings, sweep: Path) -> str:
     """The text of the batch script for an array of ``tasks`` tasks, or for the first array if there are several."""
     executor = make_executor(settings, sweep)
     if tasks > 1:
@@ -196,40 +164,16 @@ class ArrayTask:
         return submitit.helpers.DelayedSubmission(ArrayTask(self.jobs, self.side_by_side, self.retries))
 
 
-def array_tasks(jobs: Sequence[Job], settings: BackendSettings) -> list[ArrayTask]:
-    """Divide the runs among tasks of a job array."""
-    jobs = [replace(job.without_code(), path=job.path.resolve()) for job in jobs]
-    size = settings.slurm.runs_per_job
-    return [
-        ArrayTask(tuple(jobs[first : first + size]), settings.slurm.side_by_side, settings.retries)
-        for first in range(0, len(jobs), size)
-    ]
-
-
 # ----------------------------------------------------------------------------------------------------------- the queue
 
 
-def _query_states(jobs: Sequence[str]) -> dict[str, str] | None:
+def _query_states(jobs: Iterable[str]) -> dict[str, str] | None:
     """The states of all jobs and array tasks that Slurm still knows; None if it does not answer."""
-    command = ["squeue", "--all", "--states=all", "--array", "--noheader", "--format=%i|%T"]
-    states: dict[str, str] = {}
-    for first in range(0, len(jobs), JOBS_PER_QUERY):
-        ids = ",".join(jobs[first : first + JOBS_PER_QUERY])
-        answer = subprocess.run([*command, f"--jobs={ids}"], capture_output=True, text=True, check=False)
-        if answer.returncode and "Invalid job id" not in answer.stderr:
-            return None
-        states |= dict(line.split("|") for line in answer.stdout.split())
-    return states
-
-
-def _ask_accounting(job: str) -> dict[str, str]:
-    """The states of a job, or of the tasks of an array, in Slurm's accounting; empty where there is none."""
-    if shutil.which("sacct") is None:
-        return {}
-    command = ["sacct", "--noheader", "--parsable2", "--allocations", "--format=JobID,State", f"--jobs={job}"]
+    command = ["squeue", "--all", "--states=all", "--array", "--noheader", "--format=%i|%T", f"--jobs={','.join(jobs)}"]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
-    lines = answer.stdout.splitlines() if answer.returncode == 0 else []
-    return {name: state.split()[0] for name, _, state in (line.partition("|") for line in lines) if state.split()}
+    if answer.returncode and "Invalid job id" not in answer.stderr:
+        return None
+    return dict(line.split("|") for line in answer.stdout.split())
 
 
 class SlurmQueue:
@@ -242,13 +186,18 @@ class SlurmQueue:
 
     def __init__(self, sweep: Path):
         self._sweep = sweep
-        self._file = slurm_folder(sweep) / "jobs.json"
+        self._file = own_path(sweep.resolve(), "slurm") / "jobs.json"
         self.jobs: dict[str, list[str]] = json.loads(self._file.read_text()) if self._file.is_file() else {}
         self.states: dict[str, str] = {}
 
-    def submit(self, jobs: Sequence[Job], settings: BackendSettings) -> None:
+    def submit(self, jobs: Sequence[Job], settings: PlanSettings) -> None:
         """Submit runs to Slurm, in as few job arrays as possible."""
-        executor, tasks = make_executor(settings, self._sweep), array_tasks(jobs, settings)
+        executor, slurm = make_executor(settings, self._sweep), settings.slurm
+        portable = [replace(job.without_code(), path=job.path.resolve()) for job in jobs]
+        tasks = [
+            ArrayTask(tuple(portable[first : first + slurm.runs_per_job]), slurm.side_by_side, settings.retries)
+            for first in range(0, len(portable), slurm.runs_per_job)
+        ]
         for first in range(0, len(tasks), MAX_ARRAY_TASKS):
             array = tasks[first : first + MAX_ARRAY_TASKS]
             try:
@@ -262,29 +211,28 @@ class SlurmQueue:
 
     def refresh(self) -> bool:
         """Query the states of the jobs; returns whether Slurm answered."""
-        states = _query_states(sorted({job.partition("_")[0] for job in self.jobs}, key=int))
+        arrays = {job.partition("_")[0] for job in self.jobs}
+        states = _query_states(arrays) if arrays else {}
         if states is not None:
             self.states = states
         return states is not None
 
-    def is_active(self, job: str) -> bool:
-        """Whether a job is queued or running."""
-        return self.states.get(job, "COMPLETED") not in FINAL_STATES
+    def active_jobs(self) -> list[str]:
+        """The jobs that are queued or running."""
+        return [job for job in self.jobs if self.states.get(job, "COMPLETED") not in FINAL_STATES]
 
     def active_runs(self) -> set[str]:
         """Ids of the runs of queued and running jobs."""
-        return {run for job, runs in self.jobs.items() if self.is_active(job) for run in runs}
+        return {run for job in self.active_jobs() for run in self.jobs[job]}
 
     def last_state(self, run: str) -> tuple[str, str]:
         """The last job to which a run was assigned, and its state.
 
         Slurm forgets jobs some minutes after their end, and tasks of an array that are cancelled before they start at
-        once. If accounting does not know the job either, one that has started is "LOST", one that has not "CANCELLED".
+        once: a job that it does not know is "LOST" if it has started, and else "CANCELLED".
         """
         job = [job for job, runs in self.jobs.items() if run in runs][-1]
-        if job not in self.states:
-            self.states |= _ask_accounting(job.partition("_")[0])
-        return job, self.states.setdefault(job, "LOST" if self.log_file(job).exists() else "CANCELLED")
+        return job, self.states.get(job, "LOST" if self.log_file(job).exists() else "CANCELLED")
 
     def log_file(self, job: str) -> Path:
         """The file with the output of a job."""
@@ -292,13 +240,13 @@ class SlurmQueue:
 
     def cancel_command(self) -> str | None:
         """The command that cancels all queued and running jobs; None if there are none."""
-        arrays = {job.partition("_")[0] for job in self.jobs if self.is_active(job)}
+        arrays = {job.partition("_")[0] for job in self.active_jobs()}
         return f"scancel {' '.join(sorted(arrays, key=int))}" if arrays else None
 
 
 def run_on_slurm(
     jobs: Sequence[Job],
-    settings: BackendSettings,
+    settings: PlanSettings,
     sweep: Path,
     monitor: Dashboard,
     *,
@@ -307,7 +255,7 @@ def run_on_slurm(
 ) -> dict[Job, str]:
     """Submit the runs that are neither done nor already submitted, and wait for all runs.
 
-    As :meth:`algorithms.studies.backends.Backend.train`; once ``stop`` returns True, the jobs stay in the queue.
+    As :meth:`algorithms.studies.execution.Backend.train`; once ``stop`` returns True, the jobs stay in the queue.
     Without waiting, those of a search that have failed before are returned.
     """
     if shutil.which("sbatch") is None or shutil.which("squeue") is None:
@@ -315,10 +263,16 @@ def run_on_slurm(
     queue = SlurmQueue(sweep)
     attempts: Counter[Any] = Counter()
     failed: dict[Job, str] = {}
-    missing_before: set[Any] = set()
-    first = True
-    # Without waiting, nobody sees a run fail: a search that submitted it at every call would not pass its batch.
-    count_failures = not wait and settings.adaptive
+    missing_before: set[Job] | None = None  # None until Slurm has answered
+
+    def reason_of(job: Job) -> str | None:
+        """Why a run that no job has has failed; None to submit it (again)."""
+        if missing_before is None:
+            # Without waiting, nobody sees a run fail: submitted at every call, it would keep a search in its batch.
+            return _reported_failure(job) if settings.adaptive and not wait else None
+        # The job has already retried what the run reported.
+        return _reported_failure(job) or _lost(job, queue, attempts[job.id], settings.retries)
+
     while True:
         if queue.refresh():
             active = queue.active_runs()
@@ -327,24 +281,16 @@ def run_on_slurm(
                 return failed
             missing = [job for job in open_jobs if job.id not in active]
             # The result of a run may become visible after the end of its job: a run is lost if it is missing twice.
-            lost = missing if first else [job for job in missing if job.id in missing_before]
-            missing_before = {job.id for job in missing}
-            to_submit = []
-            for job in lost:
-                if first:
-                    reason = _reported_failure(job) if count_failures else None
-                else:  # the job has already retried what it reported
-                    reason = _reported_failure(job) or _lost(job, queue, attempts[job.id], settings.retries)
-                if reason is None:
-                    attempts[job.id] += 1
-                    to_submit.append(job)
-                else:
+            lost = {job: reason_of(job) for job in missing if missing_before is None or job in missing_before}
+            for job, reason in lost.items():
+                if reason is not None:
                     failed[job] = reason
                     monitor.failed(job, reason)
+            to_submit = [job for job, reason in lost.items() if reason is None]
             if to_submit:
+                attempts.update(job.id for job in to_submit)
                 queue.submit(to_submit, settings)
-                missing_before = set()
-            first = False
+            missing_before = set() if to_submit else {*missing}
         if not wait:
             return failed
         monitor.update()

@@ -8,8 +8,15 @@ from algorithms.runs.shipped import CONFIGS
 from algorithms.studies import ALL, CORE, REFERENCE
 from algorithms.studies.manifest import short_names
 from algorithms.studies.plan import StudyPlan
-from algorithms.studies.settings import ELSEWHERE, Learner, StudyTask, load_study, problems_of
-from algorithms.studies.sweep_settings import key_problems, keys_in
+from algorithms.studies.settings import (
+    ELSEWHERE,
+    Learner,
+    StudyTask,
+    key_problems,
+    keys_in,
+    load_study,
+    problems_of,
+)
 from mo_deepdrive import suite
 
 if TYPE_CHECKING:

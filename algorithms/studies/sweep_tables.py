@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 import polars as pl
 
+from algorithms.reporting.run_records import distinct_labels
 from algorithms.reporting.tables import (
     TABLE_COLUMNS,
     TABLE_METRICS,
@@ -23,7 +23,6 @@ from algorithms.reporting.tables import (
     scores_table,
 )
 from algorithms.studies.collection import SCORE_KEYS, Cell, Collection, as_json, collect
-from algorithms.studies.manifest import label
 from mo_deepdrive.evaluation.metrics import (
     EXPECTED_UTILITY,
     FRONT,
@@ -66,22 +65,16 @@ def print_sweep(
     top: int = 20,
     columns: Sequence[str] | None = None,
 ) -> tuple[list[ScoreGroup], list[ScoreGroup]]:
-    """Print the best cells of a sweep and the first comparisons of algorithms.
+    """Print the best cells of a sweep and the first comparisons of algorithms, at most ``top`` of each.
 
-    Args:
-        sweep: its directory.
-        console: where to print.
-        warn: called with a message about everything that is left out.
-        metric: to sort by; None for the utility or the hypervolume.
-        top: cells to print of each table, and comparisons.
-        columns: beside the metric to sort by; None for :data:`algorithms.reporting.tables.TABLE_COLUMNS`.
+    Cells are sorted by ``metric``, None for the utility or the hypervolume; beside it the table has ``columns``, None
+    for :data:`algorithms.reporting.tables.TABLE_COLUMNS`. ``warn`` is called with a line about all that is left out.
 
     Returns:
         The scores of all cells, and those by which they are compared.
     """
-    collection = collect(sweep)
-    collection.report_problems(warn)
-    if not collection.scored:
+    collection = collect(sweep, warn)
+    if collection.scores.is_empty():
         raise ValueError(
             f"no run of sweep {str(sweep)!r} has a final evaluation yet; mo-deepdrive plot draws what runs have logged"
         )
@@ -95,7 +88,7 @@ def print_sweep(
         if ranking.ranked:
             shown = min(top, len(ranking.ranked))
             title = f"{ranking.title}: {shown} of {len(ranking.cells)} cells, by {ranking.score_name}"
-            rows = best_cells(ranking, groups, top, columns or TABLE_COLUMNS)
+            rows = best_cells(ranking, groups[:shown], columns or TABLE_COLUMNS)
             print_rows(console, rows, title, rows[0].index(ranking.metric), rest=REST)
         elif groups:
             warn(f"left out: no run has {metric or 'a utility or an indicator of a front'} in {ranking.title}")
@@ -118,6 +111,7 @@ def group_cells(collection: Collection, ranking: Ranking, columns: Sequence[str]
     for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranking.metric))]).rows():
         # A total is in the row of all vehicles together if that has no such score itself.
         scores[run].setdefault(MetricName(policy, "" if vehicle == TOTAL else vehicle, metric), value)
+    scored = {*collection.scores["run"]}
     groups = []
     for cell in ranking.cells:
         texts = {key: value_text(value) for key, value in cell.keys.items()}
@@ -127,7 +121,7 @@ def group_cells(collection: Collection, ranking: Ranking, columns: Sequence[str]
         group = ScoreGroup({**trial, **texts}, task, algorithm, ranking.title, wanted=len(cell.rows))
         group.evaluation = cell.experiment.evaluation
         for row in cell.rows:
-            if row.id in collection.scored:
+            if row.id in scored:
                 group.seeds.append(row.seed)
                 for place, value in scores[row.id].items():
                     group.scores[place].append(value)
@@ -141,25 +135,15 @@ def _ranked_scores(ranking: Ranking, group: ScoreGroup) -> ScoreGroup:
     return replace(group, scores={name: values for name, values in group.scores.items() if name.vehicle == vehicle})
 
 
-def best_cells(
-    ranking: Ranking, groups: Sequence[ScoreGroup], top: int, metrics: Sequence[str] = TABLE_COLUMNS
-) -> Rows:
-    """The best cells of a ranking for the terminal: short names of their keys, and the scores of one vehicle.
-
-    Args:
-        ranking: the cells.
-        groups: their scores, in the same order.
-        top: cells at most.
-        metrics: the columns after the metric of the ranking.
-    """
-    cells = ranking.ranked[:top]
-    keys = varying_keys([cell.keys for cell in ranking.cells])
-    columns = {name: value_labels([cell.keys.get(key) for cell in cells]) for key, name in short_names(keys).items()}
+def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], metrics: Sequence[str] = TABLE_COLUMNS) -> Rows:
+    """The first cells of a ranking for the terminal: short names of their keys, and the scores of one vehicle."""
+    keys = short_names(varying_keys([cell.keys for cell in ranking.cells]))
+    columns = [value_labels([cell.keys.get(key) for cell in ranking.cells[: len(groups)]]) for key in keys]
     brief = []
-    for i, group in enumerate(groups[: len(cells)]):
+    for i, group in enumerate(groups):
         trial = {name: text for name, text in group.about.items() if name == "trial"}
-        names = {name: texts[i] for name, texts in columns.items()}
-        brief.append(replace(_ranked_scores(ranking, group), about={**trial, **names}))
+        about = {name: texts[i] for name, texts in zip(keys.values(), columns, strict=True)}
+        brief.append(replace(_ranked_scores(ranking, group), about={**trial, **about}))
     rows = scores_table(brief, [ranking.metric, *(name for name in metrics if name != ranking.metric)])
     return [[cell for name, cell in zip(rows[0], row, strict=True) if name != "vehicle"] for row in rows]
 
@@ -167,8 +151,7 @@ def best_cells(
 # ------------------------------------------------------------------------------------------------------------- ranking
 
 
-@dataclass(frozen=True)
-class Ranking:
+class Ranking(NamedTuple):
     """Cells whose scores are comparable, ranked: same environment, utility, discount and reference point.
 
     Attributes:
@@ -176,6 +159,7 @@ class Ranking:
         policy, vehicle, metric: the score that the cells are ranked by. The vehicle is "" for one vehicle, or all
             together, and TOTAL for the sum over vehicles; all three are "" if no run has a score.
         cells: best first, then those without a score.
+        ranked: the means of the former.
         scores: by run id.
     """
 
@@ -184,24 +168,14 @@ class Ranking:
     vehicle: str
     metric: str
     cells: tuple[Cell, ...]
+    ranked: tuple[float, ...]
     scores: dict[str, float]
-
-    @property
-    def ranked(self) -> list[Cell]:
-        """The cells with a score, best first."""
-        return [cell for cell in self.cells if mean_score(cell, self.scores) is not None]
 
     @property
     def score_name(self) -> str:
         """The score as text, such as "greedy total utility"."""
         words = [self.policy, self.vehicle, self.metric.removesuffix("_esr")]
         return " ".join(filter(None, words)).replace("_", " ")
-
-
-def mean_score(cell: Cell, scores: Mapping[str, float]) -> float | None:
-    """The mean over the runs of a cell that have a score, by run id; None if none of them has."""
-    known = [scores[row.id] for row in cell.rows if row.id in scores]
-    return float(np.mean(known)) if known else None
 
 
 def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None) -> list[Ranking]:
@@ -214,82 +188,54 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
             :data:`mo_deepdrive.evaluation.metrics.POLICIES` that has the metric; None for the first of
             :data:`DEFAULT_METRICS` that the runs have.
     """
-    comparable: dict[str, list[Cell]] = {}
-    for cell in cells:
-        experiment = cell.experiment
-        comparable.setdefault(f"{experiment.task_key} {experiment.evaluation.split}", []).append(cell)
+    comparable: dict[str, list[int]] = defaultdict(list)
+    for i, cell in enumerate(cells):
+        comparable[f"{cell.experiment.task_key} {cell.experiment.evaluation.split}"].append(i)
     finite = scores.select("run", *SCORE_KEYS, "value").filter(pl.col("value").is_finite())
-    if metric is not None:
-        check_metric(metric, finite)
+    if metric is not None:  # its policy and vehicle may be omitted
+        places = sorted(finite.select(SCORE_KEYS).unique().rows())
+        forms = (form for place in places for form in (place, place[1:], (place[0], place[2]), place[2:]))
+        known_metric(metric, dict.fromkeys("/".join(filter(None, form)) for form in forms))
     candidates = [
         MetricName(policy, vehicle, given.metric)
         for given in (DEFAULT_METRICS if metric is None else (split_name(metric),))
         for policy in ([given.policy] if given.policy else POLICIES)
         for vehicle in ([given.vehicle] if given.vehicle else ["", TOTAL])
     ]
-    finite = pl.concat([finite, totals(finite)])
-    return [
-        _ranking(title, members, candidates, finite)
-        for title, members in zip(_titles([*comparable.values()]), comparable.values(), strict=True)
+    runs = [(row.id, i) for i, cell in enumerate(cells) for row in cell.rows]
+    cell_of_run = pl.DataFrame(runs, {"run": pl.String, "cell": pl.Int64}, orient="row")
+    known = pl.concat([finite, totals(finite)]).join(cell_of_run, on="run")
+    experiments = [cells[members[0]].experiment for members in comparable.values()]
+    tasks = [
+        {name: section.model_dump() for name, section in experiment.task.items() if section is not None}
+        | {"split": experiment.evaluation.split}
+        for experiment in experiments
     ]
-
-
-def _ranking(title: str, cells: Sequence[Cell], candidates: Sequence[MetricName], scores: pl.DataFrame) -> Ranking:
-    """Comparable cells, sorted by the first of the candidates that a run of theirs has."""
-    of_cells = scores.filter(pl.col("run").is_in([row.id for cell in cells for row in cell.rows]))
-    for name in candidates:
-        known = dict(of_cells.filter(**name._asdict()).select("run", "value").iter_rows())
-        if known:
-            break
-    else:
-        return Ranking(title, "", "", "", tuple(cells), {})
-    sign = 1.0 if lower_is_better(name.metric) else -1.0
-
-    def place(cell: Cell) -> float:
-        score = mean_score(cell, known)
-        return np.inf if score is None else sign * score
-
-    return Ranking(title, *name, tuple(sorted(cells, key=place)), known)
-
-
-def check_metric(metric: str, scores: pl.DataFrame) -> None:
-    """Check that some run has a metric; its policy and vehicle may be omitted.
-
-    Args:
-        metric: such as "greedy/vehicle_0/success".
-        scores: with the columns policy, vehicle and metric.
-    """
-    places = scores.select(SCORE_KEYS).unique().sort(SCORE_KEYS).rows()
-    shortened = {
-        "/".join(filter(None, parts))
-        for policy, vehicle, name in places
-        for parts in ((vehicle, name), (policy, name), (name,))
-    }
-    if metric not in shortened:
-        known_metric(metric, ["/".join(filter(None, place)) for place in places])
+    titles = distinct_labels([experiment.title for experiment in experiments], tasks)
+    rankings = []
+    for title, members in zip(titles, comparable.values(), strict=True):
+        of_members = known.filter(pl.col("cell").is_in(members))
+        by_name = of_members.partition_by(SCORE_KEYS, as_dict=True)
+        name = next((name for name in candidates if name in by_name), MetricName("", "", ""))
+        chosen = by_name.get(name, of_members.clear())
+        descending = not lower_is_better(name.metric)
+        means = (
+            chosen.group_by("cell")
+            .agg(pl.col("value").mean())
+            .sort("cell")
+            .sort("value", descending=descending, maintain_order=True)
+        )
+        best = means["cell"].to_list()
+        ordered = [cells[i] for i in [*best, *(i for i in members if i not in best)]]
+        by_run = dict(chosen.select("run", "value").rows())
+        rankings.append(Ranking(title, *name, tuple(ordered), tuple(means["value"]), by_run))
+    return rankings
 
 
 def totals(scores: pl.DataFrame) -> pl.DataFrame:
-    """Sums over vehicles, per run, policy and metric; their vehicle is TOTAL.
-
-    Args:
-        scores: with the columns run, policy, vehicle, metric and value, like the result.
-    """
+    """Sums over vehicles, per run, policy and metric; their vehicle is TOTAL. The columns are those of ``scores``."""
     of_vehicles = scores.filter(pl.col("vehicle") != "").with_columns(vehicle=pl.lit(TOTAL))
     return of_vehicles.group_by("run", *SCORE_KEYS).agg(pl.col("value").sum())
-
-
-def _titles(groups: Sequence[Sequence[Cell]]) -> list[str]:
-    """Environment and utility of each group of cells; equal titles also get the keys that differ."""
-    titles = [cells[0].experiment.title for cells in groups]
-    differing = varying_keys([cell.keys for cells in groups for cell in cells])
-    result = []
-    for title, cells in zip(titles, groups, strict=True):
-        keys = cells[0].keys
-        inside = varying_keys([cell.keys for cell in cells])
-        distinguishing = {key: keys[key] for key in differing if key in keys and key not in inside}
-        result.append(f"{title} ({label(distinguishing)})" if titles.count(title) > 1 else title)
-    return result
 
 
 # -------------------------------------------------------------------------------------------------------------- labels
@@ -315,17 +261,15 @@ def value_text(value: Any) -> str:
 def value_labels(values: Sequence[Any]) -> list[str]:
     """Short texts of the values of a key; in full, as JSON, where two different values would look the same."""
     texts = {as_json(value): _short_text(value) for value in values}
-    repeated = {text for text, times in Counter(texts.values()).items() if times > 1}
-    return [code if texts[code] in repeated else texts[code] for code in map(as_json, values)]
+    times = Counter(texts.values())
+    return [code if times[texts[code]] > 1 else texts[code] for code in map(as_json, values)]
 
 
 def _short_text(value: Any) -> str:
     """A section by its name, a number with four significant digits."""
     if isinstance(value, Mapping) and isinstance(value.get("name", value.get("id")), str):
         return str(value.get("name", value.get("id")))
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return value_text(value)
+    return f"{value:.4g}" if isinstance(value, float) else value_text(value)
 
 
 def cell_labels(cells: Sequence[Cell], keys: Sequence[str]) -> list[str]:

@@ -14,8 +14,7 @@ from algorithms.runs.key_listing import (
     model_keys,
 )
 from algorithms.runs.registry import algorithm_names
-from algorithms.studies.settings import Learner, Study, StudyTask
-from algorithms.studies.sweep_settings import SweepSettings
+from algorithms.studies.settings import Learner, Study, StudyTask, SweepSettings
 from mo_deepdrive.world.config import Settings
 
 

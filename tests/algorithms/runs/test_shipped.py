@@ -11,8 +11,7 @@ import pytest
 from algorithms.runs.config import load_experiment
 from algorithms.runs.shipped import CONFIGS, config_names, find_config
 from algorithms.studies.plan import StudyPlan
-from algorithms.studies.settings import load_study
-from algorithms.studies.sweep_settings import load_sweep
+from algorithms.studies.settings import load_study, load_sweep
 
 
 @pytest.fixture(autouse=True)

@@ -1,11 +1,10 @@
-"""The results of a sweep as Parquet files: correct, updated incrementally, never half written."""
+"""The results of a sweep as data frames and Parquet files."""
 
 from __future__ import annotations
 
 import errno
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,7 @@ import polars as pl
 import pytest
 
 from algorithms.reporting.training_log import read_metrics
-from algorithms.studies import collection
-from algorithms.studies.collection import collect
+from algorithms.studies.collection import Collection, collect
 from algorithms.studies.manifest import ManifestRow, write_manifest
 from tests.helpers.made_up_sweeps import end, log, make_row, make_sweep, record, scores_of
 
@@ -25,8 +23,7 @@ from tests.helpers.made_up_sweeps import end, log, make_row, make_sweep, record,
 @pytest.mark.slow
 def test_the_files_have_the_metrics_and_scores_of_all_runs(tmp_path: Path, grid: list[ManifestRow]) -> None:
     rows = make_sweep(tmp_path, grid)
-    found = collect(tmp_path)
-    assert found.remarks == []
+    found = collect(tmp_path, pytest.fail)
     for row in rows:
         mine = found.metrics.filter(pl.col("run") == row.id).drop("run")
         plain = read_metrics(tmp_path / row.directory / "metrics.csv")
@@ -62,62 +59,27 @@ def test_columns_of_keys_keep_their_types(tmp_path: Path, base: dict[str, Any]) 
         {"algorithm.hidden": None, "algorithm.observe_discount": False, "algorithm.gamma": 0.5, "config": "b"},
     ]
     make_sweep(tmp_path, [make_row(base, cell, 0) for cell in cells])
-    runs = collect(tmp_path).runs.select(*cells[0])
+    runs = collect(tmp_path, pytest.fail).runs.select(*cells[0])
     assert runs.dtypes == [pl.String, pl.Boolean, pl.Float64, pl.String]
     assert runs.rows() == [("[8]", True, 1.0, "a"), ("null", False, 0.5, "b")]
 
 
-# --------------------------------------------------------------------------------------------------- incremental update
+# ------------------------------------------------------------------------------------------------------------ written
 
 
-def test_only_changed_files_are_read_again(
-    tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = make_sweep(tmp_path, grid)
-    stored = tmp_path / "collected" / "metrics.parquet"
-    read: list[str] = []
-    read_rows = collection._read_rows
-    monkeypatch.setattr(collection, "_read_rows", lambda path: read.append(path.parent.name) or read_rows(path))
-    collect(tmp_path)
-    assert read == [Path(row.directory).name for row in rows]
-    written = stored.stat().st_mtime_ns
-    read.clear()
-    collect(tmp_path)
-    assert (read, stored.stat().st_mtime_ns) == ([], written)
-    longer, edited = (tmp_path / row.directory / "metrics.csv" for row in rows[7:9])
-    with longer.open("a") as file:
-        file.write("500,1.0,,,\n")
-    before = edited.stat()
-    edited.write_text(edited.read_text().replace("0.5", "0.7"))
-    os.utime(edited, ns=(before.st_atime_ns, before.st_mtime_ns + 1))
-    assert edited.stat().st_size == before.st_size
-    metrics = collect(tmp_path).metrics
-    assert read == [longer.parent.name, edited.parent.name]
-    assert len(metrics.filter(run=rows[7].id)) == 25
-    assert metrics.filter(run=rows[8].id)["loss/policy"].max() == 0.7
-    assert len(metrics) == 18 * 24 + 1
-    assert pl.read_parquet(stored).equals(metrics)
+def collected(sweep: Path) -> tuple[Collection, list[str]]:
+    """The results of a sweep, and what is left out."""
+    said: list[str] = []
+    return collect(sweep, said.append), said
 
 
 def test_added_and_removed_runs(tmp_path: Path, grid: list[ManifestRow]) -> None:
     rows = make_sweep(tmp_path, grid)
     for part in (rows[:6], rows[5:]):
         write_manifest(tmp_path, part)
-        assert set(collect(tmp_path).metrics["run"]) == {row.id for row in part}
+        assert set(collect(tmp_path, print).metrics["run"]) == {row.id for row in part}
     shutil.rmtree(tmp_path / rows[5].directory)
-    assert len(collect(tmp_path).metrics) == 12 * 24
-
-
-@pytest.mark.parametrize("damage", [lambda data: data[:1000], lambda data: data[:4] + b"\0" * 400 + data[404:]])
-def test_a_damaged_file_is_made_again(
-    tmp_path: Path, grid: list[ManifestRow], damage: Callable[[bytes], bytes]
-) -> None:
-    make_sweep(tmp_path, grid)
-    before = collect(tmp_path).metrics
-    stored = tmp_path / "collected" / "metrics.parquet"
-    stored.write_bytes(damage(stored.read_bytes()))
-    assert collect(tmp_path).metrics.equals(before)
-    assert pl.read_parquet(stored).equals(before)
+    assert len(collect(tmp_path, print).metrics) == 12 * 24
 
 
 def test_a_sweep_that_cannot_be_written_is_still_shown(
@@ -129,9 +91,7 @@ def test_a_sweep_that_cannot_be_written_is_still_shown(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    found = collect(tmp_path)
-    said: list[str] = []
-    found.report_problems(said.append)
+    found, said = collected(tmp_path)
     assert said == ["the collected results are not stored: [Errno 28] No space left on device"]
     assert len(found.metrics) == 18 * 24
     assert list((tmp_path / "collected").iterdir()) == []
@@ -143,11 +103,11 @@ def test_nothing_is_collected_through_a_link(tmp_path: Path, grid: list[Manifest
     mine.mkdir()
     (tmp_path / "sweep" / "collected").symlink_to(mine)
     with pytest.raises(ValueError, match=rf"leads to '{mine}.*; nothing is written or deleted through a link inside a"):
-        collect(tmp_path / "sweep")
+        collect(tmp_path / "sweep", pytest.fail)
     assert list(mine.iterdir()) == []
     (tmp_path / "sweep" / "collected").unlink()
     (tmp_path / "link").symlink_to(tmp_path / "sweep")
-    assert len(collect(tmp_path / "link").scored) == 1
+    assert collect(tmp_path / "link", pytest.fail).scores["run"].n_unique() == 1
 
 
 # --------------------------------------------------------------------------------------------- broken and missing files
@@ -167,15 +127,14 @@ def test_incomplete_lines_are_dropped_and_broken_files_are_named(tmp_path: Path,
     files[6].write_text("step,a\n0,nan\n1,word\n")
     files[8].write_bytes(b"step,a\n0,\xff\n")
     files[7].write_text("step,a\n0,nan\n1,inf\n2,\n3,1e-3\n")
-    for _ in range(2):  # also when nothing is read again
-        found = collect(tmp_path)
-        heights = dict(found.metrics.group_by("run").len().rows())
-        assert [heights.get(row.id, 0) for row in rows[:10]] == [24, 24, 0, 0, 0, 0, 0, 4, 0, 24]
-        (remark,) = found.remarks
-        assert remark.startswith("3 files cannot be read: metrics file")
-        assert "has no column 'step'" in remark
-        assert "'word'" in remark
-        assert "can't decode" in remark
+    found, said = collected(tmp_path)
+    heights = dict(found.metrics.group_by("run").len().rows())
+    assert [heights.get(row.id, 0) for row in rows[:10]] == [24, 24, 0, 0, 0, 0, 0, 4, 0, 24]
+    (remark,) = said
+    assert remark.startswith("left out: 3 files cannot be read: metrics file")
+    assert "has no column 'step'" in remark
+    assert "'word'" in remark
+    assert "can't decode" in remark
     values = found.metrics.filter(pl.col("run") == rows[7].id).select("a")["a"].to_list()
     assert values == [None, np.inf, None, 1e-3]
 
@@ -185,9 +144,9 @@ def test_runs_without_rows_add_no_rows(tmp_path: Path, grid: list[ManifestRow]) 
     for row in rows:
         (tmp_path / "a [sweep] *" / row.directory / "metrics.csv").write_text("broken\n")
     with pytest.raises(ValueError, match="has any metrics yet"):
-        _ = collect(tmp_path / "a [sweep] *").metrics
+        _ = collect(tmp_path / "a [sweep] *", print).metrics
     log(tmp_path / "a [sweep] *", rows[3], [(0, {"a": 1.0})])
-    assert collect(tmp_path / "a [sweep] *").metrics.rows() == [(rows[3].id, 0, 1.0)]
+    assert collect(tmp_path / "a [sweep] *", print).metrics.rows() == [(rows[3].id, 0, 1.0)]
 
 
 def test_unfinished_and_missing_runs_are_counted_and_the_first_ones_named(
@@ -199,49 +158,30 @@ def test_unfinished_and_missing_runs_are_counted_and_the_first_ones_named(
     for row in rows[1:4]:
         shutil.rmtree(tmp_path / row.directory)
     end(tmp_path, rows[4], {}, "failed")
-    found = collect(tmp_path)
-    assert found.remarks == [
-        "5 of 18 runs have no final evaluation (3 waiting, 1 running, 1 failed): "
+    found, said = collected(tmp_path)
+    assert said == [
+        "left out: 5 of 18 runs have no final evaluation (3 waiting, 1 running, 1 failed): "
         f"{rows[0].directory}, {rows[1].directory}, {rows[2].directory}, and 2 more"
     ]
-    assert rows[4].id not in found.scored  # the score from before it was trained again does not count
+    assert rows[4].id not in found.scores["run"]  # the score from before it was trained again does not count
     assert found.metrics.filter(pl.col("run") == rows[0].id).height == 24
     states = dict(found.runs.select("run", "state").rows())
     assert [states[row.id] for row in rows[:5]] == ["running", "waiting", "waiting", "waiting", "failed"]
     for broken in ("{", "{}", '{"policies": []}', '{"policies": {"greedy": {"success": 1}}}'):
         (tmp_path / rows[5].directory / "evaluation.json").write_text(broken)
-        assert collect(tmp_path).remarks[1].startswith("1 files cannot be read")
+        assert collected(tmp_path)[1][1].startswith("left out: 1 files cannot be read")
 
 
 def test_runs_whose_scores_have_changed_are_left_out(tmp_path: Path, grid: list[ManifestRow]) -> None:
     rows = make_sweep(tmp_path, grid[:3])
     for row in rows:
         record(tmp_path, row)
-    assert collect(tmp_path).remarks == []
+    collect(tmp_path, pytest.fail)
     path = tmp_path / rows[0].directory / "evaluation.json"
     path.write_text(path.read_text().replace('"value": 0.1', '"value": 9.9'))
-    found = collect(tmp_path)
-    assert found.remarks == [
-        f"1 files cannot be read: {rows[0].directory}: evaluation.json: changed since the run finished; "
+    found, said = collected(tmp_path)
+    assert said == [
+        f"left out: 1 files cannot be read: {rows[0].directory}: evaluation.json: changed since the run finished; "
         "mo-deepdrive sweep --remake makes it again"
     ]
-    assert found.scored == {row.id for row in rows[1:]}
-
-
-# --------------------------------------------------------------------------------------------------------------- curves
-
-
-def test_curves_are_averaged_over_intervals_of_steps(tmp_path: Path, base: dict[str, Any]) -> None:
-    (row,) = make_sweep(tmp_path, [make_row(base, {}, 0)], points=1000)
-    names = ["eval/greedy/utility_esr", "train/utility"]
-    found = collect(tmp_path).curves([row.id], names, points=50)[row.id]
-    plain = read_metrics(tmp_path / row.directory / "metrics.csv")
-    width = int(plain["step"].max()) // 50 + 1
-    for name in names:
-        known = np.isfinite(plain[name])
-        steps, values = plain["step"][known], plain[name][known]
-        bins = steps // width
-        wanted = [(steps[bins == b].mean(), values[bins == b].mean()) for b in np.unique(bins)]
-        there = np.isfinite(found[name])
-        assert there.sum() == 50
-        np.testing.assert_allclose(np.stack([found["step"], found[name]], axis=1)[there], wanted)
+    assert {*found.scores["run"]} == {row.id for row in rows[1:]}

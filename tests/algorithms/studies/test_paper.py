@@ -32,7 +32,7 @@ TASKS = list(dict.fromkeys(key.partition("/")[0] for key in paper().tasks))
 
 
 def final_rows(plan: StudyPlan) -> list[ManifestRow]:
-    return [row for arm in plan.runs({}) if arm.arm.key in plan.selected for row in arm.final]
+    return [row for arm in plan.runs() if arm.arm.key in plan.selected for row in arm.final]
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +187,7 @@ def test_a_reproduction_of_everything_is_published_in_a_checkout_alone(
 def test_a_success_is_exported_beside_a_median_that_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arrivals: list[float], solved: int | None
 ) -> None:
-    runs = [arm for arm in paper_plan(paper(), ["one_waypoint_linear"]).runs({}) if arm.arm.task.startswith("one_w")]
+    runs = [arm for arm in paper_plan(paper(), ["one_waypoint_linear"]).runs() if arm.arm.task.startswith("one_w")]
     utilities = [10.0 * rate + 0.001 * i for i, rate in enumerate(arrivals)]
     results = make_results("one_waypoint_linear", {"mo_a2c": {"utility_esr": utilities, "success": arrivals}})
     exported: dict[str, tuple[Path, dict[str, Any]]] = {}

@@ -11,7 +11,7 @@ from algorithms.runs.config import make_experiment
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
 from algorithms.runs.run_directory import Run, read_status
-from algorithms.studies.sweep_settings import load_sweep
+from algorithms.studies.settings import load_sweep
 from tests.helpers.short_runs import VALUES, quiet
 from tests.helpers.sweep_files import write_sweep
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -41,7 +42,7 @@ def test_the_score_of_a_finished_run_is_that_of_its_final_evaluation(finished: J
         written = {f"{row['policy']}/{row['metric']}": float(row["value"]) for row in csv.DictReader(file)}
     assert final_metrics(finished.path) == pytest.approx(written, nan_ok=True)
     for metric in (METRIC, "stochastic/return/distance"):
-        assert read_score("whole", finished.path, metric) == {"whole": pytest.approx(written[metric])}
+        assert read_score(finished.path, metric) == pytest.approx(written[metric])
 
 
 def test_the_score_of_a_pruned_run_is_that_of_its_last_evaluation(finished: Job, pruned: Job) -> None:
@@ -50,7 +51,7 @@ def test_the_score_of_a_pruned_run_is_that_of_its_last_evaluation(finished: Job,
     last = [float(cell) for cell in cells if cell][-1]
     with (pruned.path / "metrics.csv").open("a") as file:
         file.write("99999" + "," * (len(file_columns(pruned)) - 1) + "\n")
-    assert read_score("pruned", pruned.path, METRIC) == {"pruned": pytest.approx(last)}
+    assert read_score(pruned.path, METRIC) == pytest.approx(last)
 
 
 def file_columns(wanted: Job) -> list[str]:
@@ -64,32 +65,28 @@ def test_a_run_that_has_not_ended_has_no_score(pruned: Job, state: str | None) -
         (pruned.path / "status.json").unlink()
     else:
         (pruned.path / "status.json").write_text(json.dumps({"state": state, "step": 960}))
-    assert read_score("pruned", pruned.path, METRIC) == {}
+    assert math.isnan(read_score(pruned.path, METRIC) or 0.0)
 
 
 def test_an_unknown_metric_is_refused_with_the_nearest_ones(finished: Job, pruned: Job) -> None:
     for wanted in (finished, pruned):
         with pytest.raises(ValueError, match="is not among those of the runs; did you mean") as error:
-            read_score("run", wanted.path, "greedy/utility_ers")
+            read_score(wanted.path, "greedy/utility_ers")
         assert METRIC in str(error.value)
-
-
-def test_a_changed_evaluation_is_refused(finished: Job, tmp_path: Path) -> None:
-    changed = shutil.copytree(finished.path, tmp_path / "changed")
-    path = changed / "evaluation.json"
-    path.write_text(path.read_text() + "\n")
-    with pytest.raises(ValueError, match=f"cannot use {changed}: evaluation.json: .*; --remake makes it again"):
-        read_score("run", changed, METRIC)
 
 
 def test_results_that_cannot_be_read_are_refused_with_what_to_do(finished: Job, pruned: Job, tmp_path: Path) -> None:
     (pruned.path / "metrics.csv").write_text("\n")
-    unreadable = replace(finished, path=tmp_path / "finished")
-    unreadable.path.mkdir()
-    (unreadable.path / "status.json").write_text('{"state": "finished"}')
-    (unreadable.path / "evaluation.json").write_text("{")
-    for wanted, fault in ((pruned, "has no column 'step'"), (unreadable, "is not a final evaluation")):
-        with pytest.raises(
-            ValueError, match=f"cannot use {wanted.path}: .*{fault}.*; delete it, and it is made again$"
-        ):
-            read_score("run", wanted.path, METRIC)
+    unreadable, changed = (tmp_path / name for name in ("unreadable", "changed"))
+    unreadable.mkdir()
+    (unreadable / "status.json").write_text('{"state": "finished"}')
+    (unreadable / "evaluation.json").write_text("{")
+    shutil.copytree(finished.path, changed)
+    (changed / "evaluation.json").write_text((changed / "evaluation.json").read_text() + "\n")
+    for path, fault in (
+        (pruned.path, ".*has no column 'step'.*; delete it, and it is made again"),
+        (unreadable, ".*is not a final evaluation.*; delete it, and it is made again"),
+        (changed, "evaluation.json: .*; --remake makes it again"),
+    ):
+        with pytest.raises(ValueError, match=f"cannot use {path}: {fault}$"):
+            read_score(path, METRIC)

@@ -26,10 +26,10 @@ from pathlib import Path
 from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
 from algorithms.studies import slurm
-from algorithms.studies.backends import Backend
-from algorithms.studies.manifest import read_manifest
-from algorithms.studies.sweep import SweepRunner, expand
-from algorithms.studies.sweep_settings import SweepSettings, load_sweep
+from algorithms.studies.execution import Backend, Runner
+from algorithms.studies.manifest import Scores, read_manifest
+from algorithms.studies.plan import SweepPlan
+from algorithms.studies.settings import SweepSettings, load_sweep
 
 
 @dataclass
@@ -39,15 +39,13 @@ class FakeSlurm:
     Attributes:
         arrays: the tasks of every job array.
         states: what squeue prints; a job that is not in it is unknown.
-        accounting: what sacct prints; None if there is no accounting.
         after_submission: called after every submission with the ids of the jobs.
-        commands: the calls of scontrol and sacct.
+        commands: the calls of squeue and scontrol.
     """
 
     sweep: Path
     arrays: list[list[slurm.ArrayTask]] = field(default_factory=list)
     states: dict[str, str] = field(default_factory=dict)
-    accounting: dict[str, str] | None = None
     after_submission: Callable[[list[str]], None] = lambda jobs: None
     commands: list[list[str]] = field(default_factory=list)
 
@@ -58,10 +56,8 @@ class FakeSlurm:
     def run(self, command: Sequence[str], **options: Any) -> subprocess.CompletedProcess[str]:
         """The commands of Slurm."""
         self.commands += [list(command)]
-        found = {"squeue": self.states, "sacct": self.accounting, "scontrol": {}}[command[0]]
-        if found is None:
-            return subprocess.CompletedProcess(command, 1, "", "Slurm accounting storage is disabled\n")
-        return subprocess.CompletedProcess(command, 0, "".join(f"{job}|{state}\n" for job, state in found.items()))
+        states = self.states if command[0] == "squeue" else {}
+        return subprocess.CompletedProcess(command, 0, "".join(f"{job}|{state}\n" for job, state in states.items()))
 
     def calls(self, program: str) -> list[list[str]]:
         """The calls of a program."""
@@ -95,7 +91,7 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeSlurm:
 
 def jobs_of(settings: SweepSettings, sweep: Path) -> list[Job]:
     """The runs of a sweep."""
-    return [row.job(sweep) for row in expand(settings, {})]
+    return [row.job(sweep) for row in SweepPlan(settings).rows(Scores())]
 
 
 def run_on_slurm(settings: SweepSettings, jobs: Sequence[Job], sweep: Path, **options: Any) -> dict[Job, str]:
@@ -133,13 +129,6 @@ def test_a_task_requests_the_resources_of_all_its_concurrent_runs(tmp_path: Path
     assert "mem" not in slurm.sbatch_options(load_sweep(write_sweep(tmp_path)), "name")
 
 
-def test_several_tasks_are_an_array_and_one_is_not(tmp_path: Path) -> None:
-    settings = load_sweep(write_sweep(tmp_path))
-    assert "#SBATCH --array=0-2%" in slurm.batch_script(3, settings, tmp_path)
-    assert "#SBATCH --array=0-1%" in slurm.batch_script(2, settings, tmp_path)
-    assert "--array" not in slurm.batch_script(1, settings, tmp_path)
-
-
 def test_a_task_imports_the_package_even_where_the_working_directory_has_one_of_its_name(tmp_path: Path) -> None:
     (tmp_path / "algorithms").mkdir()
     (tmp_path / "algorithms" / "__init__.py").write_text("raise SystemExit('the wrong package')")
@@ -152,9 +141,6 @@ def test_a_task_imports_the_package_even_where_the_working_directory_has_one_of_
     )
     done = subprocess.run([sys.executable, "-c", look], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.stdout == "pcn 3\n", done.stderr
-
-
-# --------------------------------------------------------------------------------------------------------- the manifest
 
 
 # ------------------------------------------------------------------------------------------------------ cancelled, lost
@@ -196,26 +182,6 @@ def test_a_job_that_dies_is_submitted_again_as_often_as_allowed(
     shown = "LOST" if state == "gone" else state
     log = tmp_path / "slurm" / f"{last}_0_log.out"
     assert failed == {job: f"Slurm job {last} ended ({shown}) before the run did; see {log}"}
-
-
-@pytest.mark.parametrize(
-    ("state", "submissions", "shown"), [("CANCELLED by 0", 1, "CANCELLED"), ("NODE_FAIL", 2, "NODE_FAIL")]
-)
-def test_where_there_is_accounting_it_is_asked_about_jobs_that_are_gone(
-    tmp_path: Path, fake: FakeSlurm, state: str, submissions: int, shown: str
-) -> None:
-    settings = load_sweep(write_sweep(tmp_path, grid={}, retries=1))
-    (job,) = jobs_of(settings, tmp_path)
-
-    def vanish(submitted: list[str]) -> None:
-        fake.accounting = {submitted[0]: state, "99_[2-3]": "PENDING"}
-        fake.start(submitted[0])
-
-    fake.after_submission = vanish
-    failed = run_on_slurm(settings, [job], tmp_path)
-    assert len(fake.arrays) == submissions
-    assert failed[job].startswith(f"Slurm job {submissions}_0 ended ({shown}) before the run did")
-    assert "--jobs=1" in fake.calls("sacct")[0]
 
 
 @pytest.mark.parametrize(
@@ -265,7 +231,7 @@ def test_without_waiting_a_search_goes_on_without_runs_that_failed(tmp_path: Pat
     fake.after_submission = lambda submitted: fake.states.update(dict.fromkeys(submitted, "RUNNING"))
 
     def submit() -> int:
-        return SweepRunner(settings, tmp_path, Backend("slurm", wait=False), quiet()).run()
+        return Runner(SweepPlan(settings), tmp_path, Backend("slurm", wait=False), quiet()).run()
 
     assert submit() == 0
     first, second = (row.job(tmp_path) for row in read_manifest(tmp_path))
@@ -311,14 +277,11 @@ def test_after_an_interrupt_the_command_that_cancels_the_jobs_is_shown_if_there_
     assert Backend("slurm").after_interrupt(tmp_path) == message
 
 
-@pytest.mark.parametrize(("seeds", "note"), [(3, ""), (4, "4 tasks are submitted as 2 job arrays of at most 3 tasks")])
-def test_a_dry_run_says_how_many_arrays_are_submitted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], seeds: int, note: str
+def test_a_dry_run_prints_the_script_of_the_first_array_if_there_are_several_tasks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(slurm, "MAX_ARRAY_TASKS", 3)
-    settings = load_sweep(write_sweep(tmp_path, grid={}, seeds=seeds))
-    sweep = SweepRunner(settings, tmp_path / "sweep", Backend("slurm"), quiet())
-    assert sweep.print_batch_script() == 0
-    said = capsys.readouterr()
-    assert "#SBATCH --array=0-2%3\n" in said.out
-    assert said.err == (f"{note}; this is the script of the first\n" if note else "")
+    for seeds in (1, 4):
+        settings = load_sweep(write_sweep(tmp_path, grid={}, seeds=seeds))
+        assert Runner(SweepPlan(settings), tmp_path / "sweep", Backend("slurm"), quiet()).print_batch_script() == 0
+        assert ("#SBATCH --array=0-2%3\n" in capsys.readouterr().out) == (seeds > 1)

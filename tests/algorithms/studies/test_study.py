@@ -13,13 +13,13 @@ from typing import Any
 
 import pytest
 import yaml
+from rich.console import Console
 
-from algorithms.commands.study import main
+from algorithms.commands.study import main, write_tables
 from algorithms.runs.jobs import Job
-from algorithms.studies.backends import Backend
-from algorithms.studies.manifest import read_manifest
+from algorithms.studies.execution import Backend, Runner
+from algorithms.studies.manifest import Scores, read_manifest
 from algorithms.studies.plan import StudyPlan
-from algorithms.studies.runner import StudyRunner
 from algorithms.studies.settings import load_study
 from mo_deepdrive.suite import read_rows
 from tests.helpers.short_runs import VALUES, printed, quiet
@@ -75,17 +75,26 @@ class MadeUpBackend(Backend):
         return failed
 
 
-def made_up(folder: Path, file: Path, backend: Backend) -> StudyRunner:
-    return StudyRunner(StudyPlan(load_study(file)), folder / "study", backend, quiet())
+def train(folder: Path, plan: StudyPlan, backend: Backend, console: Console | None = None) -> int:
+    """Train a study and write its tables, as the command does."""
+    console = console or quiet()
+    runner = Runner(plan, folder / "study", backend, console)
+    code = runner.run()
+    write_tables(plan, runner, folder / "study", console)
+    return code
+
+
+def made_up(folder: Path, file: Path, backend: Backend, console: Console | None = None) -> int:
+    return train(folder, StudyPlan(load_study(file)), backend, console)
 
 
 def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_with_the_seeds_that_count(
     tmp_path: Path,
 ) -> None:
     backend = MadeUpBackend()
-    runner = made_up(tmp_path, write_study(tmp_path), backend)
-    assert runner.run() == 0
-    assert printed(runner._console).splitlines()[:2] == [
+    console = quiet()
+    assert made_up(tmp_path, write_study(tmp_path), backend, console) == 0
+    assert printed(console).splitlines()[:2] == [
         f"{tmp_path / 'base.yaml'}: training.seed is not used; set seeds with the key 'seeds'",
         "4 runs of tuning, then 4 that count: mo, plain on short",
     ]
@@ -106,7 +115,7 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
     with (tmp_path / "study" / "tuning.csv").open() as file:
         assert [line["chosen"] for line in csv.DictReader(file)] == ["0", "1", "0", "1"]
     again = MadeUpBackend()
-    assert made_up(tmp_path, tmp_path / "short.yaml", again).run() == 0
+    assert made_up(tmp_path, tmp_path / "short.yaml", again) == 0
     assert again.batches == []
 
 
@@ -119,7 +128,7 @@ def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_c
         return settings["name"] == "a2c" or (seed == 100 and settings["learning_rate"] == 0.003) or seed == 1
 
     backend = MadeUpBackend(fails=fails)
-    assert made_up(tmp_path, file, backend).run() == 1
+    assert made_up(tmp_path, file, backend) == 1
     assert backend.batches == [4, 2]
     states = [(each.learner, each.seed, each.value, each.state) for each in read_rows(tmp_path / "study/results.csv")]
     assert states == [
@@ -132,9 +141,7 @@ def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_c
     assert "2 (1 failed)" in page
     assert "Cite these numbers of the final evaluations (" in page
     again = MadeUpBackend()
-    assert made_up(tmp_path, file, again).run() == 1, (
-        "the failed rate stays failed, or other settings would be the best"
-    )
+    assert made_up(tmp_path, file, again) == 1, "the failed rate stays failed, or other settings would be the best"
     # MO-A2C: the seed that failed. A2C, of which nothing was chosen: its tuning, then its seeds.
     assert again.batches == [3, 2]
 
@@ -169,12 +176,12 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
     plan = StudyPlan(load_study(file))
     (arm,) = plan.arms
     assert arm.metric == "stochastic/suite/score", "a learner for a known utility has no place in U2"
-    (row,) = plan.rows({})
+    (row,) = plan.rows(Scores())
     assert row.config["evaluation"]["task"] == "K1"
     assert row.config["utility"]["name"] == "linear"
     assert row.config["training"]["total_timesteps"] == 1_500_000
     learners = {"mo": {"config": "base.yaml", "tuning_share": 1.0, "tuning": {RATE: [0.1]}}}
-    (row,) = StudyPlan(load_study(write_study(tmp_path, tasks=["K1"], metric=None, learners=learners))).rows({})
+    (row,) = StudyPlan(load_study(write_study(tmp_path, tasks=["K1"], metric=None, learners=learners))).rows(Scores())
     assert row.config["training"]["total_timesteps"] == 3_000_000
 
 
@@ -236,7 +243,7 @@ def test_arms_that_are_not_selected_are_not_trained_and_keep_their_results(tmp_p
     study = load_study(write_study(tmp_path))
     for learner, trained in (("mo", {"mo"}), ("plain", {"mo", "plain"})):
         backend = MadeUpBackend()
-        assert StudyRunner(StudyPlan(study, ["short"], [learner]), tmp_path / "study", backend, quiet()).run() == 0
+        assert train(tmp_path, StudyPlan(study, ["short"], [learner]), backend) == 0
         assert backend.batches == [2, 2]
         assert {each.learner for each in read_rows(tmp_path / "study" / "results.csv")} == trained
         assert {row.cell["learner"] for row in read_manifest(tmp_path / "study")} == trained

@@ -89,7 +89,7 @@ def test_an_own_learner_beside_one_of_the_reference_is_tuned_by_the_same_rule_an
     assert arms["OwnPPO"].points == arms["mo_ppo"].points
     assert arms["OwnPPO"].values["algorithm"]["kappa"] == 0.2
     assert "kappa" not in arms["mo_ppo"].values["algorithm"]
-    assert plan.announcement() == "24 runs of tuning, then 6 that count: mo_ppo, OwnPPO on K1"
+    assert plan.announcement()[-1] == "24 runs of tuning, then 6 that count: mo_ppo, OwnPPO on K1"
     for overrides, message in (
         ({"algorithm.kapa": 0.2}, "no learner has the setting 'algorithm.kapa'; did you mean 'algorithm.kappa'"),
         ({"algorithm.learning_rate": 0.2}, "learning_rate = 0.2: the study tunes it for learner 'mo_ppo'"),

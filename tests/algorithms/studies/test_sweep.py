@@ -11,32 +11,31 @@ import numpy as np
 import optuna
 import pytest
 
-from algorithms.studies.sweep import propose_points
-from algorithms.studies.sweep_settings import HyperparameterSearchSettings
+from algorithms.studies.plan import propose_points
+from algorithms.studies.settings import SearchSettings
 from mo_deepdrive.world.config import parse
 
 RATE = "algorithm.learning_rate"
 METRIC = "greedy/utility_esr"
 
 
-def settings_of(**settings: Any) -> HyperparameterSearchSettings:
+def settings_of(**settings: Any) -> SearchSettings:
     """Settings of a search over the learning rate, with changes."""
     space = {RATE: {"low": 1e-4, "high": 1e-2, "log": True}}
-    return parse(HyperparameterSearchSettings, {"space": space, "metric": METRIC, "trials": 6, **settings}, "search")
+    return parse(SearchSettings, {"space": space, "metric": METRIC, "trials": 6, **settings}, "search")
 
 
-def points(
-    settings: HyperparameterSearchSettings, scores: Mapping[str, float | None] | None = None
-) -> list[dict[str, Any]]:
+def points(settings: SearchSettings, scores: Mapping[str, float | None] | None = None) -> list[dict[str, Any]]:
     """The proposed points; the run of trial n has the id "n"."""
     found: list[dict[str, Any]] = []
-
-    def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
-        assert trial == len(found)
-        found.append(point)
-        return [str(trial)]
-
-    propose_points(settings, runs_of, scores or {})
+    proposals = propose_points(settings)
+    known: list[float | None] | None = None
+    while batch := proposals.send(known):
+        trials = [str(trial) for trial in range(len(found), len(found) + len(batch))]
+        found += batch
+        if not {*trials} <= {*(scores or {})}:
+            break
+        known = [(scores or {})[trial] for trial in trials]
     return found
 
 
@@ -61,7 +60,7 @@ def test_choices_keep_their_types() -> None:
 
 
 def test_a_random_search_proposes_all_points_at_once_and_ignores_scores() -> None:
-    settings = settings_of(sampler="random", trials=20, batch=2)
+    settings = settings_of(sampler="random", trials=20)
     found = points(settings)
     assert len(found) == 20
     assert points(settings, {str(trial): float(trial) for trial in range(20)}) == found
@@ -91,7 +90,7 @@ def negative_squared_error(point: dict[str, Any]) -> float:
     return -((math.log10(point[RATE]) + 3) ** 2)
 
 
-def all_points(settings: HyperparameterSearchSettings) -> list[dict[str, Any]]:
+def all_points(settings: SearchSettings) -> list[dict[str, Any]]:
     """All points of a search, proposed batch by batch."""
     scores: dict[str, float | None] = {}
     while len(found := points(settings, scores)) > len(scores):
@@ -121,16 +120,9 @@ def studies(monkeypatch: pytest.MonkeyPatch) -> list[optuna.Study]:
     return made
 
 
-def test_optuna_gets_the_mean_over_seeds_and_trials_with_failed_runs_fail(studies: list[optuna.Study]) -> None:
-    scores = {"0a": 1.0, "0b": 4.0, "1a": 2.0, "1b": None, "2a": None, "2b": None, "3a": -1.0, "3b": -2.0}
-    found = []
-
-    def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
-        found.append(trial)
-        return [f"{trial}a", f"{trial}b"]
-
-    propose_points(settings_of(trials=6, batch=4, direction="minimize"), runs_of, scores)
-    assert found == [0, 1, 2, 3, 4, 5]
+def test_optuna_is_told_the_scores_and_which_points_failed(studies: list[optuna.Study]) -> None:
+    scores = {"0": 2.5, "1": None, "2": None, "3": -1.5}
+    assert len(points(settings_of(trials=6, batch=4, direction="minimize"), scores)) == 6
     (study,) = studies
     assert study.direction == optuna.study.StudyDirection.MINIMIZE
     states = [trial.state.name for trial in study.trials]

@@ -45,7 +45,7 @@ def test_curves_of_several_cells_have_greedy_and_sampled_evaluations(tmp_path: P
     rows = make_sweep(tmp_path, [make_row(base, {"algorithm.learning_rate": rate}, 0) for rate in (1e-3, 1e-2)])
     for row in rows:
         log(tmp_path, row, [(step, dict.fromkeys(names, 1.0)) for step in (0, 10)])
-    collection = collect(tmp_path)
+    collection = collect(tmp_path, print)
     groups = best_curves(collection, rank(collection.cells, collection.scores))
     assert [{*columns} - {"step"} for group in groups for columns in group.runs] == [{*names[:2]}] * 2
 
@@ -58,7 +58,7 @@ def test_an_unfinished_sweep_is_plotted_by_its_last_evaluations(
     for row in rows:
         end(tmp_path, row, {}, "running")
         (tmp_path / row.directory / "evaluation.json").unlink()
-    when, scores = collect(tmp_path).latest_scores()
+    when, scores = collect(tmp_path, print).latest_scores()
     assert when == "last"
     found = scores.filter(run=rows[3].id, policy="greedy", vehicle="", metric="utility_esr")["value"].to_list()
     assert found == [scores_of(rows[3]) + 11.0]
@@ -99,7 +99,7 @@ def test_only_numbers_are_compared_as_numbers(tmp_path: Path, base: dict[str, An
     points = [(1e-3, True, "b"), (1e-2, False, "b"), (1e-3, False, "a")]
     keys = ("algorithm.learning_rate", "algorithm.observe_discount", "config")
     make_sweep(tmp_path, [make_row(base, dict(zip(keys, point, strict=True)), 0) for point in points])
-    collection = collect(tmp_path)
+    collection = collect(tmp_path, print)
     (ranking,) = rank(collection.cells, collection.scores)
     found = varied_scores(collection, ranking)
     assert found.values.tolist() == pytest.approx([1.0, 10.0, 1.0])
