@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.util
 import json
 import math
 from dataclasses import dataclass, replace
@@ -20,8 +19,7 @@ from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.suite import Row
 from mo_deepdrive.suite.results import FAILED
 from mo_deepdrive.support.atomic_io import write_json
-from mo_deepdrive.support.importing import failure, import_named
-from mo_deepdrive.support.names import nearest
+from mo_deepdrive.support.importing import failure, first_of, import_file, import_named
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,23 +38,13 @@ OWN_NAMES = ("policy", "Policy")  # looked for in a file that is named without o
 
 @dataclass(frozen=True)
 class Entry:
-    """A policy that is scored.
+    """A policy that is scored; its state, seed and seconds are those of its training."""
 
-    Attributes:
-        source: as the user names it.
-        learner: label of its rows.
-        make: gives the policy for a task, or raises ValueError.
-        seed: by which it was trained.
-        tasks: those that it is made for; none if that is not known.
-        state: of its training.
-        cpu_seconds: of its training; None if it is not known.
-    """
-
-    source: str
+    source: str  # as the user names it
     learner: str
-    make: Callable[[str], Any]
+    make: Callable[[str], Any]  # gives the policy for a task, or raises ValueError
     seed: int = 0
-    tasks: tuple[str, ...] = ()
+    tasks: tuple[str, ...] = ()  # those that it is made for; none if that is not known
     state: str = "finished"
     cpu_seconds: float | None = None
 
@@ -82,18 +70,22 @@ def is_own_code(source: str) -> bool:
 
 
 def open_entry(source: str, *, trust: bool = False) -> Entry:
-    """The entry that a user names.
+    """The entry that a user names, which may name code to run only with ``trust`` where it is a run.
 
-    Args:
-        source: a run's directory or a policy of the zoo; a file ``policy.py`` or ``policy.py:name``; or
-            ``package.module:name``. The object is a policy as of :func:`mo_deepdrive.suite.score`, or a class that is
-            made of a task's id and is one then.
-        trust: as for :meth:`algorithms.runs.run_directory.Run.open`.
+    It is a run's directory or a policy of the zoo; a file ``policy.py`` or ``policy.py:name``; or
+    ``package.module:name``. The object is a policy as of :func:`mo_deepdrive.suite.score`, or a class that is made of a
+    task's id and is one then.
     """
     if not is_own_code(source):
         return _of_run(source, trust=trust)
     path, _, name = source.partition(":")
-    policy = _of_file(source, Path(path), name) if path.endswith(".py") else import_named("policy", source)
+    if path.endswith(".py"):
+        if not Path(path).is_file():
+            raise ValueError(f"policy file {path!r} does not exist")
+        what = f"policy {source!r}"
+        policy = first_of(what, import_file(what, Path(path)), *([name] if name else OWN_NAMES))
+    else:
+        policy = import_named("policy", source)
 
     def make(task_id: str) -> Any:
         if not isinstance(policy, type):
@@ -105,26 +97,6 @@ def open_entry(source: str, *, trust: bool = False) -> Entry:
             raise ValueError(f"policy {source!r}: {call} cannot be made: {failure(error)}") from error
 
     return Entry(source, Path(path).stem if name in ("", *OWN_NAMES) else name, make)
-
-
-def _of_file(source: str, path: Path, name: str) -> Any:
-    """The object of a user's file."""
-    if not path.is_file():
-        raise ValueError(f"policy file {str(path)!r} does not exist")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # a user's module may raise anything
-        raise ValueError(f"policy {source!r} cannot be imported: {failure(error)}") from error
-    for wanted in [name] if name else OWN_NAMES:
-        if hasattr(module, wanted):
-            return getattr(module, wanted)
-    defined = [key for key, value in vars(module).items() if getattr(value, "__module__", None) == path.stem]
-    missing = repr(name) if name else " or ".join(map(repr, OWN_NAMES))
-    raise ValueError(f"policy {source!r}: the file has no {missing}; {nearest(name or OWN_NAMES[0], defined)}")
 
 
 def _of_run(source: str, *, trust: bool) -> Entry:
@@ -174,13 +146,9 @@ def check_experiment(experiment: Experiment, task_id: str, source: str) -> None:
 
 
 def rows_of(evaluation: FinalEvaluation, key: tuple[str, str, int], *shown: str, **about: Any) -> list[Row]:
-    """The rows of a run's final evaluation: its scores on the suite, and the metrics that are shown.
+    """The rows of a run's final evaluation: its scores on the suite, and the metrics that are ``shown``.
 
-    Args:
-        evaluation: of the run.
-        key: task, learner and seed.
-        shown: metrics.
-        about: further attributes of the rows.
+    The key is task, learner and seed; ``about`` has further attributes of the rows.
     """
     version = evaluation.suite_version or 0
     return [
@@ -192,14 +160,22 @@ def rows_of(evaluation: FinalEvaluation, key: tuple[str, str, int], *shown: str,
 
 
 def recorded_rows(entry: str, *, trust: bool = False) -> list[Row]:
-    """The rows that an entry claims: of a table that ``suite score`` wrote, or of a run that was scored at its end.
-
-    Args:
-        entry: the CSV file, or the run's directory.
-        trust: as for :meth:`algorithms.runs.run_directory.Run.open`.
-    """
+    """The rows that an entry claims: of a CSV that ``suite score`` wrote, or of a run that was scored at its end."""
     path = Path(entry)
-    rows = _rows_of_run(path, trust=trust) if path.is_dir() else suite.read_rows(path)
+    if path.is_dir():
+        from algorithms.runs.run_directory import Run
+
+        experiment, evaluation = Run.open(path, trust=trust).experiment, read_evaluation(path)
+        if evaluation is None:
+            raise ValueError(f"{entry!r} has no final evaluation: there is no {EVALUATION_FILE}")
+        key = str(experiment.evaluation.task), experiment.algorithm.name, experiment.training.seed
+        rows = rows_of(evaluation, key, source=entry)
+    else:
+        rows = suite.read_rows(path)
+        # A source that is beside the table is found from the working directory.
+        beside = {row.source: path.parent / row.source for row in rows if row.source}
+        found = {source: str(place) for source, place in beside.items() if place.exists()}
+        rows = [replace(row, source=found.get(row.source, row.source)) for row in rows]
     rows = [row for row in rows if row.value is not None]
     if not rows:
         raise ValueError(f"{entry!r} has no scores")
@@ -217,21 +193,7 @@ def recorded_rows(entry: str, *, trust: bool = False) -> list[Row]:
                 f"{entry!r} has scores of {row.source!r} on {row.task} twice: of {first.learner}, seed {first.seed}, "
                 f"and of {row.learner}, seed {row.seed}"
             )
-    if path.is_dir():
-        return rows
-    # A source that is beside the table is found from the working directory.
-    beside = {row.source: path.parent / row.source for row in rows}
-    return [replace(row, source=str(beside[row.source])) if beside[row.source].exists() else row for row in rows]
-
-
-def _rows_of_run(path: Path, *, trust: bool) -> list[Row]:
-    from algorithms.runs.run_directory import Run
-
-    experiment, evaluation = Run.open(path, trust=trust).experiment, read_evaluation(path)
-    if evaluation is None:
-        raise ValueError(f"{str(path)!r} has no final evaluation: there is no {EVALUATION_FILE}")
-    key = str(experiment.evaluation.task), experiment.algorithm.name, experiment.training.seed
-    return rows_of(evaluation, key, source=str(path))
+    return rows
 
 
 def fresh_seed(number: int, episodes: int) -> int:
@@ -278,15 +240,10 @@ def disagreement(recorded: Row, found: Row | None, *, fresh: bool) -> str:
 
 @dataclass(frozen=True)
 class PreferenceFollower:
-    """A conditioned agent as a scorer takes it.
-
-    Attributes:
-        agent: told a linear preference, it acts by it.
-        samples: whether its actions can be sampled.
-    """
+    """An agent that acts by the linear preference that it is told, as a scorer takes it."""
 
     agent: Any
-    samples: bool = True
+    samples: bool = True  # its actions can be sampled
 
     def for_preference(self, weights: NDArray[np.float64]) -> Policy:
         """The policy under weights (d,) of returns divided by the nominal scales of the objectives."""
@@ -317,13 +274,10 @@ def scorable(agent: Any, experiment: Experiment) -> Any:
 
 
 def score_run(run: Run, policy: Any) -> None:
-    """Score a policy on the task of a run, and write the scores into its evaluation.json, as "greedy/suite/score".
+    """Score a policy, as of :func:`scorable`, on the task of a run, and add the scores to its final evaluation.
 
-    Perturbations are left out on the validation split, where settings are chosen.
-
-    Args:
-        run: with its final evaluation.
-        policy: as of :func:`scorable`.
+    Their names there are such as "greedy/suite/score". Perturbations are left out on the validation split, where
+    settings are chosen.
     """
     settings = run.experiment.evaluation
     rows = suite.score(

@@ -80,13 +80,10 @@ def load_paper(path: str | Path) -> Study:
 
 
 def paper_plan(study: Study, tasks: Sequence[str], *, seeds: int | None = None, quick: bool = False) -> StudyPlan:
-    """The arms to train for some tasks.
+    """The arms to train for some tasks, whose names are without their protocols, all of which are selected.
 
-    Args:
-        study: of the paper.
-        tasks: without their protocols, all of which are selected.
-        seeds: number of runs of each learner, instead of the study's; a task that names its seeds has at most these.
-        quick: fewer seeds and steps, of the protocols that claims are judged by.
+    ``seeds`` is the number of runs of each learner, instead of the study's; a task that names its seeds has at most
+    these. A ``quick`` one has fewer seeds and steps, of the protocols that claims are judged by.
     """
     known = {key.partition("/")[0] for key in study.tasks}
     for task in tasks:

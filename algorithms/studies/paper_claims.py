@@ -76,19 +76,12 @@ class Criterion(Settings):
     """That what is measured of a task lies between two limits."""
 
     text: str
-    """The criterion in words."""
-    task: str
-    """The name of the task, without the protocol."""
+    task: str  # without the protocol
     measure: Literal["success", "progress", "difference", "relative_difference", "deviations", "front"]
-    """What is measured, a key of :data:`MEASURES`."""
-    of: str = ""
-    """The learner, or the metric of the front."""
+    of: str = ""  # the learner, or the metric of the front
     above: float = -inf
-    """The lower limit."""
     below: float = inf
-    """The upper limit."""
-    lasting: bool | None = None
-    """The answer that longer training could only confirm; None if it could change both."""
+    lasting: bool | None = None  # the answer that longer training could only confirm; None if it could change both
 
     def check(self, results: TaskResults) -> Check:
         """Apply it to results of its task; KeyError if some are missing."""
@@ -100,16 +93,12 @@ class Criterion(Settings):
 
 
 class Claim(Settings):
-    """A claim of the paper."""
+    """A claim of the paper, the figures that show it, and what decides it."""
 
     number: int
-    """As in the documentation."""
     statement: str
-    """The claim in words."""
     figures: list[int]
-    """The figures of the paper that show it."""
     criteria: list[Criterion]
-    """What decides it."""
 
     @property
     def tasks(self) -> list[str]:

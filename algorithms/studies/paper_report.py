@@ -59,16 +59,8 @@ CURVE_FIGURES = {
     4: ("OneWaypoint", "one_waypoint", UTILITY_ESR),
     5: ("StaticObstacle", "static_obstacle", UTILITY_ESR),
     6: ("Intersection, both vehicles together", "intersection", TOTAL_UTILITY_ESR),
-    8: (
-        "Intersection, the vehicle that turns left (vehicle 0)",
-        "intersection",
-        vehicle_prefix(0, 2) + UTILITY_ESR,
-    ),
-    9: (
-        "Intersection, the vehicle that goes straight (vehicle 1)",
-        "intersection",
-        vehicle_prefix(1, 2) + UTILITY_ESR,
-    ),
+    8: ("Intersection, the vehicle that turns left (vehicle 0)", "intersection", f"vehicle_0/{UTILITY_ESR}"),
+    9: ("Intersection, the vehicle that goes straight (vehicle 1)", "intersection", f"vehicle_1/{UTILITY_ESR}"),
 }
 # Drawn from a front by algorithms.reporting.explorer.plots, as the figure with this name.
 FRONT_FIGURES = {7: "importance", 10: "reduction"}
@@ -78,14 +70,10 @@ MIN_WIDTH = 8.4  # inches, for the title and the note below it
 def write_report(
     results: PaperResults, directory: Path, figures: Sequence[int], *, how: str, quick: bool = False
 ) -> list[Path]:
-    """Write the results, the report and the figures; returns the paths of the report and the figures.
+    """Write the results, the report and some of the paper's figures; returns the paths of the report and the figures.
 
-    Args:
-        results: of the runs.
-        directory: where to write.
-        figures: numbers of the paper's figures to draw; those of fronts are drawn from the fronts in ``directory``.
-        how: the command that creates the same report, which the report quotes.
-        quick: whether the runs are too short for verdicts; they are then not judged.
+    The report quotes ``how``, the command that creates it. Fronts are drawn from those in ``directory``. Runs of a
+    ``quick`` reproduction are too short for verdicts, and are not judged.
     """
     results.write(directory)
     pictures: dict[int, list[Path]] = {}
@@ -302,7 +290,7 @@ def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how
     parts = [
         "# Reproduction of the paper's figures and claims",
         f"Written by `{how}`: {len(runs)} runs, {runs['cpu_seconds'].sum() / 3600:.1f} hours on one core, seeds "
-        f"{runs['seed'].min()} to {runs['seed'].max()}. Background: [reproduction](../reproduction.md).",
+        f"{min(runs['seed'])} to {max(runs['seed'])}. Background: [reproduction](../reproduction.md).",
         "Scores are interquartile means over seeds of the utility (ESR) of the policy that samples its actions; at the "
         "intersection, of the sum of both vehicles' utilities. "
         "The scores of every run, also of greedy policies, are in reproduction_scores.csv.",

@@ -36,17 +36,10 @@ FRONT_TASK, FRONT_LEARNER = "one_waypoint_front", "pcn"
 
 @dataclass(frozen=True)
 class TaskResults:
-    """The results of a task under one protocol.
-
-    Attributes:
-        study: of the paper.
-        key: TASK/PROTOCOL.
-        scores: a row per score, in the order of seeds.
-        curves: as those of :class:`PaperResults`.
-    """
+    """The results of a task under one protocol; its scores and curves are those rows of :class:`PaperResults`."""
 
     study: Study
-    key: str
+    key: str  # TASK/PROTOCOL
     scores: pl.DataFrame
     curves: pl.DataFrame
 

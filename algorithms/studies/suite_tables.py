@@ -70,17 +70,11 @@ def minutes_per_run(rows: Iterable[Row]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Scores:
-    """The normalised scores of a learner on a task.
-
-    Attributes:
-        by_seed: of the runs that finished or failed.
-        failed: number of those that failed.
-        unfinished: number of further runs that have no score yet.
-    """
+    """The normalised scores of a learner on a task, of the runs that finished or failed."""
 
     by_seed: dict[int, float]
-    failed: int
-    unfinished: int
+    failed: int  # how many of those failed
+    unfinished: int  # further runs, which have no score yet
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -118,12 +112,7 @@ class Scoreboard:
         self.learners = list(dict.fromkeys(result.learner for result in results))
 
     def scores(self, task: str, policy: str | None = None) -> dict[str, Scores]:
-        """The scores of the learners that were trained on a task.
-
-        Args:
-            task: its id.
-            policy: "greedy" or "stochastic"; None for the one that is ranked.
-        """
+        """The scores of the learners that were trained on a task, by one policy; None for the one that is ranked."""
         policy, by_learner = policy or self.tasks[task].policy, {}
         for learner in self.learners:
             if rows := self._rows.get((task, learner)):
@@ -159,9 +148,7 @@ class Scoreboard:
     def track_tables(self, against: str | None = None) -> list[tuple[str, Rows]]:
         """A table per track with its name: a row per learner, the best first.
 
-        Args:
-            against: the learner that others are compared with; None for :data:`BASELINE` if it has results on the
-                track, else the first one there.
+        Without ``against`` others are compared with :data:`BASELINE` if it has results on the track, else the first.
         """
         self._reference("--against", against)
         tables: list[tuple[str, Rows]] = []
@@ -197,11 +184,8 @@ class Scoreboard:
     def comparison(self, baseline: str | None, own: Container[str] = ()) -> tuple[Rows, Rows]:
         """Scores of learners by tasks, and their differences from a baseline; the last row is the mean over tasks.
 
-        The tasks are those of all learners that are shown: of ``own``, the baseline, and others with all these tasks.
-
-        Args:
-            baseline: with which the others are compared; None for :data:`BASELINE` if there is one, else the first.
-            own: learners that are shown in any case; empty for all.
+        The tasks are those of all learners that are shown: of ``own``, the baseline (without one :data:`BASELINE` if it
+        is there, else the first), and others with all these tasks.
         """
         other = self._reference("--baseline", baseline)
         # By task, learner and seed.
@@ -228,12 +212,7 @@ class Scoreboard:
         return scores, differences
 
     def draw_profiles(self, path: Path, labels: Mapping[str, str]) -> None:
-        """Draw the performance profiles: the share of runs that score at least so much, the mean over tasks.
-
-        Args:
-            path: of the picture.
-            labels: what learners are called there, by their names; others by their names.
-        """
+        """Draw the performance profiles: the share of runs that score at least so much, the mean over tasks."""
         from matplotlib.figure import Figure
 
         from algorithms.reporting.style import algorithm_colours, figure_style, save_figure

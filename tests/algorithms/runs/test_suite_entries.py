@@ -71,8 +71,8 @@ def test_a_run_that_cannot_be_an_entry_is_refused(task_id: str, changes: dict[st
     ("text", "source", "message"),
     [
         (None, "policy.py", "policy file .*policy.py' does not exist"),
-        ("def drive(*_):\n    pass\n", "policy.py", "the file has no 'policy' or 'Policy'; .*drive"),
-        (STILL, "policy.py:policy_2", "the file has no 'policy_2'; did you mean 'policy'"),
+        ("def drive(*_):\n    pass\n", "policy.py", "'policy' has no 'policy' or 'Policy'; .*drive"),
+        (STILL, "policy.py:policy_2", "'policy' has no 'policy_2'; did you mean 'policy'"),
         ("import nothing_of_this_name\n", "policy.py", "cannot be imported: ModuleNotFoundError"),
     ],
 )
@@ -206,7 +206,7 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "the file has no 'policy' or 'Policy'"),
+        ("", "'mine' has no 'policy' or 'Policy'"),
         ("import sys\nsys.exit(3)\n", "cannot be imported: SystemExit: 3 at mine.py:2"),
         ("1 / 0\n", "cannot be imported: ZeroDivisionError: .* at mine.py:1"),
         ("class Policy:\n    pass\n", r"Policy\('K1'\) cannot be made: TypeError"),
