@@ -24,11 +24,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from paired_benchmark import REPOSITORY
 
-from algorithms.commands.suite import minutes_per_run
 from algorithms.runs.cli import make_parser
 from algorithms.studies import REFERENCE
 from algorithms.studies.settings import load_study
-from algorithms.studies.suite_tables import Scoreboard
+from algorithms.studies.suite_tables import Scoreboard, minutes_per_run
 from algorithms.zoo import ZOO
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.statistics import interquartile_mean
@@ -87,7 +86,7 @@ def open_results() -> sqlite3.Connection:
 
 def fill_suite(database: sqlite3.Connection, results: list[suite.Row]) -> None:
     """Make the tables of the suite: its tasks, every normalised score, the learners' labels and the scoreboard."""
-    board, minutes = Scoreboard(results, suite.load()), minutes_per_run(results)
+    board, minutes = Scoreboard(results), minutes_per_run(results)
     fields = ["title", "tests", "track", "core", "counted", "steps", "policy"]
     tasks: list[list[Any]] = []
     scores: list[list[Any]] = []
@@ -95,8 +94,8 @@ def fill_suite(database: sqlite3.Connection, results: list[suite.Row]) -> None:
         values = [task.floor.value, task.floor.by, task.ceiling.value, task.ceiling.by, task.ceiling.kind]
         tasks.append([name, *(getattr(task, field) for field in fields), *values, minutes.get(name)])
         if task.counted and name in board.tasks:
-            found = [(learner, board.scores(name, learner)) for learner in board.learners]
-            scores += [[learner, name, task.track, each] for learner, its in found if its for each in its.values]
+            by_learner = board.scores(name)
+            scores += [[key, name, task.track, score] for key, its in by_learner.items() for score in its.values]
     bounds = ["floor", "floor_by", "ceiling", "ceiling_by", "kind", "minutes"]
     fill(database, "suite_tasks", ["task", *fields, *bounds], tasks)
     fill(database, "suite_normalised", ["learner", "task", "track", "score"], scores)

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from pathlib import Path
 
-    from rich.table import Table
-
 CAPTION = (
     "Arrivals (both vehicles, where there are two) and utility (their sum): greedy / stochastic policy, test split."
 )
@@ -43,25 +41,31 @@ ENDINGS = {
 }
 
 
-def zoo_table() -> Table:
-    """One row per policy: its name, which has the algorithm, the task of its training, and its scores."""
+def list_zoo(_options: Namespace) -> int:
+    """Print one row per policy: its name, which has the algorithm, the task of its training, and its scores."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
+    from algorithms.runs.console import make_console
+
+    known = names()
+    endings = [
+        f"in {ending} {what}" for ending, what in ENDINGS.items() if any(name.endswith(ending) for name in known)
+    ]
+    caption = CAPTION + (f" Names end {', '.join(endings)}." if endings else "")
     table = Table(
-        title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
+        title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD, caption=caption
     )
-    endings = [f"in {ending} {what}" for ending, what in ENDINGS.items() if any(n.endswith(ending) for n in names())]
-    table.caption = CAPTION + (f" Names end {', '.join(endings)}." if endings else "")
     table.caption_justify = "left"
     table.add_column("name", no_wrap=True)
     for column in ("task", "arrivals (%)", "utility (ESR)"):
         table.add_column(column, overflow="fold")
-    for name in names():
+    for name in known:
         config = find(name) / CONFIG
         experiment = parse(ExperimentRecord, read_mapping(config), f"experiment {str(config)!r}")
         table.add_row(name, _task(experiment), *_score_columns(find(name) / ABOUT))
-    return table
+    make_console().print(table)
+    return 0
 
 
 def _task(experiment: ExperimentRecord) -> str:
@@ -88,14 +92,6 @@ def _score_columns(path: Path) -> list[str]:
         return [" / ".join(f"{value:.3g}" for value in values) for values in zip(*columns, strict=True)] or ["", ""]
     except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{str(path)!r} is not valid: {type(error).__name__}: {error}") from None
-
-
-def list_zoo(_options: Namespace) -> int:
-    """Print the table of the policies."""
-    from algorithms.runs.console import make_console
-
-    make_console().print(zoo_table())
-    return 0
 
 
 main = cli.Command("zoo", __doc__, (), list_zoo)

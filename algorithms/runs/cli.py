@@ -121,6 +121,26 @@ class Command:
             return self.run(options)
 
 
+@dataclass(frozen=True)
+class CommandGroup:
+    """A command with actions, commands whose names begin with its own."""
+
+    name: str
+    description: str | None
+    actions: tuple[Command, ...]
+
+    def __call__(self, arguments: Sequence[str]) -> int:
+        """Run the action that is the first word of a command line."""
+        actions = {action.name.split()[-1]: action for action in self.actions}
+        if arguments and arguments[0] in actions:
+            return actions[arguments[0]](arguments[1:])
+        described = [f"  {name:8}{str(action.description).splitlines()[0]}" for name, action in actions.items()]
+        parser = make_parser("\n".join([f"{self.description}\nactions:", *described]), self.name)
+        parser.add_argument("action", metavar="ACTION", choices=actions, help="ACTION --help: its options")
+        parser.parse_args(arguments[:1])
+        return INVALID_INPUT  # not reached: argparse has exited
+
+
 CONFIG = option("--config", "FILE", "YAML file of the experiment, or the name of a shipped one")
 RUN = option("run", "RUN", "directory of a run, or a name in the zoo")
 RUN_OUTPUT = option("--output", "DIR", "directory of the run (default: runs/CONFIG/NAME)")
@@ -265,6 +285,14 @@ def check_directory(option: str, path: str | Path | None) -> None:
     existing = next(folder for folder in (whole, *whole.parents) if folder.exists())
     if not existing.is_dir():
         raise ValueError(f"{option} {str(path)!r}: {str(existing)!r} is not a directory")
+
+
+def check_at_least(options: argparse.Namespace, least: int, *names: str) -> None:
+    """Refuse, with a ValueError, options below ``least``; those that are None were not given."""
+    for name in names:
+        value = getattr(options, name)
+        if value is not None and value < least:
+            raise ValueError(f"--{name} {value} must be at least {least}")
 
 
 def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> dict[str, float]:

@@ -403,12 +403,8 @@ def _check_task(experiment: Experiment, arguments: Mapping[str, Any]) -> None:
         task = suite.load().task(name)
     except ValueError as error:
         raise ValueError(f"evaluation.task: {error}") from None
-    of_task = task.config().model_dump(mode="json", exclude={"scenario"})
-    needed = {"id": task.environment.id, **{f"arguments.{key}": value for key, value in of_task.items()}}
-    given = {"id": experiment.environment.id, **{f"arguments.{key}": value for key, value in arguments.items()}}
-    for key, value in needed.items():
-        if given.get(key) != value:
-            raise ValueError(f"environment.{key} = {given.get(key)!r}: evaluation.task = {name!r} needs {value!r}")
+    for key, (given, needed) in task.differences(experiment.environment.id, arguments).items():
+        raise ValueError(f"environment.{key} = {given!r}: evaluation.task = {name!r} needs {needed!r}")
     if (steps := experiment.training.total_timesteps) > task.steps:
         raise ValueError(
             f"training.total_timesteps = {steps:,}: evaluation.task = {name!r} allows {task.steps:,} environment steps"

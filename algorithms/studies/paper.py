@@ -19,16 +19,9 @@ from algorithms.studies import FIGURES
 from algorithms.studies.collection import collect
 from algorithms.studies.execution import Backend, Runner
 from algorithms.studies.manifest import overridden
-from algorithms.studies.paper_claims import (
-    CLAIMS,
-    FRONT_TASK,
-    LEARNED,
-    SOLVED,
-    is_ablation,
-    utility_metric,
-)
+from algorithms.studies.paper_claims import CLAIMS
 from algorithms.studies.paper_report import QUICK, print_verdicts, write_report
-from algorithms.studies.paper_results import PaperResults
+from algorithms.studies.paper_results import FRONT_LEARNER, FRONT_TASK, PaperResults
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.results import results_of
 from algorithms.studies.settings import load_study
@@ -64,6 +57,7 @@ if TYPE_CHECKING:
 PUBLISHED = CONFIGS.parent / "docs" / "results"  # exists in a checkout alone
 # A quick reproduction: protocols, seeds, share of the steps, final episodes, and evaluations during training.
 QUICK_PROTOCOLS, QUICK_SEEDS, QUICK_SHARE, QUICK_EPISODES, QUICK_EVALUATIONS = ("printed", "best"), 3, 10, 200, 5
+SOLVED, LEARNED = 0.95, 0.5  # success rates of a run that solves its task, and of one that does not fail
 
 
 # -------------------------------------------------------------------------------------------------------------- plan
@@ -86,13 +80,10 @@ def load_paper(path: str | Path) -> Study:
 
 
 def paper_plan(study: Study, tasks: Sequence[str], *, seeds: int | None = None, quick: bool = False) -> StudyPlan:
-    """The arms to train for some tasks.
+    """The arms to train for some tasks, whose names are without their protocols, all of which are selected.
 
-    Args:
-        study: of the paper.
-        tasks: without their protocols, all of which are selected.
-        seeds: number of runs of each learner, instead of the study's; a task that names its seeds has at most these.
-        quick: fewer seeds and steps, of the protocols that claims are judged by.
+    ``seeds`` is the number of runs of each learner, instead of the study's; a task that names its seeds has at most
+    these. A ``quick`` one has fewer seeds and steps, of the protocols that claims are judged by.
     """
     known = {key.partition("/")[0] for key in study.tasks}
     for task in tasks:
@@ -169,38 +160,30 @@ class Reproduction:
     workers: int | None = None
 
     @property
-    def everything(self) -> bool:
-        """Whether all figures and claims are reproduced."""
-        return self.figure is None and self.claim is None
-
-    @property
     def run_folder(self) -> Path:
         """The folder of the run directories."""
         return self.runs or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
 
     @property
     def output_folder(self) -> Path:
-        """The folder of the report."""
-        publish = self.everything and not self.quick and PUBLISHED.is_dir()
-        return self.output or (PUBLISHED if publish else self.run_folder / "results")
+        """The folder of the report: one of everything with all steps is published where there is a checkout."""
+        part = self.figure or self.claim or self.quick
+        return self.output or (self.run_folder / "results" if part or not PUBLISHED.is_dir() else PUBLISHED)
 
     @property
     def command(self) -> str:
         """The command that creates the same report."""
         given = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(self, name))]
-        quick = ["--quick"] if self.quick else []
-        everything = ["--all"] if self.everything and not self.quick else []
-        return " ".join(["mo-deepdrive reproduce", *everything, *quick, *given])
+        whole = ["--quick"] if self.quick else [] if self.figure or self.claim else ["--all"]
+        return " ".join(["mo-deepdrive reproduce", *whole, *given])
 
     def selection(self) -> tuple[list[str], list[int]]:
         """The tasks, without their protocols, and the numbers of the figures to reproduce."""
-        if self.figure is not None:
-            tasks = dict.fromkeys(task for claim in CLAIMS if self.figure in claim.figures for task in claim.tasks)
-            return list(tasks), [self.figure]
-        if self.claim is not None:
-            claim = next(claim for claim in CLAIMS if claim.number == self.claim)
-            return list(claim.tasks), list(claim.figures)
-        return list(dict.fromkeys(key.partition("/")[0] for key in self.study.tasks)), list(FIGURES)
+        if self.figure is None and self.claim is None:
+            return list(dict.fromkeys(key.partition("/")[0] for key in self.study.tasks)), list(FIGURES)
+        claims = [claim for claim in CLAIMS if self.figure in claim.figures or self.claim == claim.number]
+        tasks = list(dict.fromkeys(task for claim in claims for task in claim.tasks))
+        return tasks, [self.figure] if self.figure else [*claims[0].figures]
 
     def run(self, console: Console) -> int:
         """Train the runs that are missing, then write report and figures.
@@ -209,11 +192,6 @@ class Reproduction:
 
         Returns:
             The exit code: 0, 1 if runs failed, or 128 plus the number of the signal that interrupted the training.
-
-        Raises:
-            ValueError: for an invalid study, missing results, or a directory of another study.
-            OSError: if something cannot be written.
-            Stopped: if training cannot continue, for example because the disk is full.
         """
         tasks, figures = self.selection()
         if self.redraw:
@@ -226,10 +204,10 @@ class Reproduction:
             return code
         runs = [arm for arm in plan.runs(runner) if arm.arm.key in plan.selected]
         results = gather(plan, runs, self.run_folder)
-        if all(row.value is None for row in results.rows):
+        if not results.tasks:
             raise ValueError("no run has finished")
         self.output_folder.mkdir(parents=True, exist_ok=True)
-        keep_fronts(runs, results, self.run_folder, self.output_folder)
+        _keep_fronts(runs, results, self.run_folder, self.output_folder)
         self._write(results, figures, console)
         if self.output_folder == PUBLISHED and self.output is None and self.seeds is None and code == 0:
             names = export_policies(runs, results, self.run_folder)
@@ -246,22 +224,21 @@ class Reproduction:
         console.print(f"written: {', '.join(str(path) for path in paths)}", soft_wrap=True)
 
 
-def median_seed(scores: Mapping[int, float]) -> int | None:
+def _median_seed(scores: Mapping[int, float]) -> int | None:
     """The seed with the median of the scores by seed, the lower of two; None if there are none."""
     ordered = sorted(scores, key=lambda seed: (scores[seed], seed))
     return ordered[(len(ordered) - 1) // 2] if ordered else None
 
 
-def keep_fronts(runs: Sequence[ArmRuns], results: PaperResults, directory: Path, output: Path) -> None:
+def _keep_fronts(runs: Sequence[ArmRuns], results: PaperResults, directory: Path, output: Path) -> None:
     """Save the front of the run with the median hypervolume of every protocol; figures are drawn from it."""
-    for arm in runs:
-        task, _, protocol = arm.arm.task.partition("/")
-        chosen = median_seed(results.by_seed(*arm.arm.key, HYPERVOLUME, FRONT)) if task == FRONT_TASK else None
-        if chosen is not None:
+    rows = {(arm.arm.task, row.seed): row for arm in runs for row in arm.final}
+    for protocol, reached in results.tasks.get(FRONT_TASK, {}).items():
+        seed = _median_seed(reached.by_seed(FRONT_LEARNER, HYPERVOLUME, FRONT))
+        if seed is not None:
             folder = output / f"front_{protocol}"
             folder.mkdir(exist_ok=True)
-            row = next(row for row in arm.final if row.seed == chosen)
-            Front.read(directory / row.directory).write(folder, {"seed_of_the_run": chosen})
+            Front.read(directory / rows[reached.key, seed].directory).write(folder, {"seed_of_the_run": seed})
 
 
 def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: Path) -> list[str]:
@@ -273,31 +250,30 @@ def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: P
     exported: list[str] = []
     for arm in runs:
         task, _, protocol = arm.arm.task.partition("/")
-        front = task == FRONT_TASK
-        metric, policy = (HYPERVOLUME, FRONT) if front else (utility_metric(task), STOCHASTIC)
-        scores = results.by_seed(*arm.arm.key, metric, policy)
-        chosen = median_seed(scores)
-        if chosen is None or is_ablation(results.study, arm.arm.task):
+        reached, learner = results.tasks.get(task, {}).get(protocol), arm.arm.learner
+        if reached is None or reached.is_ablation:
+            continue
+        metric, policy = (HYPERVOLUME, FRONT) if reached.is_front else (reached.utility, STOCHASTIC)
+        scores = reached.by_seed(learner, metric, policy)
+        chosen = _median_seed(scores)
+        if chosen is None:
             continue
         rows = {row.seed: row for row in arm.final}
         name = f"{task}-{rows[chosen].config['algorithm']['name']}" + ("" if protocol == "best" else f"-{protocol}")
         wanted = [(name, chosen, f"median {metric} of {len(arm.arm.seeds)} seeds")]
-        arrivals = {} if front else results.by_seed(*arm.arm.key, SUCCESS, STOCHASTIC)
+        arrivals = {} if reached.is_front else reached.by_seed(learner, SUCCESS)
         solved = {seed: scores[seed] for seed, rate in arrivals.items() if rate > SOLVED}
-        success = median_seed(solved)
+        success = _median_seed(solved)
         if success is not None and arrivals[chosen] < LEARNED:
             seeds = f"{len(solved)} of {len(arm.arm.seeds)} seeds that arrive in over {SOLVED:.0%} of the episodes"
             wanted.append((f"{name}-solved", success, f"median {metric} of the {seeds}"))
-        shown = (HYPERVOLUME, CARDINALITY) if front else (SUCCESS, metric)
+        shown = (HYPERVOLUME, CARDINALITY) if reached.is_front else (SUCCESS, metric)
         for zoo_name, seed, why in wanted:
-            by_policy = {policy: _scores_of(results, arm, seed, policy, shown) for policy in POLICIES}
-            about: dict[str, Any] = {"chosen": why, "scores": {key: each for key, each in by_policy.items() if each}}
-            export(rows[seed].job(directory).open(), zoo_name, about=about)
+            main_scores: dict[str, dict[str, Any]] = {}
+            for kind in POLICIES:
+                by_metric = {metric: reached.by_seed(learner, metric, kind).get(seed) for metric in shown}
+                if known := {metric: score for metric, score in by_metric.items() if score is not None}:
+                    main_scores[kind] = known
+            export(rows[seed].job(directory).open(), zoo_name, about={"chosen": why, "scores": main_scores})
             exported.append(zoo_name)
     return exported
-
-
-def _scores_of(results: PaperResults, arm: ArmRuns, seed: int, policy: str, metrics: Sequence[str]) -> dict[str, float]:
-    """The main scores of a run, by metric."""
-    by_metric = {metric: results.by_seed(*arm.arm.key, metric, policy) for metric in metrics}
-    return {metric: by_seed[seed] for metric, by_seed in by_metric.items() if seed in by_seed}

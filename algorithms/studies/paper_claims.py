@@ -1,6 +1,7 @@
-"""The paper's claims and the criteria that decide them, which were fixed before the runs were trained.
+"""Whether results reproduce the paper's claims, which are in ``paper_claims.yaml`` with the criteria that decide them.
 
-The one exception is the rule that learning curves must be flat, which was added afterwards (docs/reproduction.md).
+The claims were fixed before the runs were trained; the one exception is the rule that learning curves must be flat,
+which was added afterwards (docs/reproduction.md).
 
 A criterion is decided by a 95% bootstrap interval over seeds: it passes, fails, or is inconclusive if the interval
 contains the limit. If training stopped before the learning curves were flat (:func:`is_settled`), it is inconclusive
@@ -12,25 +13,15 @@ is the policy that actor-critics optimise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from math import inf
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+import yaml
 
-from mo_deepdrive.evaluation.metrics import (
-    CARDINALITY,
-    FRONT,
-    HIGHEST_DISTANCE,
-    HYPERVOLUME,
-    LOWEST_DISTANCE,
-    STOCHASTIC,
-    SUCCESS,
-    TOTAL_UTILITY_ESR,
-    UTILITY_ESR,
-    return_of,
-)
+from algorithms.studies.paper_results import BASELINE, FRONT_LEARNER, LABELS, MULTI_OBJECTIVE
+from mo_deepdrive.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS, return_of
 from mo_deepdrive.evaluation.statistics import (
     Estimate,
     iqm,
@@ -40,39 +31,25 @@ from mo_deepdrive.evaluation.statistics import (
     spread_ratio,
     spread_ratio_power,
 )
+from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from numpy.typing import NDArray
 
-    from algorithms.studies.paper_results import PaperResults
-    from algorithms.studies.settings import Study
+    from algorithms.studies.paper_results import PaperResults, TaskResults
 
-# The two algorithms that are compared, by their keys in the study.
-BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
-LABELS = {BASELINE: "A2C", MULTI_OBJECTIVE: "MO-A2C"}
-# The task with an unknown utility, and the learner of its front.
-FRONT_TASK, FRONT_LEARNER = "one_waypoint_front", "pcn"
-# Limits of the criteria.
-SOLVED, LEARNED, FAILED = 0.95, 0.5, 0.05  # success rates
 SIMILAR = 0.05  # relative to the baseline's utility
 FLAT = 0.05  # gain at the end of training, relative to the score that is reached
 RATIOS = (0.5, 0.25)  # true ratios of deviations, for which the power of the test is reported
 MIN_EVALUATIONS = 5  # of a learning curve, to tell whether it is flat
-MIN_POLICIES = 10  # of a broad front
-SHORT_PROGRESS, LONG_PROGRESS = 1.0, 10.0  # m: from standing still to arriving
-
-Conclusion = Literal["reproduced", "not reproduced", "inconclusive"]
 
 
-@dataclass(frozen=True)
-class Check:
-    """A criterion applied to results.
+class Check(NamedTuple):
+    """A criterion applied to results; ``passed`` is None if it is inconclusive.
 
-    Attributes:
-        criterion: in words.
-        measured: the measured value with its interval.
-        passed: None if it is inconclusive.
-        stopped_at: the step at which training stopped too early for an answer; None if that is not the reason.
+    ``stopped_at`` is the step at which training stopped too early for an answer; None if that is not the reason.
     """
 
     criterion: str
@@ -81,24 +58,10 @@ class Check:
     stopped_at: int | None = None
 
 
-Criterion = Callable[["PaperResults", str], Check]  # of the results and a protocol
-Decision = Callable[[Estimate, float], bool | None]  # of an estimate and a limit
-
-
-class AlgorithmComparison(NamedTuple):
-    """Utilities of A2C and MO-A2C: interquartile means over seeds, their difference, P(a run of MO-A2C is higher)."""
-
-    baseline: Estimate
-    multi_objective: Estimate
-    difference: Estimate
-    improvement: Estimate
-
-
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """Whether a claim is reproduced under a protocol, and the checks that decide it."""
 
-    conclusion: Conclusion
+    conclusion: Literal["reproduced", "not reproduced", "inconclusive"]
     checks: tuple[Check, ...]
 
     @property
@@ -109,75 +72,76 @@ class Verdict:
         return f"{self.conclusion}: stopped at {max(steps):,} steps" if early else self.conclusion
 
 
-@dataclass(frozen=True)
-class Claim:
-    """A claim of the paper.
+class Criterion(Settings):
+    """That what is measured of a task lies between two limits."""
 
-    Attributes:
-        number: as in the documentation.
-        figures: of the paper.
-        statement: the claim in words.
-        tasks: of the study, without the protocol, that the claim is about.
-        criteria: which decide it.
-    """
+    text: str
+    task: str  # without the protocol
+    measure: Literal["success", "progress", "difference", "relative_difference", "deviations", "front"]
+    of: str = ""  # the learner, or the metric of the front
+    above: float = -inf
+    below: float = inf
+    lasting: bool | None = None  # the answer that longer training could only confirm; None if it could change both
+
+    def check(self, results: TaskResults) -> Check:
+        """Apply it to results of its task; KeyError if some are missing."""
+        estimate, measured, unit = MEASURES[self.measure](results, self.of)
+        passed = is_between(estimate, unit * self.above, unit * self.below)
+        if passed is None or passed is self.lasting or is_settled(results):
+            return Check(self.text, measured, passed)
+        return Check(self.text, measured, None, results.steps)
+
+
+class Claim(Settings):
+    """A claim of the paper, the figures that show it, and what decides it."""
 
     number: int
-    figures: tuple[int, ...]
     statement: str
-    tasks: tuple[str, ...]
-    criteria: Sequence[Criterion]
+    figures: list[int]
+    criteria: list[Criterion]
+
+    @property
+    def tasks(self) -> list[str]:
+        """The tasks, without the protocol, that it is about."""
+        return list(dict.fromkeys(criterion.task for criterion in self.criteria))
 
     def judge(self, results: PaperResults, protocol: str) -> Verdict | None:
         """The verdict under a protocol; None if results are missing."""
         try:
-            checks = tuple(criterion(results, protocol) for criterion in self.criteria)
+            checks = tuple(criterion.check(results.tasks[criterion.task][protocol]) for criterion in self.criteria)
         except KeyError:
             return None
-        passed = [check.passed for check in checks]
-        conclusion: Conclusion = "inconclusive" if None in passed else "reproduced"
-        return Verdict("not reproduced" if False in passed else conclusion, checks)
+        passed = {check.passed for check in checks}
+        return Verdict(
+            "not reproduced" if False in passed else "inconclusive" if None in passed else "reproduced", checks
+        )
+
+    def verdicts(self, results: PaperResults) -> dict[str, Verdict]:
+        """The verdicts by protocol; only protocols with results for all tasks."""
+        judged = {protocol: self.judge(results, protocol) for protocol in results.tasks.get(self.tasks[0], {})}
+        return {protocol: verdict for protocol, verdict in judged.items() if verdict is not None}
 
 
-def compare(results: PaperResults, task: str, protocol: str) -> AlgorithmComparison:
-    """Compare the utilities of A2C and MO-A2C."""
-    baseline, multi_objective = (
-        results.values(task, protocol, learner, utility_metric(task)) for learner in (BASELINE, MULTI_OBJECTIVE)
-    )
-    return AlgorithmComparison(
-        iqm(baseline),
-        iqm(multi_objective),
-        iqm_difference(multi_objective, baseline),
-        probability_of_improvement(multi_objective, baseline),
-    )
+CLAIMS = [Claim(**claim) for claim in yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8"))]
 
 
-def is_ablation(study: Study, key: str) -> bool:
-    """Whether a task, TASK/PROTOCOL, is an ablation, instead of a comparison of A2C and MO-A2C or a run of PCN."""
-    return set(study.learners_of(key)) not in ({BASELINE, MULTI_OBJECTIVE}, {FRONT_LEARNER})
+def compare(results: TaskResults) -> tuple[Estimate, Estimate, Estimate, Estimate]:
+    """Utilities of A2C and MO-A2C: interquartile means over seeds, their difference, P(a run of MO-A2C is higher)."""
+    first, second = (results.values(learner, results.utility) for learner in LABELS)
+    return iqm(first), iqm(second), iqm_difference(second, first), probability_of_improvement(second, first)
 
 
-def utility_metric(task: str) -> str:
-    """The name of the metric for an episode's utility; with two vehicles it is the sum of their utilities."""
-    return TOTAL_UTILITY_ESR if task.startswith("intersection") else UTILITY_ESR
-
-
-def utility_kind(task: str) -> str:
-    """Either "linear" or "non-linear"."""
-    return "non-linear" if task.endswith("nonlinear") else "linear"
-
-
-def is_settled(results: PaperResults, task: str, protocol: str) -> bool:
+def is_settled(results: TaskResults) -> bool:
     """Whether the learning curves were flat at the end of training.
 
     They are if, for every compared algorithm, the upper end of the interval over seeds of the gain (the mean of the
     last fifth of the evaluations minus that of the fifth before) is below FLAT times the mean of the last fifth. The
     score is the utility of the stochastic policy, for a front its hypervolume.
     """
-    front = task == FRONT_TASK
-    name = f"{FRONT}/{HYPERVOLUME}" if front else f"{STOCHASTIC}/{utility_metric(task)}"
+    name = f"{FRONT}/{HYPERVOLUME}" if results.is_front else f"{STOCHASTIC}/{results.utility}"
     return all(
-        _is_flat([curve[name] for curve in results.learning_curves(task, protocol, learner) if name in curve])
-        for learner in ((FRONT_LEARNER,) if front else (BASELINE, MULTI_OBJECTIVE))
+        _is_flat([curve[name] for curve in results.learning_curves(learner) if name in curve])
+        for learner in ((FRONT_LEARNER,) if results.is_front else LABELS)
     )
 
 
@@ -188,51 +152,16 @@ def _is_flat(curves: Sequence[NDArray[np.float64]]) -> bool:
         return False
     fifths = [(curve[-2 * (n := len(curve) // 5) : -n].mean(), curve[-n:].mean()) for curve in scores]
     before, last = np.array(fifths).T
-    return is_above(mean(last - before), FLAT * abs(float(last.mean()))) is False
+    return is_between(mean(last - before), -inf, FLAT * abs(float(last.mean()))) is True
 
 
-def _check(
-    results: PaperResults,
-    task: str,
-    protocol: str,
-    criterion: str,
-    measured: str,
-    passed: bool | None,
-    lasting: bool | None = None,
-) -> Check:
-    """A check, which is inconclusive if training stopped too early for its answer.
-
-    ``passed`` is what the interval over seeds says; ``lasting`` is the answer that longer training could only confirm,
-    None if it could change both.
-    """
-    if passed is None or passed is lasting or is_settled(results, task, protocol):
-        return Check(criterion, measured, passed)
-    return Check(criterion, measured, None, stopped_at=results.steps(task, protocol))
-
-
-def is_above(estimate: Estimate, limit: float) -> bool | None:
-    """Whether the interval of an estimate is entirely above the limit; None if it contains the limit."""
-    low, high = _interval(estimate)
-    return True if low > limit else False if high < limit else None
-
-
-def is_below(estimate: Estimate, limit: float) -> bool | None:
-    """Whether the interval of an estimate is entirely below the limit; None if it contains the limit."""
-    above = is_above(estimate, limit)
-    return None if above is None else not above
-
-
-def _is_within(estimate: Estimate, margin: float) -> bool | None:
-    """Whether the interval of an estimate is inside [-margin, margin]; None if it is partly inside."""
-    low, high = _interval(estimate)
-    return True if -margin <= low and high <= margin else False if low > margin or high < -margin else None
-
-
-def _interval(estimate: Estimate) -> tuple[float, float]:
-    """The interval of an estimate; unbounded if there is only one run."""
-    if estimate.low is None or estimate.high is None:
-        return -np.inf, np.inf
-    return estimate.low, estimate.high
+def is_between(estimate: Estimate, above: float, below: float) -> bool | None:
+    """Whether an interval lies between two limits; None if it contains one, or is not known."""
+    if estimate.low is None or estimate.high is None:  # of too few runs
+        return None
+    if above < estimate.low and estimate.high < below:
+        return True
+    return False if estimate.high < above or estimate.low > below else None
 
 
 def shown(estimate: Estimate) -> str:
@@ -246,133 +175,50 @@ def percent(estimate: Estimate) -> str:
     return f"{shown(Estimate(100.0 * estimate.value, *bounds))}%"
 
 
-def arrives(task: str, learner: str, decide: Decision, limit: float, results: PaperResults, protocol: str) -> Check:
-    """The share of episodes in which the vehicle, or all vehicles, arrive is above or below the limit."""
-    rate = iqm(results.values(task, protocol, learner, SUCCESS))
-    above = decide is is_above
-    name = f"{LABELS[learner]}: success rate {'above' if above else 'below'} {limit:.0%}"
-    if task.startswith("intersection"):
-        name += f" ({utility_kind(task)} utility)"
-    measured = f"success rate {percent(rate)}"
-    return _check(results, task, protocol, name, measured, decide(rate, limit), lasting=above)
+# ------------------------------------------------------------------------------------------------------------ measures
+# Each gives an estimate, its text, and the unit of the limits that it is compared with.
+
+Measured = tuple[Estimate, str, float]
 
 
-def moves_away(task: str, learner: str, results: PaperResults, protocol: str) -> Check:
-    """Episodes end farther from the destination than they start."""
-    progress = iqm(results.values(task, protocol, learner, return_of("distance")))
-    name = f"{LABELS[learner]} moves away from the destination"
-    return _check(results, task, protocol, name, f"progress {shown(progress)} m", is_below(progress, 0.0))
+def _success(results: TaskResults, learner: str) -> Measured:
+    rate = iqm(results.values(learner, SUCCESS))
+    return rate, f"success rate {percent(rate)}", 1.0
 
 
-def similar_utility(task: str, results: PaperResults, protocol: str) -> Check:
-    """The utilities differ by less than SIMILAR of the baseline's."""
-    compared = compare(results, task, protocol)
-    margin = SIMILAR * abs(compared.baseline.value)
-    name = f"the utilities differ by less than {SIMILAR:.0%}"
-    measured = f"difference {shown(compared.difference)}, {SIMILAR:.0%} is {margin:.2g}"
-    return _check(results, task, protocol, name, measured, _is_within(compared.difference, margin))
+def _progress(results: TaskResults, learner: str) -> Measured:
+    progress = iqm(results.values(learner, return_of("distance")))
+    return progress, f"progress {shown(progress)} m", 1.0
 
 
-def higher_utility(task: str, results: PaperResults, protocol: str) -> Check:
-    """MO-A2C has a higher utility than A2C."""
-    difference = compare(results, task, protocol).difference
-    name, measured = "MO-A2C has the higher utility", f"difference {shown(difference)}"
-    return _check(results, task, protocol, name, measured, is_above(difference, 0.0))
+def _difference(results: TaskResults, _: str) -> Measured:
+    difference = compare(results)[2]
+    return difference, f"difference {shown(difference)}", 1.0
 
 
-def more_consistent(task: str, results: PaperResults, protocol: str) -> Check:
-    """The utility of MO-A2C varies less between seeds than that of A2C."""
-    first, second = (
-        results.values(task, protocol, learner, utility_metric(task)) for learner in (MULTI_OBJECTIVE, BASELINE)
-    )
-    ratio = spread_ratio(first, second)
-    runs = min(len(first), len(second))
+def _relative_difference(results: TaskResults, _: str) -> Measured:
+    baseline, difference = compare(results)[::2]
+    unit = abs(baseline.value)
+    return difference, f"difference {shown(difference)}, {SIMILAR:.0%} is {SIMILAR * unit:.2g}", unit
+
+
+def _deviations(results: TaskResults, _: str) -> Measured:
+    first, second = (results.values(learner, results.utility) for learner in (MULTI_OBJECTIVE, BASELINE))
+    ratio, runs = spread_ratio(first, second), min(len(first), len(second))
     powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
-    measured = f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}"
-    return _check(results, task, protocol, "MO-A2C varies less between seeds", measured, is_below(ratio, 1.0))
+    return ratio, f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}", 1.0
 
 
-def broad_front(metric: str, decide: Decision, limit: float, name: str, results: PaperResults, protocol: str) -> Check:
-    """A metric of PCN's front, which longer training broadens, is on the right side of the limit."""
-    score = iqm(results.values(FRONT_TASK, protocol, FRONT_LEARNER, metric, FRONT))
-    unit = "" if metric == CARDINALITY else " m"
-    return _check(results, FRONT_TASK, protocol, name, f"{shown(score)}{unit}", decide(score, limit), lasting=True)
+def _front(results: TaskResults, metric: str) -> Measured:
+    score = iqm(results.values(FRONT_LEARNER, metric, FRONT))
+    return score, shown(score) + ("" if metric == CARDINALITY else " m"), 1.0
 
 
-CLAIMS = (
-    Claim(
-        1,
-        (4,),
-        "OneWaypoint, linear utility: A2C and MO-A2C both solve it, with similar utility (fig. 4a)",
-        ("one_waypoint_linear",),
-        [
-            partial(arrives, "one_waypoint_linear", BASELINE, is_above, SOLVED),
-            partial(arrives, "one_waypoint_linear", MULTI_OBJECTIVE, is_above, SOLVED),
-            partial(similar_utility, "one_waypoint_linear"),
-        ],
-    ),
-    Claim(
-        2,
-        (4,),
-        "OneWaypoint, non-linear utility: MO-A2C reaches a higher utility, more consistently (fig. 4b)",
-        ("one_waypoint_nonlinear",),
-        [partial(higher_utility, "one_waypoint_nonlinear"), partial(more_consistent, "one_waypoint_nonlinear")],
-    ),
-    Claim(
-        3,
-        (5,),
-        "StaticObstacle, linear utility: A2C and MO-A2C reach similar utility (fig. 5a)",
-        ("static_obstacle_linear",),
-        [partial(similar_utility, "static_obstacle_linear")],
-    ),
-    Claim(
-        4,
-        (5,),
-        "StaticObstacle, non-linear utility: MO-A2C learns; A2C does not, and moves away from the destination "
-        "(fig. 5b)",
-        ("static_obstacle_nonlinear",),
-        [
-            partial(arrives, "static_obstacle_nonlinear", MULTI_OBJECTIVE, is_above, LEARNED),
-            partial(arrives, "static_obstacle_nonlinear", BASELINE, is_below, LEARNED),
-            partial(moves_away, "static_obstacle_nonlinear", BASELINE),
-        ],
-    ),
-    Claim(
-        5,
-        (6, 8, 9),
-        "Intersection: independent learners of both kinds fail; MO-A2C fails less badly under the non-linear utility "
-        "(fig. 6, 8, 9)",
-        ("intersection_linear", "intersection_nonlinear"),
-        [
-            *(
-                partial(arrives, task, learner, is_below, FAILED)
-                for task in ("intersection_linear", "intersection_nonlinear")
-                for learner in (BASELINE, MULTI_OBJECTIVE)
-            ),
-            partial(higher_utility, "intersection_nonlinear"),
-        ],
-    ),
-    Claim(
-        6,
-        (7, 10),
-        "OneWaypoint, unknown utility: PCN finds a broad range of behaviours (fig. 7, 10)",
-        (FRONT_TASK,),
-        [
-            partial(broad_front, CARDINALITY, is_above, MIN_POLICIES, f"over {MIN_POLICIES} non-dominated policies"),
-            partial(
-                broad_front,
-                LOWEST_DISTANCE,
-                is_below,
-                SHORT_PROGRESS,
-                f"some policy progresses less than {SHORT_PROGRESS:g} m",
-            ),
-            partial(
-                broad_front,
-                HIGHEST_DISTANCE,
-                is_above,
-                LONG_PROGRESS,
-                f"some policy progresses over {LONG_PROGRESS:g} m",
-            ),
-        ],
-    ),
-)
+MEASURES: dict[str, Callable[[TaskResults, str], Measured]] = {
+    "success": _success,
+    "progress": _progress,
+    "difference": _difference,
+    "relative_difference": _relative_difference,
+    "deviations": _deviations,
+    "front": _front,
+}

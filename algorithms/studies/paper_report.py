@@ -11,28 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
-from rich.box import SIMPLE_HEAD
-from rich.table import Column, Table
-from rich.text import Text
 
 from algorithms.reporting.curves import curve
 from algorithms.reporting.explorer.plots import draw_front
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
-from algorithms.reporting.tables import markdown
-from algorithms.studies.paper_claims import (
-    CLAIMS,
-    FRONT_LEARNER,
-    FRONT_TASK,
-    LABELS,
-    Claim,
-    Verdict,
-    compare,
-    is_ablation,
-    percent,
-    shown,
-    utility_kind,
-    utility_metric,
-)
+from algorithms.reporting.tables import markdown, print_rows
+from algorithms.studies.paper_claims import CLAIMS, Claim, compare, percent, shown
+from algorithms.studies.paper_results import FRONT_LEARNER, LABELS
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
@@ -55,37 +40,27 @@ from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, iqm, iqm_difference,
 from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
     from rich.console import Console
 
     from algorithms.reporting.tables import Rows
-    from algorithms.studies.paper_results import PaperResults
+    from algorithms.studies.paper_results import PaperResults, TaskResults
 
 REPORT_FILE = "reproduction.md"
 QUICK = "A quick reproduction checks the pipeline. It trains too little for verdicts."
 VERDICT_COLUMNS = ("protocol", "A2C", "MO-A2C", "difference", "P(MO-A2C higher)", "verdict")
 COLLAPSED = 0.5  # a run of PCN has collapsed if its hypervolume is below this part of the median
 
-# Figures of learning curves, a column per task and a row per protocol: their title, tasks and metric.
-_ONE_WAYPOINT = ("one_waypoint_linear", "one_waypoint_nonlinear")
-_STATIC_OBSTACLE = ("static_obstacle_linear", "static_obstacle_nonlinear")
-_INTERSECTION = ("intersection_linear", "intersection_nonlinear")
+# Figures of learning curves, a column per task (with a linear and a non-linear utility) and a row per protocol: their
+# title, what tasks begin with, and their metric.
 CURVE_FIGURES = {
-    4: ("OneWaypoint", _ONE_WAYPOINT, UTILITY_ESR),
-    5: ("StaticObstacle", _STATIC_OBSTACLE, UTILITY_ESR),
-    6: ("Intersection, both vehicles together", _INTERSECTION, TOTAL_UTILITY_ESR),
-    8: (
-        "Intersection, the vehicle that turns left (vehicle 0)",
-        _INTERSECTION,
-        vehicle_prefix(0, 2) + UTILITY_ESR,
-    ),
-    9: (
-        "Intersection, the vehicle that goes straight (vehicle 1)",
-        _INTERSECTION,
-        vehicle_prefix(1, 2) + UTILITY_ESR,
-    ),
+    4: ("OneWaypoint", "one_waypoint", UTILITY_ESR),
+    5: ("StaticObstacle", "static_obstacle", UTILITY_ESR),
+    6: ("Intersection, both vehicles together", "intersection", TOTAL_UTILITY_ESR),
+    8: ("Intersection, the vehicle that turns left (vehicle 0)", "intersection", f"vehicle_0/{UTILITY_ESR}"),
+    9: ("Intersection, the vehicle that goes straight (vehicle 1)", "intersection", f"vehicle_1/{UTILITY_ESR}"),
 }
 # Drawn from a front by algorithms.reporting.explorer.plots, as the figure with this name.
 FRONT_FIGURES = {7: "importance", 10: "reduction"}
@@ -95,17 +70,10 @@ MIN_WIDTH = 8.4  # inches, for the title and the note below it
 def write_report(
     results: PaperResults, directory: Path, figures: Sequence[int], *, how: str, quick: bool = False
 ) -> list[Path]:
-    """Write the results, the report and the figures.
+    """Write the results, the report and some of the paper's figures; returns the paths of the report and the figures.
 
-    Args:
-        results: of the runs.
-        directory: where to write.
-        figures: numbers of the paper's figures to draw; those of fronts are drawn from the fronts in ``directory``.
-        how: the command that creates the same report, which the report quotes.
-        quick: whether the runs are too short for verdicts.
-
-    Returns:
-        The paths of the report and the figures.
+    The report quotes ``how``, the command that creates it. Fronts are drawn from those in ``directory``. Runs of a
+    ``quick`` reproduction are too short for verdicts, and are not judged.
     """
     results.write(directory)
     pictures: dict[int, list[Path]] = {}
@@ -114,7 +82,7 @@ def write_report(
         if number in FRONT_FIGURES:
             pictures[number] = _draw_fronts(number, path)
         else:
-            pictures[number] = [path] if draw_curves(number, results, path) else []
+            pictures[number] = [path] if _draw_curves(number, results, path) else []
     atomic_write(directory / REPORT_FILE, _document(results, pictures, how, quick).encode())
     return [directory / REPORT_FILE, *(path for paths in pictures.values() for path in paths)]
 
@@ -122,35 +90,32 @@ def write_report(
 # ----------------------------------------------------------------------------------------------------------- figures
 
 
-def draw_curves(number: int, results: PaperResults, path: Path) -> bool:
+def _draw_curves(number: int, results: PaperResults, path: Path) -> bool:
     """Draw a figure of learning curves; returns False, without a file, if there are no results for it."""
-    title, all_tasks, metric = CURVE_FIGURES[number]
-    panels = [
-        (protocol, task)
-        for task in all_tasks
-        for protocol in results.protocols(task)
-        if results.labels(task, protocol).keys() == LABELS.keys()
-    ]
-    protocols, tasks = (list(dict.fromkeys(panel[i] for panel in panels)) for i in (0, 1))
+    title, scenario, metric = CURVE_FIGURES[number]
+    panels = {
+        (protocol, task): of_task
+        for task in (f"{scenario}_linear", f"{scenario}_nonlinear")
+        for protocol, of_task in results.tasks.get(task, {}).items()
+        if of_task.labels.keys() == LABELS.keys()
+    }
     if not panels:
         return False
+    protocols, tasks = (list(dict.fromkeys(place[i] for place in panels)) for i in (0, 1))
     with figure_style():
         figure = Figure(figsize=(max(4.7 * len(tasks), MIN_WIDTH), 2.9 * len(protocols)))
         axes = figure.subplots(len(protocols), len(tasks), squeeze=False)
         for row, protocol in zip(axes, protocols, strict=True):
             for axis, task in zip(row, tasks, strict=True):
-                if (protocol, task) not in panels:
-                    axis.set_visible(False)
-                    continue
-                _draw_panel(axis, results, task, protocol, f"{STOCHASTIC}/{metric}")
-                kind = utility_kind(task).capitalize()
-                axis.set_title(f"{kind} utility\n{results.titles(task, protocol)[1]}", fontsize=9.5)
+                panel = panels.get((protocol, task))
+                axis.set_visible(panel is not None)
+                if panel is not None:
+                    _draw_panel(axis, panel, f"{STOCHASTIC}/{metric}")
         for axis in axes[-1]:
             axis.set_xlabel("environment steps")
         for axis in axes[:, 0]:
             axis.set_ylabel(title_of(UTILITY_ESR))
-        curves = [results.learning_curves(task, protocol, name) for protocol, task in panels for name in LABELS]
-        seeds = sorted({len(runs) for runs in curves})
+        seeds = sorted({len(panel.learning_curves(name)) for panel in panels.values() for name in LABELS})
         count = " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
         note = f"{STOCHASTIC} policy on unseen scenarios; thin: each of {count} seeds; thick: mean"
         enough = seeds[-1] >= MIN_SAMPLES
@@ -161,15 +126,14 @@ def draw_curves(number: int, results: PaperResults, path: Path) -> bool:
     return True
 
 
-def _draw_panel(axis: Axes, results: PaperResults, task: str, protocol: str, metric: str) -> None:
+def _draw_panel(axis: Axes, results: TaskResults, metric: str) -> None:
     """Draw the mean over seeds with its interval, and every seed as a thin line."""
     settled = []  # of the second half of training
     for learner in LABELS:
-        colour, runs = ALGORITHM_COLOURS[learner], results.learning_curves(task, protocol, learner)
-        for run in runs:
-            if metric in run:
-                axis.plot(run[STEP], run[metric], color=colour, linewidth=0.6, alpha=0.45, zorder=2)
-                settled.append(run[metric][-max(1, len(run[metric]) // 2) :])
+        colour, runs = ALGORITHM_COLOURS[learner], results.learning_curves(learner)
+        for run in (run for run in runs if metric in run):
+            axis.plot(run[STEP], run[metric], color=colour, linewidth=0.6, alpha=0.45, zorder=2)
+            settled.append(run[metric][-max(1, len(run[metric]) // 2) :])
         averaged = curve(runs, metric)
         if averaged is None:
             continue
@@ -188,12 +152,13 @@ def _draw_panel(axis: Axes, results: PaperResults, task: str, protocol: str, met
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(6))
     axis.margins(x=0.015)
+    axis.set_title(f"{results.utility_kind.capitalize()} utility\n{results.titles[1]}", fontsize=9.5)
 
 
 def _draw_fronts(number: int, path: Path) -> list[Path]:
     """Draw a figure of every front beside a path; returns the files."""
     paths = []
-    for folder in sorted(each for each in path.parent.glob("front_*") if each.is_dir()):
+    for folder in sorted(path.parent.glob("front_*/")):
         paths.append(path.with_stem(f"{path.stem}_{folder.name.removeprefix('front_')}"))
         with tempfile.TemporaryDirectory() as scratch:
             draw_front(Front.read(folder), scratch, title=f"Figure {number}. PCN on OneWaypoint")
@@ -204,119 +169,101 @@ def _draw_fronts(number: int, path: Path) -> list[Path]:
 # ---------------------------------------------------------------------------------------------------------- verdicts
 
 
-def verdicts(claim: Claim, results: PaperResults) -> dict[str, Verdict]:
-    """The verdicts of a claim, by protocol; only protocols with results for all tasks of the claim."""
-    judged = {protocol: claim.judge(results, protocol) for protocol in results.protocols(claim.tasks[0])}
-    return {protocol: verdict for protocol, verdict in judged.items() if verdict is not None}
-
-
 def verdict_table(results: PaperResults, *, quick: bool = False) -> str:
-    """The verdicts as Markdown: a row per claim, protocol and task, with scores and effect size.
-
-    Args:
-        results: of the runs.
-        quick: whether the runs are too short for verdicts; they are then not judged.
-    """
+    """The verdicts as Markdown: a row per claim, protocol and task, with scores and effect size."""
     rows = [["claim", *VERDICT_COLUMNS]]
     for claim in CLAIMS:
-        for i, (*row, conclusion) in enumerate(_verdict_rows(claim, results, quick=quick)):
-            name = f"{claim.number}. {claim.statement}" if i == 0 else ""
+        name = f"{claim.number}. {claim.statement}"
+        for *row, conclusion in _verdict_rows(claim, results, quick=quick):
             rows.append([name, *row, f"**{conclusion}**" if conclusion and not quick else conclusion])
+            name = ""
     return _table(rows, 2)
 
 
 def print_verdicts(results: PaperResults, console: Console, *, quick: bool = False) -> None:
-    """Print the verdicts: a table per claim; arguments as of :func:`verdict_table`."""
+    """Print the verdicts: a table per claim."""
     for claim in CLAIMS:
         if rows := _verdict_rows(claim, results, quick=quick):
-            table = Table(*(Column(name, overflow="fold") for name in VERDICT_COLUMNS), box=SIMPLE_HEAD)
-            for row in rows:
-                table.add_row(*(Text(cell.replace(" [", "\n[")) for cell in row))  # intervals below their values
-            console.print(Text(f"{claim.number}. {claim.statement}", style="bold"), table)
+            print_rows(console, [[*VERDICT_COLUMNS], *rows], f"{claim.number}. {claim.statement}", 1)
 
 
 def _verdict_rows(claim: Claim, results: PaperResults, *, quick: bool) -> Rows:
     """The rows of a claim in :data:`VERDICT_COLUMNS`; of the tasks of a protocol, only the first has the verdict."""
     rows = []
-    for protocol, verdict in verdicts(claim, results).items():
-        for i, task in enumerate(claim.tasks):
-            which = f" ({utility_kind(task)})" if len(claim.tasks) > 1 else ""
-            conclusion = "" if i > 0 else "not judged" if quick else verdict.text
-            if task == FRONT_TASK:
-                count = iqm(results.values(task, protocol, FRONT_LEARNER, CARDINALITY, FRONT))
+    for protocol, verdict in claim.verdicts(results).items():
+        conclusion = "not judged" if quick else verdict.text
+        for task in claim.tasks:
+            of_task = results.tasks[task][protocol]
+            which = f" ({of_task.utility_kind})" if len(claim.tasks) > 1 else ""
+            if of_task.is_front:
+                count = iqm(of_task.values(FRONT_LEARNER, CARDINALITY, FRONT))
                 effect = ["", "", f"PCN: {count.text()} non-dominated policies", ""]
             else:
-                *utilities, improvement = compare(results, task, protocol)
+                *utilities, improvement = compare(of_task)
                 effect = [*map(shown, utilities), improvement.text()]
-            rows.append([results.titles(task, protocol)[1] + which, *effect, conclusion])
+            rows.append([of_task.titles[1] + which, *effect, conclusion])
+            conclusion = ""
     return rows
 
 
 def _check_table(claim: Claim, results: PaperResults) -> str:
     """The checks of a claim: a row per criterion, a column per protocol."""
     answers = {True: "yes", False: "no", None: "inconclusive"}
-    judged = verdicts(claim, results)
-    rows = [["criterion", *(results.titles(claim.tasks[0], protocol)[1] for protocol in judged)]]
-    for criterion in dict.fromkeys(check.criterion for verdict in judged.values() for check in verdict.checks):
-        mine = [[check for check in verdict.checks if check.criterion == criterion] for verdict in judged.values()]
-        rows.append(
-            [criterion, *("; ".join(f"**{answers[check.passed]}**: {check.measured}" for check in its) for its in mine)]
-        )
-    return _table(rows, 1)
+    judged = claim.verdicts(results)
+    rows = [["criterion", *(results.tasks[claim.tasks[0]][protocol].titles[1] for protocol in judged)]]
+    texts: dict[str, list[str]] = {}
+    for verdict in judged.values():
+        for check in verdict.checks:
+            texts.setdefault(check.criterion, []).append(f"**{answers[check.passed]}**: {check.measured}")
+    return _table([*rows, *([criterion, *cells] for criterion, cells in texts.items())], 1)
 
 
 # ------------------------------------------------------------------------------------------------------------ scores
 
 
-def _comparison_table(task: str, results: PaperResults) -> str:
+def _comparison_table(protocols: Sequence[TaskResults]) -> str:
     """The scores of a task: a row per protocol and learner, of the policy that samples its actions."""
-    vehicles = 2 if task.startswith("intersection") else 1
-    progress = vehicle_prefix(0, vehicles) + return_of("distance")
     measures = ["utility (ESR)", "success rate", "collisions", "progress (m)"]
     rows = [["protocol", "algorithm", "seeds", "steps", *measures]]
-    for protocol in results.protocols(task):
-        if is_ablation(results.study, f"{task}/{protocol}"):
-            continue
-        title = results.titles(task, protocol)[1]
-        for learner, label in results.labels(task, protocol).items():
-            values = partial(results.values, task, protocol, learner)
-            utility, distance = (shown(iqm(values(metric))) for metric in (utility_metric(task), progress))
+    for results in protocols:
+        title, distance = results.titles[1], vehicle_prefix(0, results.vehicles) + return_of("distance")
+        for learner, label in results.labels.items():
+            values = partial(results.values, learner)
+            utility, progress = (shown(iqm(values(metric))) for metric in (results.utility, distance))
             rates = [percent(iqm(values(metric))) for metric in (SUCCESS, end_by(COLLISION))]
-            about = [title, label, str(len(values(SUCCESS))), f"{results.steps(task, protocol):,}"]
-            rows.append([*about, utility, *rates, distance])
+            about = [title, label, str(len(values(SUCCESS))), f"{results.steps:,}"]
+            rows.append([*about, utility, *rates, progress])
             title = ""
     return _table(rows, 2)
 
 
-def _front_table(results: PaperResults) -> str:
+def _front_table(protocols: Sequence[TaskResults]) -> str:
     """The scores of PCN's fronts: a row per protocol."""
     measures = ["hypervolume", "collapsed runs", "non-dominated policies", "progress of the policies (m)"]
     rows = [["protocol", "seeds", "steps", *measures]]
-    for protocol in results.protocols(FRONT_TASK):
+    for results in protocols:
         volumes, cardinalities, nearest, farthest = (
-            results.values(FRONT_TASK, protocol, FRONT_LEARNER, metric, FRONT)
+            results.values(FRONT_LEARNER, metric, FRONT)
             for metric in (HYPERVOLUME, CARDINALITY, LOWEST_DISTANCE, HIGHEST_DISTANCE)
         )
         collapsed = f"{(volumes < COLLAPSED * np.median(volumes)).sum()} of {len(volumes)}"
         progress = f"{iqm(nearest).value:.2g} to {iqm(farthest).value:.3g}"
-        about = [results.titles(FRONT_TASK, protocol)[1], str(len(volumes)), f"{results.steps(FRONT_TASK, protocol):,}"]
+        about = [results.titles[1], str(len(volumes)), f"{results.steps:,}"]
         rows.append([*about, iqm(volumes).text(), collapsed, iqm(cardinalities).text(), progress])
     return _table(rows, 1)
 
 
-def _ablation_table(task: str, protocol: str, results: PaperResults) -> str:
+def _ablation_table(results: TaskResults) -> str:
     """The scores of an ablation: a row per learner, with its difference from the first one."""
     rows = [["change", "utility (ESR)", "success rate", "difference from the first", "P(higher than the first)"]]
-    labels = results.labels(task, protocol)
-    scores = {learner: results.values(task, protocol, learner, utility_metric(task)) for learner in labels}
-    first = next(iter(labels))
+    scores = {learner: results.values(learner, results.utility) for learner in results.labels}
+    first, *_ = scores.values()
     for learner, values in scores.items():
-        success = percent(iqm(results.values(task, protocol, learner, SUCCESS)))
         effect = ["", ""]
-        if learner != first:
-            difference = iqm_difference(values, scores[first])
-            effect = [shown(difference), probability_of_improvement(values, scores[first]).text()]
-        rows.append([labels[learner], shown(iqm(values)), success, *effect])
+        if values is not first:
+            effect = [shown(iqm_difference(values, first)), probability_of_improvement(values, first).text()]
+        success = percent(iqm(results.values(learner, SUCCESS)))
+        rows.append([results.labels[learner], shown(iqm(values)), success, *effect])
     return _table(rows, 1)
 
 
@@ -325,28 +272,25 @@ def _table(rows: Rows, labels: int) -> str:
     return markdown(rows, labels if len(rows) > 2 else 0, "").strip()
 
 
-def _scores_of_task(task: str, results: PaperResults, level: str) -> list[str]:
+def _scores_of_task(protocols: Mapping[str, TaskResults], level: str) -> list[str]:
     """The section of a task: its scores, and those of its ablations."""
-    protocols = results.protocols(task)
-    ablations = [protocol for protocol in protocols if is_ablation(results.study, f"{task}/{protocol}")]
-    parts = [f"{level} {results.titles(task, protocols[0])[0]}"]
-    if len(ablations) < len(protocols):
-        parts.append(_front_table(results) if task == FRONT_TASK else _comparison_table(task, results))
-    for protocol in ablations:
-        parts += [f"**{results.titles(task, protocol)[1]}**", _ablation_table(task, protocol, results)]
+    ablations = [results for results in protocols.values() if results.is_ablation]
+    compared = [results for results in protocols.values() if not results.is_ablation]
+    parts = [f"{level} {next(iter(protocols.values())).titles[0]}"]
+    if compared:
+        parts.append(_front_table(compared) if compared[0].is_front else _comparison_table(compared))
+    for results in ablations:
+        parts += [f"**{results.titles[1]}**", _ablation_table(results)]
     return parts
 
 
-def _document(results: PaperResults, pictures: dict[int, list[Path]], how: str, quick: bool) -> str:
+def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how: str, quick: bool) -> str:
     """The whole report as Markdown."""
-    seconds = {
-        (row.task, row.learner, row.seed): row.cpu_seconds or 0.0 for row in results.rows if row.value is not None
-    }
-    seeds = sorted({seed for *_, seed in seconds})
+    runs = results.scores.unique(["task", "learner", "seed"])
     parts = [
         "# Reproduction of the paper's figures and claims",
-        f"Written by `{how}`: {len(seconds)} runs, {sum(seconds.values()) / 3600:.1f} hours on one core, seeds "
-        f"{seeds[0]} to {seeds[-1]}. Background: [reproduction](../reproduction.md).",
+        f"Written by `{how}`: {len(runs)} runs, {runs['cpu_seconds'].sum() / 3600:.1f} hours on one core, seeds "
+        f"{min(runs['seed'])} to {max(runs['seed'])}. Background: [reproduction](../reproduction.md).",
         "Scores are interquartile means over seeds of the utility (ESR) of the policy that samples its actions; at the "
         "intersection, of the sum of both vehicles' utilities. "
         "The scores of every run, also of greedy policies, are in reproduction_scores.csv.",
@@ -357,19 +301,18 @@ def _document(results: PaperResults, pictures: dict[int, list[Path]], how: str, 
         "## Verdicts",
         verdict_table(results, quick=quick),
     ]
-    drawn = []
+    unclaimed, drawn = dict(results.tasks), set[Path]()
     for claim in CLAIMS:
-        if not verdicts(claim, results):
+        unclaimed = {task: protocols for task, protocols in unclaimed.items() if task not in claim.tasks}
+        if not claim.verdicts(results):
             continue
         parts += [f"## Claim {claim.number}", _check_table(claim, results)]
         for task in claim.tasks:
-            parts += _scores_of_task(task, results, "###")
+            parts += _scores_of_task(results.tasks[task], "###")
         for number in claim.figures:
-            links = [f"![Figure {number}]({path.name})" for path in pictures.get(number, [])]
-            parts += [link for link in links if link not in drawn]  # claims share figures
-            drawn += links
-    claimed = {task for claim in CLAIMS for task in claim.tasks}
-    for task in dict.fromkeys(key.partition("/")[0] for key in results.study.tasks):
-        if task not in claimed and results.protocols(task):
-            parts += _scores_of_task(task, results, "##")
+            new = [path for path in pictures.get(number, []) if path not in drawn]  # claims share figures
+            parts += [f"![Figure {number}]({path.name})" for path in new]
+            drawn |= {*new}
+    for protocols in unclaimed.values():
+        parts += _scores_of_task(protocols, "##")
     return "\n\n".join(parts) + "\n"

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import astuple, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import polars as pl
 
 from algorithms.reporting.run_records import experiment_record, read_evaluation
 from algorithms.reporting.tables import markdown
 from algorithms.runs.run_directory import read_status
+from algorithms.runs.suite_entries import rows_of
 from algorithms.studies.manifest import label
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
-from mo_deepdrive.evaluation.metrics import SUITE
 from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.suite import Row, write_rows
-from mo_deepdrive.suite.scoring import FAILED
+from mo_deepdrive.suite.results import FAILED
 from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, own_path
 
 if TYPE_CHECKING:
@@ -32,16 +34,17 @@ FINISHED, WAITING = "finished", "waiting"
 NOTE = (
     "Means over seeds with 95% bootstrap intervals. Runs that failed or are not finished have no score and are counted."
 )
+ROW_TYPES = {"str": pl.String, "int": pl.Int64, "FiniteFloat": pl.Float64}
+
+
+def frame_of(rows: Sequence[Row]) -> pl.DataFrame:
+    """The rows as a data frame, with a column for each attribute."""
+    schema = {field.name: ROW_TYPES[str(field.type).partition(" ")[0]] for field in fields(Row)}
+    return pl.DataFrame([astuple(row) for row in rows], schema, orient="row")
 
 
 def results_of(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[Row]:
-    """The results of the runs that count, in the order of the study.
-
-    Args:
-        plan: of the study.
-        runs: that are known by now.
-        directory: of the study.
-    """
+    """The results of the runs that count and are known by now, in the order of the study."""
     return [row for arm in runs for seed in arm.arm.seeds for row in _rows_of_run(plan, arm, seed, directory)]
 
 
@@ -72,14 +75,7 @@ def _rows_of_run(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> l
             f"run {str(path)!r} was scored as version {version} of the suite, which is now {suite.load().version}; "
             f"delete its {EVALUATION_FILE}, and --remake scores it again"
         )
-    shown = {arm.arm.metric.partition("/")[2], *plan.study.columns}
-    rows = []
-    for name, score in evaluation.scores.items():
-        policy, _, metric = name.partition("/")
-        if metric in shown or metric.startswith(SUITE):
-            numbers = (score.value, score.low, score.high)
-            rows.append(Row(*key, policy, metric.removeprefix(SUITE), *numbers, version=version or 0, **about))
-    return rows
+    return rows_of(evaluation, key, arm.arm.metric.partition("/")[2], *plan.study.columns, **about)
 
 
 def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[StudyTable]:
@@ -120,40 +116,38 @@ class StudyTable(NamedTuple):
 
 
 def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row]) -> list[StudyTable]:
-    """The tables of a study, one per task.
-
-    Args:
-        plan: of the study.
-        runs: that are known by now.
-        results: of these.
-    """
-    tables = []
+    """The tables of the results of a study, one per task."""
+    frame, tables = frame_of(results), []
     for name, task in plan.study.tasks.items():
-        arms = [arm for arm in runs if arm.arm.task == name]
-        of_task = [row for row in results if row.task == name and row.column]
-        # The details of a scorer are in the tidy table alone.
-        places = [(row.policy, row.column) for row in of_task if not (task.task and "/" in row.column)]
-        columns = list(dict.fromkeys(places))
-        header = ["learner", "seeds", "CPU minutes", *(f"{column} ({policy})" for policy, column in columns), "chosen"]
-        rows = [header]
+        arms, of_task = [arm for arm in runs if arm.arm.task == name], frame.filter(task=name)
+        if not arms:
+            continue
+        scored = of_task.filter(pl.col("column") != "")
+        if task.task:  # the details of its scorer are in the tidy table alone
+            scored = scored.filter(~pl.col("column").str.contains("/", literal=True))
+        columns = scored.select("policy", "column").unique(maintain_order=True).rows()
+        rows = [["learner", "seeds", "CPU minutes", *(f"{column} ({policy})" for policy, column in columns), "chosen"]]
         for arm in arms:
-            of_arm = [row for row in results if (row.task, row.learner) == arm.arm.key]
-            states = Counter({row.seed: row.state for row in of_arm}.values())
+            of_arm = of_task.filter(learner=arm.arm.learner)
+            runs_of_arm = of_arm.unique("seed")
+            states = Counter(runs_of_arm["state"])
             others = ", ".join(f"{number} {state}" for state, number in sorted(states.items()) if state != FINISHED)
-            seeds = f"{sum(states.values())}" + (f" ({others})" if others else "")
-            times = {row.seed: row.cpu_seconds for row in of_arm if row.cpu_seconds is not None}
-            minutes = f"{np.mean([*times.values()]) / 60:.1f}" if times else ""
-            chosen = "" if arm.chosen is None else label(arm.arm.points[arm.chosen])
-            rows.append([arm.arm.label, seeds, minutes, *(_score(of_arm, *column) for column in columns), chosen])
-        if arms:
-            tables.append(StudyTable(task.title or name, rows, _to_cite(task.task, arms)))
+            seconds = runs_of_arm["cpu_seconds"].drop_nulls().to_numpy()
+            samples = [
+                of_arm.filter(policy=policy, column=column)["value"].drop_nulls().to_numpy()
+                for policy, column in columns
+            ]
+            rows.append(
+                [
+                    arm.arm.label,
+                    f"{len(runs_of_arm)}" + (f" ({others})" if others else ""),
+                    f"{seconds.mean() / 60:.1f}" if len(seconds) else "",
+                    *(mean(sample).text() if len(sample) else "" for sample in samples),
+                    "" if arm.chosen is None else label(arm.arm.points[arm.chosen]),
+                ]
+            )
+        tables.append(StudyTable(task.title or name, rows, _to_cite(task.task, arms)))
     return tables
-
-
-def _score(rows: Sequence[Row], policy: str, column: str) -> str:
-    """The mean over seeds of a column of one policy; empty if no run has it."""
-    values = [row.value for row in rows if (row.policy, row.column) == (policy, column) and row.value is not None]
-    return mean(np.array(values)).text() if values else ""
 
 
 def _to_cite(task: str | None, arms: Sequence[ArmRuns]) -> str:

@@ -42,14 +42,10 @@ def selected_tasks(names: Sequence[str]) -> list[str]:
 def plan_of(
     learners: list[str], tasks: Sequence[str], seeds: int, overrides: Mapping[str, Any] | None = None
 ) -> StudyPlan:
-    """The study of some learners on tasks of the suite, with the help of the reference study.
+    """The study of learners on tasks of the suite (ids, "core" or "all"), with the help of the reference study.
 
-    Args:
-        learners: learners of the reference study, configs and paths of classes. If one of them is of the reference
-            study, all are tuned by its rule; else none is.
-        tasks: their ids, "core" or "all".
-        seeds: number of seeds.
-        overrides: as of :class:`algorithms.studies.plan.StudyPlan`.
+    The learners are some of the reference study, configs and paths of classes. If one of them is of the reference
+    study, all are tuned by its rule; else none is.
     """
     if seeds < 1:
         raise ValueError(f"--seeds {seeds} must be at least 1")

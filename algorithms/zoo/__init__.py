@@ -19,13 +19,9 @@ NAME = re.compile(r"[a-z0-9][a-z0-9_-]*")
 
 
 def names() -> list[str]:
-    """The policies of the zoo, in alphabetical order."""
-    return sorted(path.parent.name for path in ZOO.glob(f"*/{CONFIG}") if is_policy(path.parent))
-
-
-def is_policy(path: Path) -> bool:
-    """Whether a folder has the name and files of a policy; the files are not read."""
-    return NAME.fullmatch(path.name) is not None and (path / CONFIG).is_file() and (path / CHECKPOINT).is_file()
+    """The policies of the zoo, in alphabetical order; their files are not read."""
+    folders = {path.parent for path in ZOO.glob(f"*/{CONFIG}")} & {path.parent for path in ZOO.glob(f"*/{CHECKPOINT}")}
+    return sorted(folder.name for folder in folders if NAME.fullmatch(folder.name))
 
 
 def find(name: str) -> Path:
@@ -36,8 +32,6 @@ def find(name: str) -> Path:
     """
     known = names()
     if name not in known:
-        if not known:
-            raise ValueError("the zoo is empty")
-        near = nearest_few(name, known)
-        raise ValueError(f"the zoo has no policy {name!r}; the nearest: {near}; mo-deepdrive zoo lists all")
+        near = f"the zoo has no policy {name!r}; the nearest: {nearest_few(name, known)}; mo-deepdrive zoo lists all"
+        raise ValueError(near if known else "the zoo is empty")
     return ZOO / name

@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import secrets
-import shutil
 import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -28,7 +26,7 @@ from mo_deepdrive.evaluation.metrics import (
     vehicle_name,
 )
 from mo_deepdrive.evaluation.splits import SPLITS
-from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, own_path, write_json
+from mo_deepdrive.support.atomic_io import atomic_folder, atomic_write, csv_bytes, own_path, write_json
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
@@ -165,9 +163,7 @@ def save_as_run(evaluation: Episodes, directory: str | Path, *, name: str, seed:
     curve = {evaluation_prefix(policy) + metric: value for metric, value in evaluation.metrics().items()}
     rows: list[list[Any]] = [[STEP, *curve], [int(steps), *curve.values()]]
     target.parent.mkdir(parents=True, exist_ok=True)
-    staged = target.parent / f".{target.name}.{secrets.token_hex(4)}.tmp"
-    staged.mkdir()
-    try:
+    with atomic_folder(target) as staged:
         write_evaluation(
             staged,
             {policy: evaluation},
@@ -175,12 +171,7 @@ def save_as_run(evaluation: Episodes, directory: str | Path, *, name: str, seed:
         )
         atomic_write(staged / "metrics.csv", csv_bytes(rows))
         atomic_write(staged / EPISODES_FILE, _episodes_bytes(evaluation))
-        # Last: a directory with a config.yaml is complete.
         atomic_write(staged / "config.yaml", yaml.safe_dump(config, sort_keys=False).encode())
-        staged.rename(target)
-    except BaseException:
-        shutil.rmtree(staged, ignore_errors=True)
-        raise
     return target
 
 

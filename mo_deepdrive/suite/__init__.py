@@ -6,7 +6,8 @@ suite.score(policy, "K1")
 """
 
 from mo_deepdrive.suite.plans import planned
-from mo_deepdrive.suite.scoring import Row, check_of_suite, check_policy, read_rows, score, write_rows
+from mo_deepdrive.suite.results import Row, check_of_suite, read_rows, write_rows
+from mo_deepdrive.suite.scoring import check_policy, score
 from mo_deepdrive.suite.tasks import Suite, Task, load
 
 __all__ = [

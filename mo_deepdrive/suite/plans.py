@@ -52,8 +52,8 @@ def _sequences(task_id: str) -> tuple[str, list[list[str]]]:
     file = DATA / f"plans_{task_id.lower()}.json"
     if not file.is_file():
         raise ValueError(f"task {task_id!r} has no plans; its ceiling is {load().task(task_id).ceiling.kind}")
-    found = json.loads(file.read_text(encoding="utf-8"))
-    return found["action_type"], found["actions"]
+    plans = json.loads(file.read_text(encoding="utf-8"))
+    return plans["action_type"], plans["actions"]
 
 
 def planned_scenarios(task_id: str) -> int:
@@ -62,11 +62,7 @@ def planned_scenarios(task_id: str) -> int:
 
 
 def planned_actions(task_id: str, scenario: int) -> list[NDArray[Any]]:
-    """The planned actions of a task in a scenario, counted from the first of the test split; one drive per preference.
-
-    Raises:
-        ValueError: if the task has no plans.
-    """
+    """The planned actions in a scenario, counted from the first of the test split; one drive per preference."""
     action_type, texts = _sequences(task_id)
     return [decode(text, action_type) for text in texts[scenario]]
 

@@ -30,10 +30,8 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from mo_deepdrive.evaluation.evaluation import Evaluation
     from mo_deepdrive.evaluation.policy import Policy, PolicyFunction
     from mo_deepdrive.suite.tasks import Task
-    from mo_deepdrive.utilities import RiskAversion
 
     Single = Policy | PolicyFunction
     Statistic = Callable[[NDArray[np.float64]], float]
@@ -61,28 +59,22 @@ class Drives:
     episodes: int
     greedy: bool
 
-    def evaluate(self, policy: Single, partner: str | None = None) -> Evaluation:
-        """The episodes of a policy, perhaps with a partner of the task."""
+    def returns(self, policy: Single, partner: str | None = None) -> NDArray[np.float64]:
+        """(E, d) undiscounted returns of the scored vehicle of every episode, perhaps with a partner of the task."""
         adapter = EnvAdapter(self.env)
         actor = as_policy(policy, adapter)
         greedy = self.greedy or isinstance(actor, FunctionPolicy)
-        if partner is not None:
-            actor = Team(self._members(actor, partner, adapter))
-        return evaluate(actor, self.env, seed=self.seed, episodes=self.episodes, greedy=greedy, gamma=1.0)
+        if (settings := self.task.partners) is not None and partner is not None:
+            driver = import_named("partners.made_by", settings.made_by)(partner, self.task.config().action_type)
 
-    def _members(self, actor: Policy, partner: str, adapter: EnvAdapter) -> list[Policy]:
-        """The scored driver and its partner, by the vehicles that they drive."""
-        settings = self.task.partners
-        assert settings is not None
-        driver = import_named("partners.made_by", settings.made_by)(partner, self.task.config().action_type)
+            def drive(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
+                return np.stack([driver(observations[:, settings.vehicle])] * adapter.vehicles, axis=1)
 
-        def drive(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
-            own = driver(observations[:, settings.vehicle])
-            return np.stack([own] * adapter.vehicles, axis=1)
-
-        members = [actor] * adapter.vehicles
-        members[settings.vehicle] = FunctionPolicy(drive, adapter)
-        return members
+            members = [actor] * adapter.vehicles
+            members[settings.vehicle] = FunctionPolicy(drive, adapter)
+            actor = Team(members)
+        found = evaluate(actor, self.env, seed=self.seed, episodes=self.episodes, greedy=greedy, gamma=1.0)
+        return found.returns[:, self.task.vehicle]
 
 
 def policies_of(policy: Any) -> Callable[[NDArray[np.float64]], Single] | list[Single]:
@@ -108,7 +100,7 @@ def _arguments(function: Any) -> int:
     except (TypeError, ValueError):  # of a function without a signature, as some that are compiled
         return 3
     positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    return sum(each.kind in positional and each.default is each.empty for each in parameters)
+    return sum(parameter.kind in positional and parameter.default is parameter.empty for parameter in parameters)
 
 
 def single(policy: Any) -> Single:
@@ -133,7 +125,7 @@ def utilities(drives: Drives, policy: Any) -> NDArray[np.float64]:
 
 def returns(drives: Drives, policy: Any) -> NDArray[np.float64]:
     """(E, d) the undiscounted return of every episode."""
-    return drives.evaluate(single(policy)).returns[:, drives.task.vehicle]
+    return drives.returns(single(policy))
 
 
 def returns_of_front(drives: Drives, policy: Any) -> NDArray[np.float64]:
@@ -147,7 +139,7 @@ def returns_of_front(drives: Drives, policy: Any) -> NDArray[np.float64]:
         policies = list(getattr(policy, "front", ()))
         if not policies:
             raise ValueError("the hypervolume needs a list of policies; a policy that is told weights is not one")
-    return np.stack([drives.evaluate(each).returns[:, 0] for each in policies], axis=1)
+    return np.stack([drives.returns(member) for member in policies], axis=1)
 
 
 def returns_by_preference(drives: Drives, policy: Any) -> NDArray[np.float64]:
@@ -155,14 +147,14 @@ def returns_by_preference(drives: Drives, policy: Any) -> NDArray[np.float64]:
     task, policies = drives.task, policies_of(policy)
     assert task.preferences is not None
     if not isinstance(policies, list):
-        told = [policies(weights) for weights in task.preferences.weights(task.objectives())]
-        return np.stack([drives.evaluate(each).returns[:, 0] for each in told], axis=1)
+        weights = task.preferences.weights(task.objectives())
+        return np.stack([drives.returns(policies(preference)) for preference in weights], axis=1)
     chosen = np.zeros(task.preferences.count, dtype=np.int64)
     if len(policies) > 1:
         validation = replace(drives, seed=SPLITS["validation"].start, episodes=CHOICE_EPISODES)
-        means = np.stack([validation.evaluate(each).returns[:, 0].mean(axis=0) for each in policies])
+        means = np.stack([validation.returns(member).mean(axis=0) for member in policies])
         chosen = (task.hidden_weights() @ means.T).argmax(axis=1)
-    driven = {k: drives.evaluate(policies[k]).returns[:, 0] for k in np.unique(chosen).tolist()}
+    driven = {k: drives.returns(policies[k]) for k in np.unique(chosen).tolist()}
     return np.stack([driven[k] for k in chosen.tolist()], axis=1)
 
 
@@ -170,9 +162,9 @@ def utilities_by_partner(drives: Drives, policy: Any) -> NDArray[np.float64]:
     """(E, S) the utility of every episode with each of S partners."""
     task = drives.task
     assert task.partners is not None
-    driver, utility = single(policy), task.make_utility()
-    met = [drives.evaluate(driver, partner).returns[:, task.vehicle] for partner in task.partners.names]
-    return np.asarray(utility(np.stack(met, axis=1)))
+    driver = single(policy)
+    met = [drives.returns(driver, partner) for partner in task.partners.names]
+    return np.asarray(task.make_utility()(np.stack(met, axis=1)))
 
 
 # ------------------------------------------------------------------------------------------------------------- numbers
@@ -192,24 +184,19 @@ def utility_of_mean(task: Task) -> Statistic:
 
 def certainty_equivalent(task: Task) -> Statistic:
     """The certain value that is worth as much as these episodes."""
-    risk = _risk_aversion(task)
+    risk = RISK_AVERSE[task.utility.name]  # type: ignore[union-attr]
     return lambda samples: float(risk.certainty_equivalent(samples.mean()))
 
 
 def conditional_value_at_risk(task: Task) -> Statistic:
     """The mean value of the worst tenth of the episodes (CVaR10)."""
-    risk = _risk_aversion(task)
+    risk = RISK_AVERSE[task.utility.name]  # type: ignore[union-attr]
 
     def worst_tenth(samples: NDArray[np.float64]) -> float:
         values = np.sort(risk.certainty_equivalent(samples))
         return float(values[: max(1, round(TAIL * len(values)))].mean())
 
     return worst_tenth
-
-
-def _risk_aversion(task: Task) -> RiskAversion:
-    assert task.utility is not None
-    return RISK_AVERSE[task.utility.name]
 
 
 def dominated_volume(task: Task) -> Statistic:

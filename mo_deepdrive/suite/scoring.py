@@ -1,97 +1,27 @@
-"""Scores of policies on the tasks of the suite, as rows of one tidy table."""
+"""Scores of policies on the tasks of the suite."""
 
 from __future__ import annotations
 
-import csv
-import math
-from dataclasses import MISSING, astuple, dataclass, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import as_policy
-from mo_deepdrive.evaluation.metrics import FRONT, GREEDY, POLICIES, STOCHASTIC
+from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.policy import AccruedReward, FunctionPolicy
 from mo_deepdrive.evaluation.splits import SPLITS, first_seed
 from mo_deepdrive.evaluation.statistics import Estimate, resample
-from mo_deepdrive.suite.scorers import (
-    CONTROLLABILITY,
-    CVAR,
-    SCORE,
-    SCORERS,
-    WORST,
-    Scorer,
-    open_drives,
-    policies_of,
-    single,
-)
+from mo_deepdrive.suite.results import Row
+from mo_deepdrive.suite.scorers import SCORE, SCORERS, open_drives, policies_of, single
 from mo_deepdrive.suite.tasks import load
-from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.support.importing import failure
-from mo_deepdrive.support.names import nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
-    from mo_deepdrive.suite.scorers import Drives
+    from mo_deepdrive.suite.scorers import Drives, Scorer
     from mo_deepdrive.suite.tasks import Task
-
-FAILED = "failed"  # the state of a run that has the lowest score
-
-
-@dataclass(frozen=True)
-class Row:
-    """One number of a scored run; a run that has none, since it failed or has not ended, has one row that says so.
-
-    Attributes:
-        task: the id of the task.
-        learner: what was trained.
-        seed: by which it was trained.
-        policy: "greedy", "stochastic" or "front"; "" without a value.
-        column: "score", a perturbation of the suite, or what a scorer gives beside the score; "" without a value.
-        value: the number, not normalised; None where there is none.
-        low, high: ends of its 95% bootstrap interval over the scenarios; None where it has none.
-        source: the run or policy that was scored.
-        state: of the training.
-        cpu_seconds: of the training; None where it is not known.
-        version: of the suite.
-        steps: environment steps of the training; None where they are not known.
-        environment: in which it was trained: its id, and arguments that are not the default.
-    """
-
-    task: str
-    learner: str
-    seed: int
-    policy: str
-    column: str
-    value: float | None
-    low: float | None = None
-    high: float | None = None
-    source: str = ""
-    state: str = "finished"
-    cpu_seconds: float | None = None
-    version: int = 0
-    steps: int | None = None
-    environment: str = ""
-
-    @property
-    def key(self) -> tuple[str, str, int, str, str]:
-        """What there is one row of."""
-        return self.task, self.learner, self.seed, self.policy, self.column
-
-    @property
-    def normalised(self) -> float | None:
-        """With the floor as 0 and the ceiling as 1; None for what is not on the scale of the score."""
-        suite = load()
-        if self.value is None or (self.column != SCORE and self.column not in suite.perturbations):
-            return None
-        return float(suite.task(self.task).normalised(self.value))
-
-
-_ROW = TypeAdapter(Row)
 
 
 def score(
@@ -206,96 +136,3 @@ def check_policy(policy: Any, task_id: str) -> None:
                 actor.act(observations, nothing, None)
     except (TypeError, ValueError) as error:
         raise type(error)(f"task {task_id}: {error}") from None
-
-
-def write_rows(path: str | Path, rows: Sequence[Row]) -> None:
-    """Write rows as CSV, a column for each attribute.
-
-    Raises:
-        OSError: if the file cannot be written; it is complete or unchanged.
-    """
-    names = [field.name for field in fields(Row)]
-    body = [["" if value is None else value for value in astuple(row)] for row in rows]
-    atomic_write(Path(path), csv_bytes([names, *body]))
-
-
-def check_row(row: Row) -> None:
-    """Refuse what no scored run has.
-
-    Raises:
-        ValueError: naming the attribute, its value and what is allowed.
-    """
-    if row.policy not in POLICIES and (row.policy or row.value is not None):
-        raise ValueError(f"policy = {row.policy!r} must be {GREEDY!r}, {STOCHASTIC!r} or {FRONT!r}")
-    for name in ("value", "low", "high", "cpu_seconds"):
-        number = getattr(row, name)
-        if number is not None and not math.isfinite(number):
-            raise ValueError(f"{name} = {number} must be finite")
-    if (row.low is None) != (row.high is None):
-        raise ValueError(f"low = {row.low} and high = {row.high} must both be given, or neither")
-    if row.value is None:
-        if row.low is not None:
-            raise ValueError(f"low = {row.low} without a value")
-    elif row.state == FAILED:
-        raise ValueError(f"value = {row.value} of a run that failed, which has none")
-    elif row.low is not None and row.high is not None and not row.low <= row.value <= row.high:
-        raise ValueError(f"value = {row.value} must be from low = {row.low} to high = {row.high}")
-
-
-def check_of_suite(row: Row) -> None:
-    """Refuse what is not of this version of the suite, or not one of its numbers.
-
-    Raises:
-        ValueError: naming the attribute, its value and what is allowed.
-    """
-    suite = load()
-    if row.value is not None and row.version != suite.version:
-        raise ValueError(f"version {row.version} of the suite; this is version {suite.version}")
-    if row.task not in suite.tasks:
-        raise ValueError(f"task = {row.task!r} is unknown; {nearest(row.task, list(suite.tasks))}")
-    if row.steps is not None and row.steps > (limit := suite.task(row.task).steps):
-        raise ValueError(f"steps = {row.steps:,}; task {row.task} allows {limit:,}")
-    if row.value is not None and row.policy not in (GREEDY, STOCHASTIC):
-        raise ValueError(f"policy = {row.policy!r} must be {GREEDY!r} or {STOCHASTIC!r}")
-    known = [SCORE, CVAR, WORST, CONTROLLABILITY, *suite.perturbations]
-    if row.value is not None and row.column.partition("/")[0] not in known:
-        raise ValueError(f"column = {row.column!r} is unknown; {nearest(row.column, known)}")
-
-
-def read_rows(path: str | Path) -> list[Row]:
-    """The rows that :func:`write_rows` wrote, each of them valid, and each number there once.
-
-    Raises:
-        ValueError: if it is another file, or naming the line and what is wrong in it.
-    """
-    columns = {field.name: field.type == "str" for field in fields(Row)}  # by name, whether it is text
-    required = {field.name for field in fields(Row) if field.default is MISSING}
-    try:
-        with Path(path).open(newline="", encoding="utf-8-sig") as file:  # spreadsheets begin with a BOM
-            reader = csv.DictReader(file)
-            names = {*(reader.fieldnames or ())}
-            if not required <= names <= {*columns}:
-                raise ValueError(f"its columns must be {', '.join(columns)}")
-            rows: dict[tuple[Any, ...], Row] = {}
-            for line in reader:
-                if None in line or None in line.values():
-                    raise ValueError(f"line {reader.line_num} must have {len(names)} cells")
-                known = {name: text for name, text in line.items() if text or columns[name]}
-                try:
-                    row = _ROW.validate_python({"value": None, **known})
-                    check_row(row)
-                    if rows.setdefault(row.key, row) is not row:
-                        raise ValueError(f"a second row of {', '.join(map(str, row.key))}")
-                except ValidationError as error:
-                    problem = error.errors(include_url=False)[0]
-                    where = f"line {reader.line_num}: {problem['loc'][0]} = {line[problem['loc'][0]]!r}"
-                    raise ValueError(f"{where}: {problem['msg']}") from None
-                except ValueError as error:
-                    raise ValueError(f"line {reader.line_num}: {error}") from None
-            return list(rows.values())
-    except FileNotFoundError:
-        raise ValueError(f"{str(path)!r} does not exist") from None
-    except UnicodeDecodeError:
-        raise ValueError(f"{str(path)!r} is not a table of scores: it is not a text file") from None
-    except (OSError, ValueError, csv.Error) as error:
-        raise ValueError(f"{str(path)!r} is not a table of scores: {error}") from None

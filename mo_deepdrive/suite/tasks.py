@@ -22,7 +22,7 @@ from mo_deepdrive.world.objectives import scales
 from mo_deepdrive.world.params import chosen_objectives
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -127,6 +127,17 @@ class Task(Settings):
         spec = gymnasium.spec(self.environment.id)
         own = {name: value for name, value in spec.kwargs.items() if name != "scenario"}
         return parse_arguments(spec.kwargs["scenario"], {**own, **self.environment.arguments})
+
+    def differences(self, env_id: str, arguments: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+        """How an environment, of which all arguments are given, differs from the task's.
+
+        Returns:
+            The value there and the value here of what differs, "id" or "arguments.NAME".
+        """
+        of_task = self.config().model_dump(mode="json", exclude={"scenario"})
+        needed = {"id": self.environment.id, **{f"arguments.{name}": value for name, value in of_task.items()}}
+        given = {"id": env_id, **{f"arguments.{name}": value for name, value in arguments.items()}}
+        return {name: (given.get(name), value) for name, value in needed.items() if given.get(name) != value}
 
     def objectives(self) -> tuple[str, ...]:
         """The names of the objectives of the environment's reward, in order."""

@@ -13,6 +13,7 @@ import io
 import json
 import os
 import secrets
+import shutil
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -145,6 +146,25 @@ def lock(path: Path, *, wait: bool) -> BaseFileLock:
         if error.errno not in UNSUPPORTED:
             raise
     return held
+
+
+@contextlib.contextmanager
+def atomic_folder(target: Path) -> Iterator[Path]:
+    """A new folder to write to, which takes the place of ``target`` at the end; with an error nothing changes."""
+    staged = target.parent / f".{target.name}.{secrets.token_hex(4)}.tmp"
+    staged.mkdir()
+    aside = staged.with_suffix(".old")  # a non-empty folder cannot be replaced atomically
+    try:
+        yield staged
+        if target.exists():
+            target.replace(aside)
+        staged.replace(target)
+    except BaseException:
+        if aside.exists():
+            aside.replace(target)
+        shutil.rmtree(staged, ignore_errors=True)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 def write_json(path: str | Path, value: Any) -> None:

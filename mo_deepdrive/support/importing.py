@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import sys
 import sysconfig
 import traceback
@@ -31,13 +32,30 @@ def import_named(key: str, path: str) -> Any:
     module_name, _, name = path.partition(":")
     if not module_name or not name:
         raise ValueError(f"{what} must have the form package.module:name")
-    module = import_module(what, module_name)
-    if not hasattr(module, name):
-        defined = [
-            attribute for attribute, value in vars(module).items() if getattr(value, "__module__", None) == module_name
-        ]
-        raise ValueError(f"{what}: {module_name!r} has no {name!r}; {nearest(name, defined)}")
-    return getattr(module, name)
+    return first_of(what, import_module(what, module_name), name)
+
+
+def first_of(what: str, module: ModuleType, *names: str) -> Any:
+    """The first of some names that a module defines; a ValueError that begins with ``what`` if it has none of them."""
+    for name in names:
+        if hasattr(module, name):
+            return getattr(module, name)
+    defined = [name for name, value in vars(module).items() if getattr(value, "__module__", None) == module.__name__]
+    missing = " or ".join(map(repr, names))
+    raise ValueError(f"{what}: {module.__name__!r} has no {missing}; {nearest(names[0], defined)}")
+
+
+def import_file(what: str, path: Path) -> ModuleType:
+    """The module in a file; a ValueError that begins with ``what`` if it cannot be imported."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:  # a user's module may raise anything
+        raise ValueError(f"{what} cannot be imported: {failure(error)}") from error
+    return module
 
 
 def import_module(what: str, name: str) -> ModuleType:

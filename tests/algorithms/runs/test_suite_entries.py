@@ -49,7 +49,7 @@ def experiment(task_id: str, arguments: dict[str, Any] | None = None, **training
         (
             "K5",
             {"arguments": {"yield_to_oncoming": True}},
-            r"not trained on task K5: yield_to_oncoming = True \(not",
+            r"not trained on task K5: environment.arguments.yield_to_oncoming = True \(not",
         ),
         ("K2", {"arguments": {"action_type": "discrete"}}, "action_type = 'discrete'"),
         ("K1", {"total_timesteps": 100_000_000}, "trained for 100,000,000 environment steps; task K1 allows 3,000,000"),
@@ -71,8 +71,8 @@ def test_a_run_that_cannot_be_an_entry_is_refused(task_id: str, changes: dict[st
     ("text", "source", "message"),
     [
         (None, "policy.py", "policy file .*policy.py' does not exist"),
-        ("def drive(*_):\n    pass\n", "policy.py", "the file has no 'policy' or 'Policy'; .*drive"),
-        (STILL, "policy.py:policy_2", "the file has no 'policy_2'; did you mean 'policy'"),
+        ("def drive(*_):\n    pass\n", "policy.py", "'policy' has no 'policy' or 'Policy'; .*drive"),
+        (STILL, "policy.py:policy_2", "'policy' has no 'policy_2'; did you mean 'policy'"),
         ("import nothing_of_this_name\n", "policy.py", "cannot be imported: ModuleNotFoundError"),
     ],
 )
@@ -148,9 +148,9 @@ ROW = "K1,a,0,greedy,score,1.0,0.9,1.1,policy.py,finished,,1\n"
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        (ROW.replace("1.0,", "nan,"), "line 2: value = nan must be finite"),
-        (ROW.replace("1.0,", "1e400,"), "line 2: value = inf must be finite"),
-        (ROW.replace("0.9,", "-inf,"), "line 2: low = -inf must be finite"),
+        (ROW.replace("1.0,", "nan,"), "line 2: value = 'nan': Input should be a finite number"),
+        (ROW.replace("1.0,", "1e400,"), "line 2: value = '1e400': Input should be a finite number"),
+        (ROW.replace("0.9,", "-inf,"), "line 2: low = '-inf': Input should be a finite number"),
         (ROW.replace("1.0,", "99,"), "line 2: value = 99.0 must be from low = 0.9 to high = 1.1"),
         (ROW.replace("0.9,", ","), "line 2: low = None and high = 1.1 must both be given, or neither"),
         (ROW + ROW, "line 3: a second row of K1, a, 0, greedy, score"),
@@ -206,7 +206,7 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "the file has no 'policy' or 'Policy'"),
+        ("", "'mine' has no 'policy' or 'Policy'"),
         ("import sys\nsys.exit(3)\n", "cannot be imported: SystemExit: 3 at mine.py:2"),
         ("1 / 0\n", "cannot be imported: ZeroDivisionError: .* at mine.py:1"),
         ("class Policy:\n    pass\n", r"Policy\('K1'\) cannot be made: TypeError"),

@@ -143,7 +143,7 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     assert {(row.task, row.learner, row.seed, row.policy) for row in found.rows} == {
         (*arm_of(row), row.seed, policy) for row in rows for policy in ("greedy", "stochastic")
     }
-    curves = found.learning_curves("one_waypoint_linear", "best", "a2c")
+    curves = found.tasks["one_waypoint_linear"]["best"].learning_curves("a2c")
     assert [curve["step"][-1] for curve in curves] == [800, 800]
     (results / "reproduction.md").unlink()
     code, _, _ = call("--claim", "1", "--redraw", "--output", "out")
@@ -264,4 +264,4 @@ def test_a_report_of_some_tasks_omits_the_others_and_a_quick_one_judges_nothing(
     console = Console(width=100, record=True)
     print_verdicts(results, console)
     shown = " ".join(console.export_text().split())
-    assert "best effort 10.00 10.00 0.00 0.50 reproduced [9.99, 10.01] [9.99, 10.01]" in shown
+    assert "10.00 [9.99, 10.01] 10.00 [9.99, 10.01] 0.00 [-0.01, 0.01] 0.50 [0.14, 0.86] reproduced" in shown

@@ -34,19 +34,17 @@ def results() -> list[Row]:
 
 
 def test_scores_lie_between_floor_and_ceiling_and_failures_count_as_the_lowest_score() -> None:
-    header, *rows = Scoreboard(results(), suite.load()).task_table()
+    header, *rows = Scoreboard(results()).task_table()
     table = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
     assert table["K1"]["lintune"] == "0.410 [0.400, 0.420]"
     assert table["K1"]["clearly best"] == "mo_ppo"
     assert table["K3"]["mo_ppo"].endswith("(1 failed)")
     assert table["K3"]["clearly best"] == ""
-    assert Scoreboard(results(), suite.load()).scores("K3", "mo_ppo").values.tolist() == pytest.approx(
-        [0.8, 0.81, -1.0]
-    )  # type: ignore[union-attr]
+    assert Scoreboard(results()).scores("K3")["mo_ppo"].values.tolist() == pytest.approx([0.8, 0.81, -1.0])
 
 
 def test_a_track_has_a_row_per_learner_the_best_first_with_its_worst_task() -> None:
-    ((track, (header, first, second)),) = Scoreboard(results(), suite.load()).track_tables()
+    ((track, (header, first, second)),) = Scoreboard(results()).track_tables()
     assert track == "known utility"
     best = dict(zip(header, first, strict=True))
     assert (best["learner"], best["tasks"], best["runs"], best["failed"]) == ("mo_ppo", "2 of 7", "6", "1")
@@ -55,7 +53,7 @@ def test_a_track_has_a_row_per_learner_the_best_first_with_its_worst_task() -> N
     assert best["P(better than lintune)"].startswith("0.83")
     assert second[0] == "lintune"
     with pytest.raises(ValueError, match="--against nobody: there are no results of it"):
-        Scoreboard(results(), suite.load()).track_tables("nobody")
+        Scoreboard(results()).track_tables("nobody")
 
 
 def test_the_command_prints_the_tables_and_writes_page_and_picture(

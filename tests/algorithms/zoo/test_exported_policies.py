@@ -121,26 +121,6 @@ def test_a_policy_trained_on_another_device_is_exported_for_the_cpu(trained: Tra
 # ------------------------------------------------------------------------------------------------------------- refused
 
 
-@EVERY_KIND
-def test_training_cannot_be_resumed_from_a_policy_alone(trained: Trained, kind: str, tmp_path: Path) -> None:
-    run = trained(kind)
-    path = export(run, "policy", tmp_path) / zoo.CHECKPOINT
-    for num_envs in (1, 4):
-        agent = build(run.experiment, num_envs=num_envs)
-        agent.save(tmp_path / "before")
-        with pytest.raises(ValueError, match=r"checkpoint\.safetensors holds the policy alone.* cannot be resumed"):
-            agent.load(path)
-        agent.save(tmp_path / "after")
-        assert (tmp_path / "before").read_bytes() == (tmp_path / "after").read_bytes()
-
-
-def test_an_untrained_front_cannot_be_saved(tmp_path: Path) -> None:
-    agent = build(FRONTS["pcn"]())
-    with pytest.raises(ValueError, match="the buffer holds no episode yet"):
-        agent.save_policy(tmp_path / "policy")
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.slow
 @EVERY_KIND
 def test_a_broken_policy_is_refused_and_changes_nothing(trained: Trained, kind: str, tmp_path: Path) -> None:

@@ -52,15 +52,11 @@ def test_a_run_directory_takes_precedence_over_a_policy_of_the_same_name(
 
 
 def test_an_unknown_name_is_refused_with_the_nearest_one(trained: Trained, home: Path, call: Call) -> None:
-    with pytest.raises(ValueError, match=r"^the zoo is empty$"):
-        zoo.find("one_waypoint-a2c")
     refused(call("evaluate", "one_waypoint-a2c"), "'one_waypoint-a2c' is not a run directory, and the zoo is empty")
     export(trained("a2c"), "one_waypoint-a2c")
     export(trained("mo_ppo, two vehicles"), "intersection-mo_ppo")
     near = "the zoo has no policy 'one_waypont-a2c'; the nearest: one_waypoint-a2c, intersection-mo_ppo; "
     near += "mo-deepdrive zoo lists all"
-    with pytest.raises(ValueError, match=near):
-        zoo.find("one_waypont-a2c")
     message = f"'one_waypont-a2c' is not a run directory, and {near}"
     refused(call("evaluate", "one_waypont-a2c"), message)
     refused(call("choose", "one_waypont-a2c", "--weights", "jerk=1"), message)
@@ -97,13 +93,10 @@ def test_evaluating_a_policy_by_name_gives_the_same_results_as_its_run(
         shutil.rmtree(tmp_path / "by_path")
 
 
-@pytest.mark.parametrize(
-    "preference", [["--weights", "distance=1", "jerk=0.01"], ["--target", "distance=2"]], ids=["weights", "target"]
-)
 def test_choosing_from_a_front_by_name_gives_the_same_policy_as_its_run(
-    trained: Trained, home: Path, call: Call, preference: list[str]
+    trained: Trained, home: Path, call: Call
 ) -> None:
-    run = trained("pcn")
+    run, preference = trained("pcn"), ["--weights", "distance=1", "jerk=0.01"]
     export(run, "front")
     before = contents(home)
     code, out, error = call("choose", "front", "--episodes", 2, *preference)

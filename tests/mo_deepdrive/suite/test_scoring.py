@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mo_deepdrive import suite
+from mo_deepdrive.suite import Row
 from mo_deepdrive.suite.scorers import SCORERS, controllability, policies_of
-from mo_deepdrive.suite.scoring import Row
 
 TASKS = suite.load().tasks
 
@@ -142,7 +142,7 @@ def test_rows_are_written_and_read_again(tmp_path: Path) -> None:
             b"task,learner,seed,policy,column,value\nK1,mine,first,,,\n",
             "line 2: seed = 'first': Input should be a valid integer",
         ),
-        (b"\xff\xfe\x00", "it is not a text file"),
+        (b"\xff\xfe\x00", "'utf-8' codec can't decode"),
     ],
 )
 def test_another_file_is_not_read(content: bytes, message: str, tmp_path: Path) -> None:

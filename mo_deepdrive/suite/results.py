@@ -1,0 +1,159 @@
+"""The row format of all results, from a scored policy to the scoreboard: one number of a run in a row of a CSV file."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import FiniteFloat, TypeAdapter, ValidationError, model_validator
+
+from mo_deepdrive.evaluation.metrics import FRONT, GREEDY, POLICIES, STOCHASTIC
+from mo_deepdrive.suite.scorers import CONTROLLABILITY, CVAR, SCORE, WORST
+from mo_deepdrive.suite.tasks import load
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.support.names import nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+FAILED = "failed"  # the state of a run that has the lowest score
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of a scored run; a run that has none, since it failed or has not ended, has one row that says so.
+
+    Attributes:
+        task: the id of a task of the suite, or the name of one of a study.
+        learner: what was trained.
+        seed: by which it was trained.
+        policy: "greedy", "stochastic" or "front"; "" without a value.
+        column: "score", a perturbation of the suite, or what a scorer gives beside the score; of other tasks a metric
+            of the final evaluation; "" without a value.
+        value: the number, not normalised; None where there is none.
+        low, high: ends of its 95% bootstrap interval over the scenarios; None where it has none.
+        source: the run or policy that was scored.
+        state: of the training.
+        cpu_seconds: of the training; None where it is not known.
+        version: of the suite; 0 for what is not of it.
+        steps: environment steps of the training; None where they are not known.
+        environment: in which it was trained: its id, and arguments that are not the default.
+    """
+
+    task: str
+    learner: str
+    seed: int
+    policy: str
+    column: str
+    value: FiniteFloat | None
+    low: FiniteFloat | None = None
+    high: FiniteFloat | None = None
+    source: str = ""
+    state: str = "finished"
+    cpu_seconds: FiniteFloat | None = None
+    version: int = 0
+    steps: int | None = None
+    environment: str = ""
+
+    @property
+    def key(self) -> tuple[str, str, int, str, str]:
+        """What there is one row of."""
+        return self.task, self.learner, self.seed, self.policy, self.column
+
+    @property
+    def normalised(self) -> float | None:
+        """With the floor as 0 and the ceiling as 1; None for what is not on the scale of the score."""
+        suite = load()
+        if self.value is None or (self.column != SCORE and self.column not in suite.perturbations):
+            return None
+        return float(suite.task(self.task).normalised(self.value))
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> Row:
+        """Refuse what no scored run has, when rows are read."""
+        if self.policy not in POLICIES and (self.policy or self.value is not None):
+            raise ValueError(f"policy = {self.policy!r} must be {GREEDY!r}, {STOCHASTIC!r} or {FRONT!r}")
+        if (self.low is None) != (self.high is None):
+            raise ValueError(f"low = {self.low} and high = {self.high} must both be given, or neither")
+        if self.value is None and self.low is not None:
+            raise ValueError(f"low = {self.low} without a value")
+        if self.value is not None and self.state == FAILED:
+            raise ValueError(f"value = {self.value} of a run that failed, which has none")
+        if self.low is not None and not self.low <= self.value <= self.high:  # type: ignore[operator]
+            raise ValueError(f"value = {self.value} must be from low = {self.low} to high = {self.high}")
+        return self
+
+
+_ROW = TypeAdapter(Row)
+REQUIRED = {"task", "learner", "seed", "policy", "column", "value"}
+
+
+def write_rows(path: str | Path, rows: Sequence[Row]) -> None:
+    """Write rows as CSV, a column for each attribute.
+
+    Raises:
+        OSError: if the file cannot be written; it is complete or unchanged.
+    """
+    names = [field.name for field in fields(Row)]
+    atomic_write(Path(path), csv_bytes([names, *map(astuple, rows)]))
+
+
+def read_rows(path: str | Path) -> list[Row]:
+    """The rows that :func:`write_rows` wrote, each of them valid, and each number there once.
+
+    Raises:
+        ValueError: if it is another file, or naming the line and what is wrong in it.
+    """
+    columns = {field.name: field.type == "str" for field in fields(Row)}  # by name, whether it is text
+    rows: dict[tuple[Any, ...], Row] = {}
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:  # spreadsheets begin with a BOM
+            lines = csv.DictReader(file)
+            names = {*(lines.fieldnames or ())}
+            if not REQUIRED <= names <= {*columns}:
+                raise ValueError(f"its columns must be {', '.join(columns)}")
+            for line in lines:
+                where = f"line {lines.line_num}"
+                if None in line or None in line.values():
+                    raise ValueError(f"{where} must have {len(names)} cells")
+                row = _parse({name: text for name, text in line.items() if text or columns[name]}, where)
+                if rows.setdefault(row.key, row) is not row:
+                    raise ValueError(f"{where}: a second row of {', '.join(map(str, row.key))}")
+    except FileNotFoundError:
+        raise ValueError(f"{str(path)!r} does not exist") from None
+    except (OSError, ValueError, csv.Error) as error:
+        raise ValueError(f"{str(path)!r} is not a table of scores: {error}") from None
+    return list(rows.values())
+
+
+def _parse(cells: dict[str, str], where: str) -> Row:
+    try:
+        return _ROW.validate_python({"value": None, **cells})
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]
+        name = f"{problem['loc'][0]} = {problem['input']!r}: " if problem["loc"] else ""
+        raise ValueError(f"{where}: {name}{problem['msg'].removeprefix('Value error, ')}") from None
+
+
+def check_of_suite(row: Row) -> None:
+    """Refuse what is not of this version of the suite, or not one of its numbers.
+
+    Raises:
+        ValueError: naming the attribute, its value and what is allowed.
+    """
+    suite = load()
+    if row.task not in suite.tasks:
+        raise ValueError(f"task = {row.task!r} is unknown; {nearest(row.task, list(suite.tasks))}")
+    if row.steps is not None and row.steps > (limit := suite.task(row.task).steps):
+        raise ValueError(f"steps = {row.steps:,}; task {row.task} allows {limit:,}")
+    if row.value is None:
+        return
+    if row.version != suite.version:
+        raise ValueError(f"version {row.version} of the suite; this is version {suite.version}")
+    if row.policy not in (GREEDY, STOCHASTIC):
+        raise ValueError(f"policy = {row.policy!r} must be {GREEDY!r} or {STOCHASTIC!r}")
+    known = [SCORE, CVAR, WORST, CONTROLLABILITY, *suite.perturbations]
+    if row.column.partition("/")[0] not in known:
+        raise ValueError(f"column = {row.column!r} is unknown; {nearest(row.column, known)}")
