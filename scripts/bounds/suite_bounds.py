@@ -13,9 +13,10 @@ from algorithms.driving.left_turn_rules import GapDriver, GapRule
 from algorithms.driving.roundabout_rules import ROUNDABOUTS, RoundaboutDriver, RoundaboutRule
 from algorithms.driving.unskilled import unskilled_policies
 from mo_deepdrive import suite
+from mo_deepdrive.evaluation.drives import Playback
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.fronts.reference_fronts import shipped
-from mo_deepdrive.suite.plans import Playback, planned, planned_scenarios
+from mo_deepdrive.suite.plans import planned, planned_scenarios
 from mo_deepdrive.world.action_sequences import decode
 from mo_deepdrive.world.scenarios import SCENARIOS
 from scripts.bounds.plan_evaluation import PlanEvaluator

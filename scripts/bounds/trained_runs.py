@@ -13,7 +13,7 @@ from algorithms.runs.build import build
 from algorithms.runs.config import find_environment
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
-from mo_deepdrive.evaluation.policy import AccruedReward
+from mo_deepdrive.evaluation.policy import drive
 from mo_deepdrive.fronts.reference_fronts import front_config
 
 if TYPE_CHECKING:
@@ -94,17 +94,9 @@ def record_episodes(policy: Policy, env: EnvAdapter, generator: torch.Generator 
         env: of one vehicle.
         generator: of sampled actions; None for greedy ones.
     """
-    observations = env.reset(0)
-    accrued_reward = AccruedReward.begin(env.num_envs, 1, len(env.objectives))
-    lengths = np.zeros(env.num_envs, dtype=np.int64)
     taken: list[NDArray[Any]] = []
-    for _ in env.decisions():
-        actions = policy.act(observations, accrued_reward, generator)
+    lengths = np.zeros(env.num_envs, dtype=np.int64)
+    for actions, _, counted, _ in drive(policy, env, env.reset(0), generator):
         taken.append(env.environment_actions(actions))
-        step = env.step(actions)
-        accrued_reward.add(step.rewards, policy.gamma)
-        lengths[(lengths == 0) & (step.terminated | step.truncated)[:, 0]] = len(taken)
-        if lengths.all():
-            break
-        observations = step.observations
+        lengths += counted[:, 0]
     return [np.stack(taken)[:length, row] for row, length in enumerate(lengths)]
