@@ -10,14 +10,6 @@ import pytest
 
 import mo_deepdrive
 from tests.integrations.envs import SHORT, scalar, single
-from tests.integrations.matrix import Library, row
-
-LIBRARY = Library(
-    "Tianshou",
-    "tianshou",
-    "tianshou",
-    '`DummyVectorEnv([lambda: WithoutTexts(UtilityReward(...))] * n)`, where `WithoutTexts` drops `info["end"]`',
-)
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -111,10 +103,6 @@ def train(algorithm: Any, make: Any, parameters: Any, **options: Any) -> Any:
     )
 
 
-@row(
-    "DQN (discrete) and PPO (continuous) with its trainers",
-    how='drop `info["end"]`: a wrapper whose `step` removes texts from `info`',
-)
 def test_its_algorithms_train_if_infos_have_no_texts() -> None:
 
     for result in (train_dqn(numeric), train_ppo(lambda: numeric(action_type="continuous"))):
@@ -122,7 +110,6 @@ def test_its_algorithms_train_if_infos_have_no_texts() -> None:
         assert np.isfinite(result.best_reward)
 
 
-@row("`Collector` and `VectorReplayBuffer` with vector rewards", how="they are kept: `buffer.rew` is (size, d)")
 def test_a_collector_keeps_vector_rewards() -> None:
     from tianshou.algorithm.modelfree.dqn import DiscreteQLearningPolicy
     from tianshou.data import Collector, VectorReplayBuffer
@@ -139,7 +126,6 @@ def test_a_collector_keeps_vector_rewards() -> None:
     assert statistics.returns.shape == (4, 4)
 
 
-@row("`PettingZooEnv(mo_deepdrive.env())`", how="rewards are a list with a vector per vehicle")
 def test_the_aec_environment_runs_in_turns() -> None:
     pytest.importorskip("momaland")
     from tianshou.env.pettingzoo_env import PettingZooEnv
