@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 import mo_deepdrive
@@ -67,40 +66,3 @@ def test_the_parallel_environment_needs_the_utility() -> None:
     wrapped = PettingZooWrapper(env, use_mask=True)
     check_env_specs(wrapped)
     assert tuple(wrapped.rollout(15)["next", "vehicle", "reward"].shape) == (15, 2, 1)
-
-
-def test_ppo_trains() -> None:
-    import torch
-    from tensordict.nn import TensorDictModule
-    from torchrl.collectors import Collector
-    from torchrl.envs import GymWrapper
-    from torchrl.modules import ProbabilisticActor, ValueOperator
-    from torchrl.objectives import ClipPPOLoss
-    from torchrl.objectives.value import GAE
-
-    env = GymWrapper(scalar())
-    actions = env.action_spec.space.n
-    logits = TensorDictModule(torch.nn.Linear(15, actions), in_keys=["observation"], out_keys=["logits"])
-    actor = ProbabilisticActor(
-        logits,
-        in_keys=["logits"],
-        spec=env.action_spec,
-        distribution_class=torch.distributions.OneHotCategorical,
-        return_log_prob=True,
-    )
-    critic = ValueOperator(torch.nn.Linear(15, 1), in_keys=["observation"])
-    loss_module, advantage = ClipPPOLoss(actor, critic), GAE(gamma=0.99, lmbda=0.95, value_network=critic)
-    optimiser = torch.optim.Adam(loss_module.parameters(), lr=1e-3)
-    collector = Collector(env, actor, frames_per_batch=64, total_frames=192)
-    losses = []
-    for batch in collector:
-        advantage(batch)
-        parts = loss_module(batch)
-        loss = parts["loss_objective"] + parts["loss_critic"] + parts["loss_entropy"]
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        losses.append(loss.item())
-    collector.shutdown()
-    assert len(losses) == 3
-    assert np.isfinite(losses).all()
