@@ -266,6 +266,17 @@ def test_what_is_installed_exists(where: str, words: list[str]) -> None:
         assert set(extras.split(",")) <= set(known), where
 
 
+def test_the_versions_of_other_libraries_are_those_that_are_tested() -> None:
+    files = ("constraints-integrations.txt", "constraints-peers.txt", "constraints.txt")
+    pins = "".join((REPOSITORY / name).read_text(encoding="utf-8") for name in files)
+    pins = re.sub(r'.*;.*< "3\.11".*\n', "", pins).lower().replace("_", "-")
+    page = (REPOSITORY / "docs" / "compatibility.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^\| \[([\w-]+)\]\(#\S+\) \| ([\d.]+) \|", page, flags=re.MULTILINE)
+    assert len(shown) == 10
+    for library, version in shown:
+        assert f"\n{library.lower().replace('rllib', 'ray')}=={version}" in f"\n{pins}", library
+
+
 def test_targets_of_make_exist() -> None:
     makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
     targets = set(re.findall(r"^([a-z][a-z-]*):", makefile, flags=re.MULTILINE))

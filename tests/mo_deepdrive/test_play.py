@@ -131,16 +131,6 @@ def test_a_key_pressed_for_one_frame_counts_for_a_whole_decision() -> None:
     assert vehicles(short)[0].throttle == 0.0
 
 
-def test_two_people_drive_a_car_each() -> None:
-    human_env = make_human_env(TWO, seats=(0, 1))
-    hold(human_env, UP, NOTHING, decisions=10)
-    first, second = vehicles(human_env)
-    assert (first.speed > 0.5, second.speed) == (True, 0.0)
-    hold(human_env, NOTHING, UP, decisions=10)
-    assert second.speed > 0.5
-    assert first.throttle == 0.0
-
-
 def test_an_outcome_has_the_ends_and_returns_of_all_vehicles() -> None:
     human_env = make_human_env(TWO, seats=(0, 1), time_limit=2, end_together=False)
     total = np.zeros((2, human_env.vector_env.reward_dim))
