@@ -39,7 +39,7 @@ def run(name: str | None, arguments: list[str]) -> int:
     if hasattr(signal, "SIGHUP"):
         handlers[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        from algorithms.runs.lenient_output import lost_output, make_standard_streams_lenient
+        from algorithms.runs.console import lost_output, make_standard_streams_lenient
 
         make_standard_streams_lenient()
         try:

@@ -110,10 +110,9 @@ def choice_table(
 
 def choose(options: Namespace) -> int:
     """Evaluate the policies of a front, choose one, show it and film it if asked to."""
-    from algorithms.runs.agent_report import film_policies_of_front
     from algorithms.runs.build import load_policy
     from algorithms.runs.console import make_console
-    from algorithms.runs.policy_evaluation import evaluate_front_policies
+    from algorithms.runs.report import evaluate_front_policies, film_policies_of_front
     from mo_deepdrive.evaluation.front import Front
 
     console = make_console()

@@ -30,7 +30,7 @@ def explore(options: Namespace) -> int:
     from algorithms.reporting.explorer.data import BEST_KNOWN, explorable_best_known
     from algorithms.reporting.explorer.page import write_page
     from algorithms.reporting.run_records import LEFT_OUT
-    from algorithms.runs.accessories import sole_purpose
+    from algorithms.runs.interrupts import sole_purpose
 
     with sole_purpose("the page could not be written"):
         cli.check_file("--output", options.output, ".html")
@@ -59,7 +59,7 @@ def explore(options: Namespace) -> int:
 def _explorable_run(name: str, options: Namespace) -> ExplorableFront:
     """The front of a run, with new episodes."""
     from algorithms.runs.build import load_policy
-    from algorithms.runs.front_explorer import explorable
+    from algorithms.runs.report import explorable
 
     run = Run.open(name, trust=options.trust)
     cli.check_front(run, name)

@@ -41,8 +41,8 @@ def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; the exit code."""
     options = parse_arguments(arguments)
 
-    from algorithms.runs.accessories import sole_purpose
     from algorithms.runs.console import make_console, print_line
+    from algorithms.runs.interrupts import sole_purpose
 
     say = partial(print_line, make_console())
     with exit_on_error(ValueError), sole_purpose("the curves could not be drawn"):

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.runs.cli import check_file, make_parser, warn
-from algorithms.runs.run_files import changed_files, diverged
+from algorithms.runs.run_directory import changed_files, diverged
 from algorithms.studies.manifest import is_sweep
 
 if TYPE_CHECKING:

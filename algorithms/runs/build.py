@@ -16,8 +16,7 @@ from algorithms.driving.scripted_policy import ScriptedPolicy
 from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.learning.guides import Guide
 from algorithms.learning.threads import set_threads
-from algorithms.runs.config import Experiment, UtilitySettings, find_environment, is_ours
-from algorithms.runs.registry import agent_class
+from algorithms.runs.config import Experiment, UtilitySettings, agent_class, find_environment, is_ours
 from algorithms.runs.run_directory import Run, imported_paths
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import check_reference_point

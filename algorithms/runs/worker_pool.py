@@ -8,16 +8,16 @@ import os
 import signal
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection
 from typing import TYPE_CHECKING, Any
 
-from algorithms.runs.dashboard import Dashboard
+from algorithms.runs.console import make_standard_streams_lenient
 from algorithms.runs.interrupts import Interrupts, JobFailed, Stopped, describe
 from algorithms.runs.jobs import BUSY, DIED, Job, JobOutcome, WorkerDied, perform, record, verdict
-from algorithms.runs.lenient_output import make_standard_streams_lenient
+from algorithms.runs.progress import Dashboard
 from algorithms.runs.run_directory import InUse
 from mo_deepdrive.__main__ import call
 from mo_deepdrive.support.machine import available_cores
@@ -83,49 +83,36 @@ class _Workers:
     """Worker processes that each take one job at a time; if one dies, the others continue."""
 
     def __init__(self, count: int):
-        self._idle = [self._executor() for _ in range(count)]
-        self._busy: dict[Future[JobOutcome], tuple[ProcessPoolExecutor, Job]] = {}
+        self.idle = [self._executor() for _ in range(count)]
+        self.busy: dict[Future[JobOutcome], tuple[ProcessPoolExecutor, Job]] = {}
 
     @staticmethod
     def _executor() -> ProcessPoolExecutor:
         return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), call, (_begin_worker,))
 
-    @property
-    def free(self) -> bool:
-        """Whether a worker is idle."""
-        return bool(self._idle)
-
-    @property
-    def busy(self) -> bool:
-        """Whether a job is running."""
-        return bool(self._busy)
-
     def start(self, job: Job) -> None:
         """Give a job to an idle worker."""
-        executor = self._idle.pop()
+        executor = self.idle.pop()
         with _interrupts_held():
-            self._busy[executor.submit(_perform, job.packed())] = executor, job
+            self.busy[executor.submit(_perform, job.packed())] = executor, job
 
-    def ended(self, timeout: float) -> list[tuple[Job, BaseException | None]]:
+    def ended(self, timeout: float) -> Iterator[tuple[Job, BaseException | None]]:
         """The jobs that end within ``timeout`` seconds, each with its error or None."""
-        done, _ = wait(self._busy, timeout, FIRST_COMPLETED)
-        found = []
-        for future in done:
-            executor, job = self._busy.pop(future)
+        for future in wait(self.busy, timeout, FIRST_COMPLETED).done:
+            executor, job = self.busy.pop(future)
             error = future.exception()
             if isinstance(error, BrokenProcessPool):
                 executor.shutdown()
                 executor = self._executor()
-            self._idle.append(executor)
-            found.append((job, error))
-        return found
+            self.idle.append(executor)
+            yield job, error
 
     def close(self) -> None:
         """Stop the running jobs, which save their checkpoints, and end the workers."""
-        if self._busy:
+        if self.busy:
             for process in multiprocessing.active_children():
                 process.terminate()  # SIGTERM, at which training saves
-        for executor in [*self._idle, *(executor for executor, _ in self._busy.values())]:
+        for executor in [*self.idle, *(executor for executor, _ in self.busy.values())]:
             executor.shutdown(wait=True, cancel_futures=True)
 
 
@@ -151,19 +138,17 @@ def perform_all(
     Returns:
         The jobs that failed, each with its error.
     """
-    queue = deque(job for job in jobs if not job.done)
+    waiting = [(0.0, job) for job in jobs if not job.done]  # each with the time from which on it may be started
     failed: dict[Job, str] = {}
-    if not queue:
+    if not waiting:
         return failed
     attempts: Counter[Path] = Counter()
-    busy: deque[tuple[float, Job]] = deque()
-    pool = _Workers(min(workers, len(queue)))
+    pool = _Workers(min(workers, len(waiting)))
     try:
-        while (queue or busy or pool.busy) and not stop():
-            while busy and busy[0][0] <= time.monotonic():
-                queue.append(busy.popleft()[1])
-            while queue and pool.free:
-                pool.start(queue.popleft())
+        while (waiting or pool.busy) and not stop():
+            for start in [start for start in waiting if start[0] <= time.monotonic()][: len(pool.idle)]:
+                waiting.remove(start)
+                pool.start(start[1])
             if not pool.busy:
                 time.sleep(POLL)
             for job, error in pool.ended(POLL):
@@ -178,9 +163,9 @@ def perform_all(
                     raise error
                 if outcome == "wait":
                     attempts[job.path] -= 1
-                    busy.append((time.monotonic() + BUSY, job))
+                    waiting.append((time.monotonic() + BUSY, job))
                 elif outcome == "retry":
-                    queue.append(job)
+                    waiting.append((0.0, job))
                 else:
                     failed[job] = record(job, error)
                     dashboard.failed(job, failed[job])
@@ -192,9 +177,7 @@ def perform_all(
 
 
 def train_apart(runs: Sequence[Run], console: Console) -> int | None:
-    """Train runs whose locks are held, each in a process of its own.
-
-    As many run at a time as there are cores for their threads.
+    """Train runs whose locks are held, each in a process of its own, as many at a time as there are cores for.
 
     Returns:
         The number of the signal that stopped training, 1 if a run failed, or None if all are finished.

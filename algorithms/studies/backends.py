@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from algorithms.runs.dashboard import Dashboard
     from algorithms.runs.jobs import Job
+    from algorithms.runs.progress import Dashboard
     from algorithms.studies.sweep_settings import BackendSettings, Resources
 
 WORKER_MEMORY = GIB / 4  # bytes of a process that trains, without its rollouts

@@ -13,10 +13,9 @@ import numpy as np
 from algorithms.reporting.run_records import final_metrics
 from algorithms.reporting.training_log import read_metrics
 from algorithms.runs.console import print_line
-from algorithms.runs.dashboard import Dashboard, count_states, summary_of
 from algorithms.runs.interrupts import Interrupts
-from algorithms.runs.run_directory import METRICS_FILE, imported_paths, is_run, read_status
-from algorithms.runs.run_files import RESULTS, changed_files
+from algorithms.runs.progress import Dashboard, count_states, summary_of
+from algorithms.runs.run_directory import METRICS_FILE, RESULTS, changed_files, imported_paths, is_run, read_status
 from algorithms.studies.manifest import ManifestRow, is_sweep, iterate_manifest, read_manifest, write_manifest
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import EVALUATION, known_metric

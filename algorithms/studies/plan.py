@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.runs.config import make_experiment
-from algorithms.runs.registry import find_algorithm
-from algorithms.runs.shipped import find_config
+from algorithms.runs.config import find_algorithm, find_config, make_experiment
 from algorithms.studies.manifest import ManifestRow, Scores, cell_rows, overridden, refuse_duplicates
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
@@ -19,7 +17,7 @@ from mo_deepdrive.support.yaml import read_mapping
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from algorithms.runs.registry import AlgorithmEntry
+    from algorithms.runs.config import AlgorithmEntry
     from algorithms.studies.settings import Learner, Study, StudyTask
 
 TASK, LEARNER = "task", "learner"  # keys of every cell
@@ -147,7 +145,7 @@ class StudyPlan:
         """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
         if self._columns_known:
             return
-        from algorithms.runs.policy_evaluation import final_metrics
+        from algorithms.runs.report import final_metrics
 
         known: set[str] = set()
         for row in rows:

@@ -32,7 +32,7 @@ from mo_deepdrive.support.machine import GIB
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from algorithms.runs.dashboard import Dashboard
+    from algorithms.runs.progress import Dashboard
     from algorithms.studies.sweep_settings import AshaSettings, BackendSettings
 
 TuneReport = dict[str, Any]

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from algorithms.runs.config import Count, UtilitySettings
-from algorithms.runs.shipped import find_config
+from algorithms.runs.config import Count, UtilitySettings, find_config
 from algorithms.studies.sweep_settings import (
     SEED_KEYS,
     BackendSettings,

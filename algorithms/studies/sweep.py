@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.runs.shipped import find_config
+from algorithms.runs.config import find_config
 from algorithms.studies.execution import Runner
 from algorithms.studies.manifest import ManifestRow, Scores, cell_rows, overridden, refuse_duplicates, short_names
 from algorithms.studies.sweep_settings import SEED_KEYS, replaced_keys

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from algorithms.runs.config import Count
-from algorithms.runs.shipped import find_config
+from algorithms.runs.config import Count, find_config
 from mo_deepdrive.support.yaml import read_mapping
 from mo_deepdrive.world.config import Settings, parse
 

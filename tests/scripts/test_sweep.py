@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 from algorithms.runs import worker_pool
-from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job, perform
+from algorithms.runs.progress import Dashboard
 from tests.helpers.short_runs import job
 from tests.helpers.sweep_files import (
     assert_same_sweep,
