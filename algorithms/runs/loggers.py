@@ -28,12 +28,7 @@ CONNECTION_TIMEOUT = 20.0  # s after which W&B is used offline
 class WandbRun:
     """A run in Weights & Biases, offline where it cannot be reached; a resumed one continues with the stored id.
 
-    Args:
-        directory: for offline data, the run's id and its project.
-        settings: project, group and so on.
-        config: the configuration shown with the run.
-        name: name of the run.
-        say: prints messages.
+    The directory has offline data, the run's id and its project; the config and the name are shown with the run.
     """
 
     def __init__(
@@ -124,8 +119,8 @@ class Logger:
         after: step of the checkpoint that a run resumes from: later rows are dropped, since they are written again.
             None for a new run.
         wandb: settings of Weights & Biases; None to leave it out.
-        config: the configuration shown in W&B.
-        name: the run's name in W&B.
+        config: the configuration shown in W&B, with the name.
+        name: of the run.
         say: prints messages.
     """
 

@@ -142,17 +142,17 @@ def report_agent(
     greedy: bool = True,
     about: Mapping[str, Any] = {},
 ) -> bool:
-    """Evaluate an agent; write the numbers, print a table, draw figures and film the policy where a path is given.
+    """Evaluate an agent, print a table and, where a path is given, write the numbers, draw figures and film the policy.
 
     Args:
         agent: trained; its ``step`` is reported.
         experiment: what it was trained on.
         console: where to print.
-        episodes: number of episodes of each policy.
-        seed: seed of the first episode.
+        episodes: of each policy.
+        seed: of the first episode.
         title: beginning of the table's title.
-        directory: where to write evaluation.json and so on.
-        video: file of a video of the first episodes; of a front, four policies in the first episode.
+        directory: of evaluation.json and so on.
+        video: file of the first episodes; of a front, four policies in the first episode.
         greedy: film the greedy policy instead of the stochastic one; of a front the greedy policies are filmed.
         about: anything else for evaluation.json.
 

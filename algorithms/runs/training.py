@@ -54,10 +54,7 @@ def resume(*runs: Run) -> Any:
 def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tuple[list[Run], Any]:
     """Open and lock existing runs, to resume them; the runs, and their agent or that of the first one on a CPU.
 
-    Args:
-        *paths: the runs' directories; several only of runs that differ in their seeds alone.
-        trust: allow a config.yaml that names code to import.
-        total_timesteps: a new, greater length of the training; None for that of the runs.
+    Several may differ in their seeds alone. ``total_timesteps`` is a new, greater length of the training.
     """
     runs = [Run.open(path, trust=trust) for path in paths]
     longer = [_longer(run.experiment, total_timesteps) for run in runs]

@@ -71,7 +71,7 @@ class Backend:
             from algorithms.studies.slurm import run_on_slurm
 
             return run_on_slurm(jobs, settings, directory, monitor, stop=stop, wait=self.wait)
-        from algorithms.runs.worker_pool import perform_all
+        from algorithms.runs.jobs import perform_all
 
         workers = self._local_workers([job for job in jobs if not job.done], settings.resources)
         return perform_all(jobs, workers, monitor, retries=settings.retries, stop=stop)

@@ -36,7 +36,9 @@ def test_without_options_the_keys_of_all_algorithms_and_of_sweeps_are_listed(cal
 def test_a_file_is_listed_with_its_algorithm_and_what_it_sets(call: Call) -> None:
     code, out, error = call("keys", "--config", "one_waypoint/mo_ppo_nonlinear")
     assert (code, error) == (0, "")
-    assert re.search(r"^algorithm.hidden: list of int, default \[64, 32\]; here \[128, 64\]$", out, re.MULTILINE)
+    assert re.search(
+        r"^algorithm.hidden: list of int >= 1, <= 16384, default \[64, 32\]; here \[128, 64\]$", out, re.MULTILINE
+    )
     assert re.search(r"^algorithm.gamma: float >= 0, <= 1, default 0.99$", out, re.MULTILINE)
     assert out.count("hyperparameters of ") == 1
     assert "search.trials" not in out

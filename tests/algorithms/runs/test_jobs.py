@@ -11,10 +11,9 @@ import pytest
 
 from algorithms.runs.config import make_experiment
 from algorithms.runs.interrupts import DiskFull, JobFailed, Stopped
-from algorithms.runs.jobs import Job, WorkerDied, differences, perform, record, verdict
+from algorithms.runs.jobs import Job, WorkerDied, differences, perform, perform_all, record, verdict
 from algorithms.runs.progress import Dashboard
 from algorithms.runs.run_directory import InUse, Run, read_status
-from algorithms.runs.worker_pool import perform_all
 from tests.helpers.short_runs import VALUES, job, quiet
 
 

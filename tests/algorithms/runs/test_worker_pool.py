@@ -12,10 +12,9 @@ from pathlib import Path
 import pytest
 
 from algorithms.runs.config import make_experiment
-from algorithms.runs.jobs import DIED, Job, perform
+from algorithms.runs.jobs import DIED, Job, perform, perform_all
 from algorithms.runs.progress import Dashboard
 from algorithms.runs.run_directory import Run, read_status
-from algorithms.runs.worker_pool import perform_all
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, quiet
 from tests.helpers.sweep_files import eventually
 
