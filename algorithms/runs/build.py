@@ -135,16 +135,10 @@ def open_driver(
     trust: bool = False,
     imports: Collection[str] | None = None,
 ) -> Policy:
-    """The driver of a vehicle.
+    """What drives a vehicle in an environment with this type of actions.
 
-    Args:
-        name: the directory of a run, a policy of the zoo, or a scripted driver such as ``rule:gap_3``
-            (``algorithms/driving/named_rules.py``).
-        vehicle: the index of the vehicle that it is to drive.
-        env: where it drives.
-        action_type: of that environment: "discrete", "discrete-16" or "continuous".
-        trust: as for :meth:`Run.open`.
-        imports: as for :meth:`Run.open`.
+    It is named by the directory of a run, as a policy of the zoo, or as a scripted driver such as ``rule:gap_3``
+    (``algorithms/driving/named_rules.py``). ``trust`` and ``imports`` are those of :meth:`Run.open`.
     """
     if is_rule(name):
         return scripted_policy(name, vehicle, env, action_type)

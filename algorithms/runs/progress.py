@@ -43,12 +43,7 @@ LINE_INTERVAL, REFRESH_INTERVAL = 15.0, 0.1  # s between lines, and between refr
 
 
 class Display(ABC):
-    """Shows progress while its context is open; what fails on the terminal is one line, and lines follow it.
-
-    Args:
-        console: where to print.
-        name: of what is shown, for the line.
-    """
+    """Shows progress while its context is open; what fails on the terminal is one line, and lines follow it."""
 
     def __init__(self, console: Console, name: str):
         self._console, self._last_line = console, ""
@@ -131,14 +126,9 @@ def compilation_noted(say: Callable[[str], None]) -> Iterator[None]:
 
 
 class ProgressReporter(Display):
-    """Shows steps, speed, utility, arrivals and time left.
+    """Shows steps, speed, time left, arrivals, where they are reported, and the utility, or the hypervolume of a front.
 
-    Args:
-        total: environment steps of the whole training.
-        step: environment steps taken so far.
-        console: where to print.
-        arrivals: whether the environment reports arrivals.
-        front: whether a front is learnt, so that its hypervolume is shown instead of a utility.
+    ``total`` are the environment steps of the whole training, of which ``step`` have been taken.
     """
 
     def __init__(self, total: int, step: int, console: Console, arrivals: bool = True, front: bool = False):

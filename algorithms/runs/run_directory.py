@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import platform
@@ -147,19 +148,19 @@ class Run:
             for name, now, last in zip(("seconds", "cpu_seconds"), clocks, self._clocks, strict=True)
         )
         self._clocks = clocks
-        write_json(
-            self.path / STATUS_FILE,
-            {
-                "state": state,
-                "step": step,
-                "total_timesteps": self.experiment.training.total_timesteps,
-                "seconds": seconds,
-                "cpu_seconds": before.get("cpu_seconds", used) if state == "finished" else used,
-                "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
-                **({} if reason is None else {"reason": reason}),
-                **({"files": record_files(self.path)} if state == "finished" else {}),
-            },
-        )
+        status: dict[str, Any] = {
+            "state": state,
+            "step": step,
+            "total_timesteps": self.experiment.training.total_timesteps,
+            "seconds": seconds,
+            "cpu_seconds": before.get("cpu_seconds", used) if state == "finished" else used,
+            "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
+        }
+        if reason is not None:
+            status["reason"] = reason
+        if state == "finished":
+            status["files"] = record_files(self.path)
+        write_json(self.path / STATUS_FILE, status)
 
     def record_results(self) -> None:
         """Record the final evaluation of a finished run again, after it was written anew."""
@@ -249,14 +250,11 @@ def default_directory(root: str | Path, config: str | Path, experiment: Experime
 
 def versions() -> dict[str, Any]:
     """Versions of Python, platform and packages, and the commit of the repository (None outside of a checkout)."""
-    packages: dict[str, str | None] = {}
+    commit, changes = _git("rev-parse", "HEAD"), _git("status", "--porcelain")
+    packages: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:
-        try:
+        with contextlib.suppress(metadata.PackageNotFoundError):
             packages[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            packages[name] = None
-    commit = _git("rev-parse", "HEAD")
-    changes = _git("status", "--porcelain")
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -268,14 +266,11 @@ def versions() -> dict[str, Any]:
 
 def _git(*arguments: str) -> str | None:
     root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return None
     command = ["git", "-C", str(root), *arguments]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout.strip() if done.returncode == 0 else None
+    if (root / ".git").exists():
+        with contextlib.suppress(OSError, subprocess.SubprocessError):
+            return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+    return None
 
 
 # ------------------------------------------------------------------------------------------- the files of finished runs

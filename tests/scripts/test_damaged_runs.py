@@ -18,12 +18,8 @@ HEADER = b"step,eval/greedy/utility_esr\n"
 # What is in the file, and how the line about it ends.
 METRICS = {
     "not UTF-8": (HEADER + b"0,\xff\n", "is not a CSV file: 'utf-8' codec can't decode"),
-    "zeros inside": (HEADER + b"0,1.0\n\0\0\0\n", "is not a CSV file: it has NUL bytes"),
-    "no step": (b"eval/greedy/utility_esr\n1.0\n", "has no column 'step' at its beginning"),
     "no number": (HEADER + b"0,1.0\n10,one\n", "is broken: eval/greedy/utility_esr = 'one' at step 10 is not a number"),
-    "huge step": (HEADER + b"1" * 30 + b",1.0\n", "a step is an integer of at most 16 digits"),
     "columns twice": (b"step,a,a\n0,1,2\n", "has two columns of the name 'a'"),
-    "an open quote": (HEADER + b'0,"1.0\n', "is not a CSV file: unexpected end of data"),
 }
 NO_ROWS = {"empty": b"", "header alone": HEADER, "torn row alone": HEADER + b"0,1."}
 FINE = {
@@ -33,30 +29,15 @@ FINE = {
 }
 SCORES: dict[str, tuple[Any, str]] = {
     "no JSON": ("{", "is not a final evaluation: Expecting property name"),
-    "nested": ("[" * 100_000, "is not a final evaluation: it is nested too deeply"),
-    "a list": ([], "is not a final evaluation: it holds a list"),
     "no policies": ({}, "'policies' is missing"),
-    "a bare number": ({"policies": {"greedy": {"utility_esr": 1}}}, "'policies.greedy.utility_esr' = 1: Input should"),
-    **{
-        f"value {value!r}": (
-            {"policies": {"greedy": {"utility_esr": {"value": value}}}},
-            f"'policies.greedy.utility_esr.value' = {value!r}: Input should be a {kind} number",
-        )
-        for value, kind in (("3", "valid"), (float("nan"), "finite"))
-    },
-    "a huge value": (
-        {"policies": {"greedy": {"utility_esr": {"value": 1e300}}}},
-        "'policies.greedy.utility_esr.value' = 1e+300: must be at most 1e+100 in magnitude",
+    "not a number": (
+        {"policies": {"greedy": {"utility_esr": {"value": float("nan")}}}},
+        "'policies.greedy.utility_esr.value' = nan: Input should be a finite number",
     ),
-    "no value": ({"policies": {"greedy": {"utility_esr": {}}}}, "'policies.greedy.utility_esr.value' is missing"),
 }
 CONFIGS: dict[str, tuple[Any, str]] = {
     "empty": ("", "is empty; it must be a mapping"),
-    "no YAML": ("a: [", "is not valid YAML"),
     "not UTF-8": (b"a: \xff", "cannot be read: 'utf-8' codec"),
-    "nested": ("a: " + "{a: " * 5000, "is nested too deeply"),
-    "no utility.name": ({"utility": {}}, "'utility.name' is missing"),
-    "algorithm is missing": ({"algorithm": None}, "'algorithm' = None: Input should be a valid dictionary"),
     "seed as text": ({"training": {"seed": "3"}}, "'training.seed' = '3': Input should be a valid integer"),
 }
 FOREIGN: dict[str, Any] = {
