@@ -54,13 +54,8 @@ def build(
 ) -> Any:
     """The untrained agent of an experiment, an instance of the algorithm's class, with its training environment.
 
-    Args:
-        experiment: what to build.
-        num_envs: number of parallel environments; the experiment's if None.
-        seeds: that train side by side; the experiment's own if None.
-        device: of what learns.
-        partners: whether to open the drivers of the vehicles that do not learn; else these vehicles idle.
-        guides: whether to open the drivers that begin episodes of the training.
+    Without ``partners`` the vehicles that do not learn idle; without ``guides`` nobody begins episodes of the training.
+    Several ``seeds`` train side by side.
     """
     algorithm, training = agent_class(experiment.algorithm.name), experiment.training
     num_envs = num_envs or training.num_envs

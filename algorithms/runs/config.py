@@ -199,13 +199,11 @@ class Experiment(Settings):
 
 
 def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experiment:
-    """Read an experiment from a YAML file.
+    """Read an experiment from a YAML file, or from a shipped one by its name.
 
-    Args:
-        path: the file, or the name of a shipped one: :func:`find_config`.
-        overrides: as on a command line: ``--section.key=value`` or ``--section.key value``, values as in YAML;
-            ``--seed`` and ``--device`` are short for those of the training section. A mapping is merged into the
-            existing one. If a key is given more than once, the last value is used.
+    Overrides are as on a command line, ``--section.key=value`` or ``--section.key value``, values as in YAML, with
+    ``--seed`` and ``--device`` for those of the training section. A mapping is merged into the existing one. Of a key
+    that is given more than once, the last value is used.
     """
     values = read_mapping(find_config(path))
     if "algorithm" not in values and (kinds := [kind for kind in ("config", "tasks") if kind in values]):
@@ -420,12 +418,9 @@ def config_names() -> list[str]:
 
 
 def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
-    """The YAML file that a user names: a file, or the name of a shipped one.
+    """The YAML file that a user names: a file, relative to the working directory or to what names it, ``beside``.
 
-    Args:
-        name: a path, relative to the working directory; or, if there is no such file, a name of
-            :func:`config_names` (also written as its path in a checkout, ``configs/NAME.yaml``).
-        beside: a file that names the other one: ``name`` may be relative to its folder, too.
+    If there is none, it is a shipped one, by its name in :func:`config_names` or its path in a checkout.
     """
     path = expand_home(name)
     candidates = [path] if beside is None else [path, Path(beside).parent / path]

@@ -309,19 +309,10 @@ def perform_all(
     retries: int = 0,
     stop: Callable[[], bool] = lambda: False,
 ) -> dict[Job, str]:
-    """Make all runs that are not finished, ``workers`` at a time, each in a worker process.
+    """Make all runs that are not finished, each in a worker process; returns the jobs that failed, with their errors.
 
-    Runs that other processes are making are waited for.
-
-    Args:
-        jobs: the runs; finished ones are skipped.
-        workers: number of processes.
-        dashboard: shows the progress.
-        retries: as in :func:`verdict`.
-        stop: called several times a second; True saves the running jobs and returns.
-
-    Returns:
-        The jobs that failed, each with its error.
+    Runs that other processes are making are waited for. ``retries`` are those of :func:`verdict`; ``stop`` is called
+    several times a second, and True saves the running jobs and returns.
     """
     waiting = [(0.0, job) for job in jobs if not job.done]  # each with the time from which on it may be started
     failed: dict[Job, str] = {}

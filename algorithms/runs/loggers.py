@@ -113,15 +113,8 @@ class Logger:
     """Writes each row of metrics to metrics.csv, TensorBoard and, if ``wandb`` is given, Weights & Biases.
 
     Use it as a context manager. An error of TensorBoard or Weights & Biases is one message and ends their part alone.
-
-    Args:
-        directory: the run's directory.
-        after: step of the checkpoint that a run resumes from: later rows are dropped, since they are written again.
-            None for a new run.
-        wandb: settings of Weights & Biases; None to leave it out.
-        config: the configuration shown in W&B, with the name.
-        name: of the run.
-        say: prints messages.
+    ``after`` is the step of the checkpoint that a run resumes from: later rows are dropped, since they are written
+    again. W&B shows the config and the name.
     """
 
     def __init__(
@@ -181,12 +174,8 @@ def log_results(
 
     They are in a file of their own, which replaces that of an earlier call: a run has one entry in the HParams tab.
 
-    Args:
-        directory: the run's directory.
-        step: of the trained policy.
-        config: the experiment; its keys are hyperparameters, except those of logging.
-        metrics: of the final evaluation, such as greedy/utility_esr; those of tables are shown, as final/...
-        video: an MP4, which becomes a GIF in the Images tab; left out if there is no such file.
+    The keys of the config are hyperparameters, except those of logging; of the metrics, such as greedy/utility_esr,
+    those of tables are shown, as final/...; the video, if there is such a file, becomes a GIF in the Images tab.
     """
     for earlier in (directory / TENSORBOARD).glob(f"*{RESULTS_SUFFIX}"):
         earlier.unlink()

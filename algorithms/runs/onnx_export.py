@@ -59,11 +59,8 @@ def export_onnx(
 ) -> OnnxExport:
     """Write the policy of an agent as an ONNX file and, where onnxruntime is installed, check it by driving.
 
-    Args:
-        agent: trained, of one of this package's classes or a subclass of ActorCritic.
-        experiment: that it was trained on.
-        path: the file.
-        condition: of a front, the row of its conditions that the file is to follow; None makes it an input.
+    The agent is of one of this package's classes or a subclass of ActorCritic. Of a front, ``condition`` is the row of
+    its conditions that the file is to follow; None makes it an input.
     """
     with needed_for("exporting", "onnx"):
         import onnx
@@ -127,11 +124,8 @@ def _metadata(agent: Any, experiment: Experiment, graph: _Graph, condition: Any)
 class _Graph(nn.Module):
     """A policy from raw observations to greedy actions of the vehicles in ``driven``: what is exported.
 
-    Args:
-        agent: trained.
-        past: the inputs that say what happened in the episode so far.
-        condition: (m,) that a policy of a front follows; None if it is an input, or there is no front.
-        condition_name: of the input; empty if there is no front.
+    ``past`` are the inputs that say what happened in the episode so far. A policy of a front follows ``condition``
+    (m,), which is an input if it is None; without a front it has no name.
     """
 
     def __init__(self, agent: Any, past: list[str], condition: Any = None, condition_name: str = ""):

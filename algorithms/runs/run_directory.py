@@ -85,10 +85,8 @@ class Run:
     def open(cls, path: str | Path, *, trust: bool = False, imports: Collection[str] | None = None) -> Run:
         """The run in an existing directory; or a policy of the zoo, which consists of a run's config and policy.
 
-        Args:
-            path: the directory, or the name of the policy.
-            trust: allow a config.yaml that names code to import (:func:`imported_paths`).
-            imports: for a run that drives in another one: what the config of that one names, which is allowed anyway.
+        A config.yaml that names code to import (:func:`imported_paths`) needs ``trust``. A run that drives in another
+        one may import what the config of that one names, which are then ``imports``.
         """
         path = expand_home(path)
         if not path.is_dir():
@@ -285,12 +283,7 @@ def record_files(run: Path) -> dict[str, dict[str, Any]]:
 
 
 def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
-    """What does not match the record of a finished run, one line per file; nothing for any other run.
-
-    Args:
-        run: the run's directory.
-        names: check these files alone, such as those that are about to be read; None for all that are recorded.
-    """
+    """What does not match the record of a finished run, one line per file; of ``names``, or of all recorded files."""
     status = read_status(run)
     if not status and (run / STATUS_FILE).exists():
         return [f"{STATUS_FILE}: cannot be read"]

@@ -76,7 +76,8 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
                 f"training.total_timesteps = {longer[0].training.total_timesteps}: the run cannot be trained longer, "
                 f"since these settings depend on the length of the training: {', '.join(trainee.schedules)}"
             )
-        for run, run.experiment in zip(runs, longer, strict=True):
+        for run, experiment in zip(runs, longer, strict=True):
+            run.experiment = experiment
             # In this order: a process that is killed in between leaves a run that can be resumed.
             run.set_status("running", trainee.step)
             run.write_config()
@@ -181,7 +182,7 @@ def train(
 
     Args:
         runs: their directories receive everything that is written; several if they are trained side by side.
-        trainee: of :func:`build_trainee` or :func:`resume`, for these runs.
+        trainee: their agent, untrained or of :func:`resume`.
         console: for the progress.
         resumed: whether the runs were started before.
         watch: called with the step and the metrics of every logged row.
