@@ -142,7 +142,7 @@ test-install: $(READY)
 # table. Versions of Numba do not share a cache.
 LOWEST_TESTS = $(addprefix tests/,mo_deepdrive/envs mo_deepdrive/evaluation algorithms/test_agent.py algorithms/test_pcn.py \
 	algorithms/test_mocac.py algorithms/test_mappo.py algorithms/test_conditioned_mo_ppo.py \
-	algorithms/learning/test_checkpoints.py algorithms/runs/test_key_listing.py \
+	algorithms/learning/test_checkpoints.py scripts/test_keys.py \
 	algorithms/runs/test_loggers.py mo_deepdrive/test_utilities.py scripts/test_table.py)
 test-lowest: $(LOWEST_READY)
 	NUMBA_CACHE_DIR=$(abspath $(LOWEST_VENV))/numba $(LOWEST_VENV)/bin/python -m pytest $(LOWEST_TESTS) \

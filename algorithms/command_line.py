@@ -21,17 +21,10 @@ if TYPE_CHECKING:
 
 
 def run(name: str | None, arguments: list[str]) -> int:
-    """Run a command in a process in which nothing but an error of the program ends with a traceback.
+    """Run a command, whose ``arguments`` begin with its name if that is None; returns the exit code.
 
-    A closed terminal does not end it, and output that cannot be written is dropped; that is an error of those commands
-    alone whose result is what they print.
-
-    Args:
-        name: of the command; None if ``arguments`` begin with it.
-        arguments: the command line.
-
-    Returns:
-        The exit code.
+    Nothing but an error of the program ends with a traceback. A closed terminal does not end it, and output that cannot
+    be written is dropped; that is an error of those commands alone whose result is what they print.
     """
     handlers = {}
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as a shell sets it for a background job
@@ -39,7 +32,7 @@ def run(name: str | None, arguments: list[str]) -> int:
     if hasattr(signal, "SIGHUP"):
         handlers[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        from algorithms.runs.lenient_output import lost_output, make_standard_streams_lenient
+        from algorithms.runs.console import lost_output, make_standard_streams_lenient
 
         make_standard_streams_lenient()
         try:
@@ -58,9 +51,10 @@ def run(name: str | None, arguments: list[str]) -> int:
         atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # what is left to do needs no traceback
     if error is None or isinstance(error, BrokenPipeError):  # the reader, such as head, has had enough
         return code
-    from algorithms.commands import prints_its_result
+    from algorithms.commands import PRINTING_COMMANDS, PRINTING_OPTIONS
 
-    lost = prints_its_result(name or next(iter(arguments), ""), arguments)
+    is_result = (name or next(iter(arguments), "")) in PRINTING_COMMANDS
+    lost = is_result or not PRINTING_OPTIONS.isdisjoint(arguments)
     print(f"{'error' if lost else 'warning'}: the output could not be written: {error}", file=sys.stderr)
     return 1 if lost and code == 0 else code
 
@@ -100,11 +94,7 @@ def _run_command(name: str | None, arguments: list[str]) -> int:
 
 
 def prepare_process(defaults: Mapping[str, str]) -> None:
-    """Set the environment of a command's process, and where a user's own modules are imported from.
-
-    Args:
-        defaults: variables that are set unless the user has set them.
-    """
+    """Set a process's environment, ``defaults`` unless the user has, and where a user's modules are imported from."""
     for name, value in defaults.items():
         os.environ.setdefault(name, value)
     # Not the user's choice: figures are drawn into files, and the backend of a notebook, whose cell calls the command,

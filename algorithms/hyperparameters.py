@@ -4,27 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
     from typing_extensions import Self
-
-LARGEST_LAYER = 16_384
-
-
-def _positive_sizes(hidden: list[int]) -> list[int]:
-    if not all(1 <= size <= LARGEST_LAYER for size in hidden):
-        raise ValueError(f"layer sizes must be between 1 and {LARGEST_LAYER}")
-    return hidden
-
-
-def _positive_scales(scales: list[float]) -> list[float]:
-    if any(scale <= 0.0 for scale in scales):
-        raise ValueError("scales must be positive")
-    return scales
-
 
 LearningRate = Annotated[float, Field(gt=0.0, le=1.0)]
 FinalLearningRate = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -33,8 +18,8 @@ PositiveFraction = Annotated[float, Field(gt=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 Count = Annotated[int, Field(ge=1, le=4096)]
-HiddenSizes = Annotated[list[int], Field(min_length=1, max_length=32), AfterValidator(_positive_sizes)]
-Scales = Annotated[list[float], AfterValidator(_positive_scales)]
+HiddenSizes = Annotated[list[Annotated[int, Field(ge=1, le=16_384)]], Field(min_length=1, max_length=32)]
+Scales = list[Positive]
 Activation = Literal["relu", "tanh", "elu", "gelu", "silu", "leaky_relu"]
 DottedPath = Annotated[str, Field(pattern=r"^[^:]+:[^:]+$")]
 
@@ -175,17 +160,11 @@ class GuideSettings(Settings):
 
 
 def schedules(config: Settings) -> list[str]:
-    """The hyperparameters by which training depends on its length, as ``name = value``.
-
-    Args:
-        config: with the names that schedules have in this package's algorithms.
-    """
+    """The hyperparameters by which training depends on its length, as ``name = value``, by their usual names."""
     values = config.model_dump()
-    names = []
-    if values.get("learning_rate_end") not in (None, values.get("learning_rate")):
-        names.append("learning_rate_end")
-    if values.get("entropy_end") != values.get("entropy_start"):
-        names.append("entropy_end")
-    if values.get("cost_growth"):
-        names.append("cost_growth")
-    return [f"algorithm.{name} = {values[name]}" for name in names]
+    moving = {
+        "learning_rate_end": values.get("learning_rate_end") not in (None, values.get("learning_rate")),
+        "entropy_end": values.get("entropy_end") != values.get("entropy_start"),
+        "cost_growth": values.get("cost_growth"),
+    }
+    return [f"algorithm.{name} = {values[name]}" for name, moves in moving.items() if moves]

@@ -18,11 +18,7 @@ if TYPE_CHECKING:
 
 
 def load_algorithms() -> None:
-    """Make ``algorithms`` the package that belongs to this one, for all imports in this process.
-
-    Raises:
-        ImportError: if there is none, or another project's is installed over it.
-    """
+    """Make ``algorithms`` the package that belongs to this one, for all imports in this process."""
     spec, loaded = own_algorithms(), sys.modules.get("algorithms")
     if getattr(loaded, "__file__", None) == spec.origin:
         return

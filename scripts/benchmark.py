@@ -45,7 +45,7 @@ from algorithms.peers.running import prepare
 from algorithms.runs.build import build
 from algorithms.runs.cli import make_parser
 from algorithms.runs.config import load_experiment
-from algorithms.runs.policy_evaluation import evaluate_front
+from algorithms.runs.report import evaluate_front
 from mo_deepdrive.evaluation.pareto import hypervolume
 from mo_deepdrive.support.machine import available_cores, check_device
 from mo_deepdrive.world.scenarios import SCENARIOS

@@ -19,8 +19,7 @@ import pytest
 import yaml
 
 from algorithms.commands import COMMANDS
-from algorithms.runs.config import load_experiment, parse_overrides
-from algorithms.runs.shipped import find_config
+from algorithms.runs.config import find_config, load_experiment, parse_overrides
 from tests.helpers.paths import REPOSITORY
 
 # Of `make docs`, from the code and from files at the root; tests/docs tests them.

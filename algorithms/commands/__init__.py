@@ -23,11 +23,6 @@ COMMANDS = {
     "play": "drive in a window, alone or against a trained policy",
     "zoo": "list the trained policies that come with the package",
 }
-# What prints its result; all else writes it to files.
+# What prints its result, so that output that is lost is an error; all else writes it to files.
 PRINTING_COMMANDS = ("keys", "evaluate", "table", "choose", "suite", "zoo")
-PRINTING_OPTIONS = ("-h", "--help", "--version", "--list", "--status", "--dry-run")
-
-
-def prints_its_result(name: str, arguments: list[str]) -> bool:
-    """Whether the result of a command line is what it prints, so that output that is lost is an error."""
-    return name in PRINTING_COMMANDS or not set(PRINTING_OPTIONS).isdisjoint(arguments)
+PRINTING_OPTIONS = {"-h", "--help", "--version", "--list", "--status", "--dry-run"}

@@ -69,12 +69,8 @@ def choice_table(
 ) -> Table:
     """The best policy with intervals, and the next best policies next to it.
 
-    Args:
-        front: K policies.
-        evaluations: of each of them.
-        criterion: by which they were ordered.
-        values: (K,) what each is worth by it.
-        names: of the columns, by the positions of policies, the best one first.
+    ``values`` are what each of the front's policies is worth by the criterion; ``names`` are those of the columns, by
+    the positions of policies, the best one first.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -92,28 +88,25 @@ def choice_table(
     for name in names.values():
         table.add_column(name, justify="right", no_wrap=True)
     shown = [evaluations[k] for k in names]
-    if len(front) == 1:
-        worth = [criterion.estimate(shown[0].joint_returns)]
-    else:  # the value by which a policy was chosen is too high, whatever its interval
-        worth = [Estimate(float(values[k])) for k in names]
-    rows = [(criterion.name, worth)]
+    # The value by which a policy was chosen is too high, whatever its interval.
+    worth = [criterion.estimate(shown[0].joint_returns)] if len(front) == 1 else [Estimate(values[k]) for k in names]
+    rows = {criterion.name: worth}
     for i, objective in enumerate(front.objectives):
-        rows.append((objective, [mean(evaluation.joint_returns[:, i]) for evaluation in shown]))
+        rows[objective] = [mean(evaluation.joint_returns[:, i]) for evaluation in shown]
     if np.isfinite(front.success).all():
         arrivals = [rate(evaluation.joint_succeeded) for evaluation in shown]
-        rows.append(("arrivals", arrivals if intervals else [Estimate(share.value) for share in arrivals]))
-    rows.append(("decisions", [mean(evaluation.joint_lengths.astype(np.float64)) for evaluation in shown]))
-    for name, (first, *rest) in rows:
+        rows["arrivals"] = arrivals if intervals else [Estimate(share.value) for share in arrivals]
+    rows["decisions"] = [mean(evaluation.joint_lengths.astype(np.float64)) for evaluation in shown]
+    for name, (first, *rest) in rows.items():
         table.add_row(name, first.text().replace("[", r"\["), *(f"{estimate.value:.4g}" for estimate in rest))
     return table
 
 
 def choose(options: Namespace) -> int:
     """Evaluate the policies of a front, choose one, show it and film it if asked to."""
-    from algorithms.runs.agent_report import film_policies_of_front
     from algorithms.runs.build import load_policy
     from algorithms.runs.console import make_console
-    from algorithms.runs.policy_evaluation import evaluate_front_policies
+    from algorithms.runs.report import evaluate_front_policies, film_policies_of_front
     from mo_deepdrive.evaluation.front import Front
 
     console = make_console()

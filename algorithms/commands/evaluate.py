@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 def evaluate(options: Namespace) -> int:
     """Evaluate a run, print the numbers, and write files and a video if asked to."""
-    from algorithms.runs.agent_report import report_agent
     from algorithms.runs.build import load_policy
     from algorithms.runs.console import make_console
+    from algorithms.runs.report import report_agent
 
     run = Run.open(options.run, trust=options.trust)
     episodes, seed = cli.evaluation_arguments(options, run.experiment)

@@ -27,10 +27,10 @@ UNSET = (cli.CHOICE_EPISODES, cli.CHOICE_SPLIT, None, False)  # episodes, split,
 
 def explore(options: Namespace) -> int:
     """Write the page."""
-    from algorithms.reporting.explorer.data import BEST_KNOWN, explorable_best_known
+    from algorithms.reporting.explorer.data import BEST_KNOWN
     from algorithms.reporting.explorer.page import write_page
     from algorithms.reporting.run_records import LEFT_OUT
-    from algorithms.runs.accessories import sole_purpose
+    from algorithms.runs.interrupts import sole_purpose
 
     with sole_purpose("the page could not be written"):
         cli.check_file("--output", options.output, ".html")
@@ -40,11 +40,7 @@ def explore(options: Namespace) -> int:
         fronts: dict[str, ExplorableFront] = {}
         for name in options.runs:
             try:
-                fronts[name] = (
-                    explorable_best_known(name.removeprefix(BEST_KNOWN))
-                    if name.startswith(BEST_KNOWN)
-                    else _explorable_run(name, options)
-                )
+                fronts[name] = _explorable(name, options)
             except ValueError as error:
                 if len(options.runs) == 1 or not Path(name).is_dir():
                     raise
@@ -56,11 +52,14 @@ def explore(options: Namespace) -> int:
     return 0
 
 
-def _explorable_run(name: str, options: Namespace) -> ExplorableFront:
-    """The front of a run, with new episodes."""
+def _explorable(name: str, options: Namespace) -> ExplorableFront:
+    """The front of a run, with new episodes, or a best-known one."""
+    from algorithms.reporting.explorer.data import BEST_KNOWN, explorable_best_known
     from algorithms.runs.build import load_policy
-    from algorithms.runs.front_explorer import explorable
+    from algorithms.runs.report import explorable
 
+    if name.startswith(BEST_KNOWN):
+        return explorable_best_known(name.removeprefix(BEST_KNOWN))
     run = Run.open(name, trust=options.trust)
     cli.check_front(run, name)
     episodes, _ = cli.evaluation_arguments(options, run.experiment)

@@ -44,14 +44,12 @@ def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
         )
     check_effects(experiment, UNUSED, f"algorithm {name!r} is trained by another library")
     prepare(experiment, lambda _step, _metrics: None)
+    check_loggers(experiment)
     return experiment
 
 
 def peers_table() -> Table:
-    """One row per peer: what it learns, the actions and numbers of objectives it takes, and whether it can run here.
-
-    Below the table are the reasons why peers cannot run.
-    """
+    """What each peer learns, the actions and numbers of objectives it takes, whether it can run here, or why not."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
@@ -62,19 +60,14 @@ def peers_table() -> Table:
     table.add_column("name", no_wrap=True)
     for column in ("learns", "actions", "objectives", "runs here"):
         table.add_column(column, overflow="fold")
-    reasons: dict[str, None] = {}
+    reasons = {name: peer.unavailable_reason() for name, peer in PEERS.items()}
     for name, peer in PEERS.items():
+        learns = "a known utility" if peer.known_utility else "a front"
         objectives = "any" if peer.objectives is None else "{} to {}".format(*peer.objectives)
-        reason = peer.unavailable_reason()
-        table.add_row(
-            name,
-            "a known utility" if peer.known_utility else "a front",
-            ", ".join(peer.actions),
-            objectives,
-            "yes" if reason is None else "no",
-        )
-        reasons |= {reason: None} if reason is not None else {}
-    table.caption, table.caption_justify = Text("\n".join(f"no: {reason}" for reason in reasons)), "left"
+        runs_here = "yes" if reasons[name] is None else "no"
+        table.add_row(name, learns, ", ".join(peer.actions), objectives, runs_here)
+    lines = [f"no: {reason}" for reason in dict.fromkeys(reasons.values()) if reason is not None]
+    table.caption, table.caption_justify = Text("\n".join(lines)), "left"
     return table
 
 
@@ -92,7 +85,6 @@ def train_peer(options: Namespace) -> int:
             console.print(peers_table())
             return 0
         experiment = load_peer_experiment(options.config, options.overrides)
-        check_loggers(experiment)
         (run,) = cli.new_runs(options, [experiment])
     print(f"run {run.path}", flush=True)
     with cli.exit_on_error(hint="runs of other libraries' algorithms cannot be resumed"):

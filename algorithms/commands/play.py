@@ -40,15 +40,6 @@ MAX_FPS = 1000
 MAX_SEED = 2**31 - 1
 
 
-def check_options(options: Namespace) -> None:
-    """Refuse a value out of range, and a video that cannot be written."""
-    for name, low, high in (("seed", 0, MAX_SEED), ("fps", 1, MAX_FPS)):
-        value = getattr(options, name)
-        if value is not None and not low <= value <= high:
-            raise ValueError(f"--{name} {value} must be between {low} and {high}")
-    cli.check_file("--record", options.record, ".mp4")
-
-
 def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
     """The environment that the options ask for, what drives the other vehicles, if any, and the user's vehicles."""
     from mo_deepdrive.play import KEYBOARD, make_play_env
@@ -70,11 +61,11 @@ def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | Non
     with needed_for("--against"):
         from algorithms.driving.named_rules import is_rule
         from mo_deepdrive.evaluation.metrics import vehicle_name
-    policy, arguments, theirs = (open_rule if is_rule(options.against) else open_run)(options, spec.id)
+    policy, arguments, partners = _open_rivals(options, spec.id, scripted=is_rule(options.against))
     vehicles = policy.env.vehicles
     if vehicles == 1:
         raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")
-    free = [v for v in range(vehicles) if vehicle_name(v) in theirs] or list(range(vehicles))
+    free = [v for v in range(vehicles) if vehicle_name(v) in partners] or list(range(vehicles))
     seat = free[0] if options.vehicle is None else options.vehicle
     if seat not in range(vehicles):
         raise ValueError(f"--vehicle {seat} must be between 0 and {vehicles - 1}")
@@ -83,20 +74,17 @@ def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | Non
     return make_play_env(spec.id, **arguments), policy, [seat]
 
 
-def open_rule(options: Namespace, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
-    """A scripted driver of all vehicles, the arguments of its environment, and nobody that drives beside it."""
-    from algorithms.runs.build import open_driver
+def _open_rivals(
+    options: Namespace, env_id: str, *, scripted: bool
+) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
+    """What drives the other vehicles, the arguments of its environment, and the partners that it learnt with."""
+    from algorithms.runs.build import load_policy, open_driver
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 
-    seat = 1 - options.vehicle if options.vehicle in (0, 1) else 1
-    env = EnvAdapter(make_env(env_id, 1))
-    return open_driver(options.against, min(seat, env.vehicles - 1), env, "discrete"), {}, {}
-
-
-def open_run(options: Namespace, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
-    """The agent of a run, the arguments of its environment, and the partners that it learnt with."""
-    from algorithms.runs.build import load_policy
-
+    if scripted:
+        seat = 1 - options.vehicle if options.vehicle in (0, 1) else 1
+        env = EnvAdapter(make_env(env_id, 1))
+        return open_driver(options.against, min(seat, env.vehicles - 1), env, "discrete"), {}, {}
     run = Run.open(options.against, trust=options.trust)
     theirs = run.experiment.environment
     if find_environment(theirs.id).id != env_id:
@@ -123,7 +111,11 @@ def play(options: Namespace) -> int:
     from mo_deepdrive.drawing.quiet_pygame import pygame
     from mo_deepdrive.play import HumanPlayEnv, describe_controls, open_display, play_in_window
 
-    check_options(options)
+    for name, low, high in (("seed", 0, MAX_SEED), ("fps", 1, MAX_FPS)):
+        value = getattr(options, name)
+        if value is not None and not low <= value <= high:
+            raise ValueError(f"--{name} {value} must be between {low} and {high}")
+    cli.check_file("--record", options.record, ".mp4")
     generator: torch.Generator | None = None
     recorder: AbstractContextManager[Callable[[Any], None] | None] = nullcontext()
     try:

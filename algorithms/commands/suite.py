@@ -59,7 +59,7 @@ def suite_score(options: Namespace) -> int:
     """Score policies."""
     from algorithms.reporting.tables import print_rows
     from algorithms.runs.console import make_console, print_line
-    from algorithms.runs.progress_bar import compilation_noted
+    from algorithms.runs.progress import compilation_noted
     from algorithms.runs.suite_entries import open_entry
     from algorithms.studies.suite_plan import selected_tasks
     from mo_deepdrive import suite

@@ -62,8 +62,7 @@ def next_steps(run: Run) -> str:
     """What to do with a finished run, in two lines."""
     path, trust = shlex.quote(str(run.path)), " --trust" if imported_paths(run.experiment.to_dict()) else ""
     shown = f"table {path}" if run.experiment.known_utility else f"explore {path}{trust}"
-    commands = (f"evaluate {path} --video drive.mp4{trust}", f"plot {path}", shown)
-    line = "; ".join(f"mo-deepdrive {command}" for command in commands)
+    line = f"mo-deepdrive evaluate {path} --video drive.mp4{trust}; mo-deepdrive plot {path}; mo-deepdrive {shown}"
     return f"next: {line}\n      tensorboard --logdir {path}"
 
 
@@ -86,7 +85,7 @@ def train(options: Namespace) -> int:
         for run in runs:
             print(f"run {run.path}", flush=True)
         if len(runs) > 1 and not runs[0].experiment.is_resident:
-            from algorithms.runs.worker_pool import train_apart
+            from algorithms.runs.jobs import train_apart
 
             received = train_apart(runs, make_console())
             if received == cli.FAILED:

@@ -18,10 +18,10 @@ from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerTask
 from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.run_records import final_metrics
-from algorithms.runs.agent_report import VIDEO_FILE, report_agent, show_results
 from algorithms.runs.build import make_environment, make_utilities
-from algorithms.runs.lenient_output import open_log
+from algorithms.runs.console import open_log
 from algorithms.runs.loggers import Logger
+from algorithms.runs.report import VIDEO_FILE, report_agent, show_results
 from algorithms.runs.run_directory import FRONTS_FILE, METRICS_FILE
 from algorithms.runs.suite_entries import score_run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter

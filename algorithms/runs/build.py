@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,8 +15,8 @@ from algorithms.driving.scripted_policy import ScriptedPolicy
 from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.learning.guides import Guide
 from algorithms.learning.threads import set_threads
-from algorithms.runs.config import Experiment, UtilitySettings, find_environment, is_ours
-from algorithms.runs.registry import agent_class
+from algorithms.reporting.run_records import flatten
+from algorithms.runs.config import Experiment, UtilitySettings, agent_class, find_environment, is_ours
 from algorithms.runs.run_directory import Run, imported_paths
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import check_reference_point
@@ -29,7 +28,7 @@ from mo_deepdrive.support.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from gymnasium.vector import VectorEnv
 
@@ -53,21 +52,13 @@ def build(
     partners: bool = True,
     guides: bool = True,
 ) -> Any:
-    """The untrained agent of an experiment, with its training environment.
+    """The untrained agent of an experiment, an instance of the algorithm's class, with its training environment.
 
-    Args:
-        experiment: what to build.
-        num_envs: number of parallel environments; the experiment's if None.
-        seeds: that train side by side; the experiment's own if None.
-        device: of what learns.
-        partners: whether to open the drivers of the vehicles that do not learn; else these vehicles idle.
-        guides: whether to open the drivers that begin episodes of the training.
-
-    Returns:
-        An instance of the algorithm's class, a subclass of :class:`algorithms.agent.Agent`.
+    Without ``partners`` the vehicles that do not learn idle; without ``guides`` nobody begins episodes of the training.
+    Several ``seeds`` train side by side.
     """
-    algorithm = agent_class(experiment.algorithm.name)
-    num_envs = num_envs or experiment.training.num_envs
+    algorithm, training = agent_class(experiment.algorithm.name), experiment.training
+    num_envs = num_envs or training.num_envs
     if num_envs >= MANY_ENVS:
         check_memory(f"training.num_envs = {num_envs}", training_memory(experiment, num_envs))
     env = make_environment(experiment.environment, num_envs)
@@ -79,7 +70,6 @@ def build(
         )
     else:
         options["utility"] = make_utilities(experiment.utility, adapter)
-    training = experiment.training
     for key, able, what in (
         ("partners", algorithm.trains_with_partners, "train with partners"),
         ("guides", algorithm.trains_with_guides or not guides, "train with guides"),
@@ -88,9 +78,13 @@ def build(
         if getattr(training, key) and not able:
             raise ValueError(f"training.{key}: algorithm {experiment.algorithm.name!r} cannot {what}")
     if training.partners:
-        options["partners"] = _make_partners(experiment, adapter, idle_only=not partners)
+        options["partners"] = _partners(experiment, adapter, idle_only=not partners)
     if training.guides and guides:
-        options["guides"] = _make_guides(experiment, adapter)
+        vehicles = _vehicles_named(training.guides, "training.guides", adapter)
+        options["guides"] = [
+            Guide(_population("guides", name, [guide.driver], v, adapter, experiment), guide, num_envs)
+            for (name, guide), v in zip(training.guides.items(), vehicles, strict=True)
+        ]
     if training.share_policy:
         options["share_policy"] = True
     set_threads(training.threads)  # after the drivers', which are built like this
@@ -120,11 +114,7 @@ def training_memory(experiment: Experiment, num_envs: int) -> float:
 
 
 def load_policy(run: Run, *, partners: bool = True) -> Any:
-    """The agent of a run with its trained policy and the number of steps that it has learnt from; it cannot train.
-
-    Raises:
-        ValueError: if the agent cannot be built, or the checkpoint cannot be read or does not fit it.
-    """
+    """The agent of a run with its trained policy and the number of steps that it has learnt from; it cannot train."""
     agent = build(run.experiment, num_envs=1, partners=partners, guides=False)
     agent.load(run.checkpoint, policy_only=True)
     agent.step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
@@ -140,16 +130,10 @@ def open_driver(
     trust: bool = False,
     imports: Collection[str] | None = None,
 ) -> Policy:
-    """The driver of a vehicle.
+    """What drives a vehicle in an environment with this type of actions.
 
-    Args:
-        name: the directory of a run, a policy of the zoo, or a scripted driver such as ``rule:gap_3``
-            (``algorithms/driving/named_rules.py``).
-        vehicle: the index of the vehicle that it is to drive.
-        env: where it drives.
-        action_type: of that environment: "discrete", "discrete-16" or "continuous".
-        trust: as for :meth:`Run.open`.
-        imports: as for :meth:`Run.open`.
+    It is named by the directory of a run, as a policy of the zoo, or as a scripted driver such as ``rule:gap_3``
+    (``algorithms/driving/named_rules.py``). ``trust`` and ``imports`` are those of :meth:`Run.open`.
     """
     if is_rule(name):
         return scripted_policy(name, vehicle, env, action_type)
@@ -170,15 +154,12 @@ def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, experim
     """Drivers that take turns in driving a vehicle of an experiment, which may import what its config names."""
     action_type = str(experiment.environment.arguments.get("action_type", "discrete"))
     imports = imported_paths(experiment.to_dict()).values()
-    members = [open_driver(name, vehicle, env, action_type, imports=imports) for name in names]
-    return Population(members, vehicle, [_digest(name) for name in names])
-
-
-def _digest(name: str) -> str:
-    """What identifies a driver wherever its files are: the name of a script, the hash of a checkpoint."""
-    if is_rule(name):
-        return name
-    return hashlib.sha256(Run.open(name, trust=True).checkpoint.read_bytes()).hexdigest()[:DIGEST_LENGTH]
+    members, digests = [], []  # what identifies a driver wherever its files are: a script's name, a checkpoint's hash
+    for name in names:
+        members.append(open_driver(name, vehicle, env, action_type, imports=imports))
+        checkpoint = b"" if is_rule(name) else Run.open(name, trust=True).checkpoint.read_bytes()
+        digests.append(name if is_rule(name) else hashlib.sha256(checkpoint).hexdigest()[:DIGEST_LENGTH])
+    return Population(members, vehicle, digests)
 
 
 def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
@@ -197,7 +178,7 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
         ) from error
 
 
-def _make_partners(experiment: Experiment, adapter: EnvAdapter, *, idle_only: bool) -> dict[int, Population]:
+def _partners(experiment: Experiment, adapter: EnvAdapter, *, idle_only: bool) -> dict[int, Population]:
     """What drives the vehicles that do not learn, by their indices; where it is not needed they do nothing."""
     partners, num_envs = experiment.training.partners, experiment.training.num_envs
     indices = _vehicles_named(partners, "training.partners", adapter)
@@ -211,31 +192,21 @@ def _make_partners(experiment: Experiment, adapter: EnvAdapter, *, idle_only: bo
             raise ValueError(
                 f"training.num_envs = {num_envs} is less than the {len(drivers)} drivers in training.partners"
             )
-        with _naming(f"training.partners.{name}"):
-            populations[v] = (
-                Population([ScriptedPolicy(adapter)], v, [""])
-                if idle_only
-                else open_population(drivers, v, adapter, experiment)
-            )
+        if idle_only:
+            populations[v] = Population([ScriptedPolicy(adapter)], v, [""])
+        else:
+            populations[v] = _population("partners", name, drivers, v, adapter, experiment)
     return populations
 
 
-def _make_guides(experiment: Experiment, adapter: EnvAdapter) -> list[Guide]:
-    """What begins episodes of vehicles that learn."""
-    settings, guides = experiment.training.guides, []
-    for (name, guide), v in zip(settings.items(), _vehicles_named(settings, "training.guides", adapter), strict=True):
-        with _naming(f"training.guides.{name}"):
-            guides.append(Guide(open_population([guide.driver], v, adapter, experiment), guide, adapter.num_envs))
-    return guides
-
-
-@contextmanager
-def _naming(key: str) -> Iterator[None]:
-    """Put a key in front of an error about its value."""
+def _population(
+    key: str, name: str, drivers: Sequence[str], v: int, adapter: EnvAdapter, experiment: Experiment
+) -> Population:
+    """The drivers of a vehicle; the error of one names its key."""
     try:
-        yield
+        return open_population(drivers, v, adapter, experiment)
     except ValueError as error:
-        raise ValueError(f"{key}: {error}") from None
+        raise ValueError(f"training.{key}.{name}: {error}") from None
 
 
 def _vehicles_named(names: Iterable[str], key: str, adapter: EnvAdapter) -> list[int]:
@@ -268,13 +239,13 @@ def build_trainee(experiments: Sequence[Experiment]) -> Any:
     if len(experiments) == 1 and not first.is_resident:
         return build(first)
     check_resident(first)
-    for each in experiments[1:]:
-        if _shared(each) != _shared(first):
-            raise ValueError("runs that are trained side by side must differ in training.seed alone")
+    shared = [flatten(experiment.to_dict()) | {"training.seed": None} for experiment in experiments]
+    if any(settings != shared[0] for settings in shared):
+        raise ValueError("runs that are trained side by side must differ in training.seed alone")
     device, num_envs = first.training.device, first.training.num_envs
     check_device("training.device", device)
     try:
-        return build(first, seeds=[each.training.seed for each in experiments], device=device)
+        return build(first, seeds=[experiment.training.seed for experiment in experiments], device=device)
     except torch.OutOfMemoryError:
         raise ValueError(
             f"training.num_envs = {num_envs} of {len(experiments)} seeds do not fit into the memory of {device}; take "
@@ -282,18 +253,12 @@ def build_trainee(experiments: Sequence[Experiment]) -> Any:
         ) from None
 
 
-def _shared(experiment: Experiment) -> dict[str, Any]:
-    """What experiments that are trained side by side have in common, as plain values."""
-    values = experiment.to_dict()
-    return {**values, "training": {**values["training"], "seed": None}}
-
-
 def check_resident(experiment: Experiment) -> None:
     """Refuse an experiment that cannot be trained on a GPU."""
     name = experiment.algorithm.name
     here = f"training.device = {experiment.training.device!r}"
     if not agent_class(name).trains_on_devices:
-        able = ", ".join(each for each in sorted(ALGORITHMS) if ALGORITHMS[each].trains_on_devices)
+        able = ", ".join(other for other in sorted(ALGORITHMS) if ALGORITHMS[other].trains_on_devices)
         raise ValueError(f"{here}: algorithm {name!r} trains on the CPU; {able} can")
     if not is_ours(find_environment(experiment.environment.id)):
         raise ValueError(f"{here}: environment {experiment.environment.id!r} is another library's, on the CPU alone")

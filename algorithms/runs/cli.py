@@ -10,9 +10,8 @@ import argparse
 import contextlib
 import math
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from algorithms.runs.interrupts import INTERRUPTED, Stopped
 from algorithms.runs.run_directory import Run, default_directory
@@ -41,8 +40,7 @@ CHOICE_SPLIT: Split = "validation"
 # ----------------------------------------------------------------------------------------------- commands and options
 
 
-@dataclass(frozen=True)
-class Option:
+class Option(NamedTuple):
     """An option or argument of a command: its name, and the settings of argparse's ``add_argument``."""
 
     name: str
@@ -53,8 +51,7 @@ class Option:
         parser.add_argument(self.name, **self.settings)
 
 
-@dataclass(frozen=True)
-class OneOf:
+class OneOf(NamedTuple):
     """Options of which at most one can be given, or exactly one if it is ``required``."""
 
     options: tuple[Option, ...]
@@ -82,25 +79,16 @@ def flag(name: str, text: str) -> Option:
     return Option(name, {"action": "store_true", "help": text})
 
 
-@dataclass(frozen=True)
-class Command:
-    """A command, called with the words of its command line; returns the exit code.
+class Command(NamedTuple):
+    """A command, called with the words of its command line; returns the exit code."""
 
-    Attributes:
-        name: after ``mo-deepdrive``.
-        description: the docstring of its module, which ``--help`` prints as it is.
-        options: in the order of the help.
-        run: what it does with the parsed options; returns the exit code.
-        takes_keys: whether every key of an experiment is an option, too; they are in the attribute ``overrides``.
-        errors_of_input: exceptions of ``run`` that the user's input causes, which end the command with a line; all
-            others are errors of the program.
-    """
-
-    name: str
-    description: str | None
-    options: tuple[Option | OneOf, ...]
-    run: Callable[[argparse.Namespace], int]
+    name: str  # after ``mo-deepdrive``
+    description: str | None  # the docstring of its module, which ``--help`` prints as it is
+    options: tuple[Option | OneOf, ...]  # in the order of the help
+    run: Callable[[argparse.Namespace], int]  # does it, and returns the exit code
+    # Whether every key of an experiment is an option, too; they are in the attribute ``overrides``.
     takes_keys: bool = False
+    # Exceptions that the user's input causes, which end the command with a line; others are errors of the program.
     errors_of_input: tuple[type[Exception], ...] = (ValueError, OSError)
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
@@ -121,8 +109,7 @@ class Command:
             return self.run(options)
 
 
-@dataclass(frozen=True)
-class CommandGroup:
+class CommandGroup(NamedTuple):
     """A command with actions, commands whose names begin with its own."""
 
     name: str
@@ -143,6 +130,7 @@ class CommandGroup:
 
 CONFIG = option("--config", "FILE", "YAML file of the experiment, or the name of a shipped one")
 RUN = option("run", "RUN", "directory of a run, or a name in the zoo")
+RUNS = option("runs", "RUN", "run directories, or folders that hold some; or one sweep", nargs="+", type=Path)
 RUN_OUTPUT = option("--output", "DIR", "directory of the run (default: runs/CONFIG/NAME)")
 TRUST = flag("--trust", "allow the run's config.yaml to import and run code that it names by module")
 
@@ -214,16 +202,12 @@ def refuse_beside(
 
 
 def new_runs(options: argparse.Namespace, experiments: Sequence[Experiment]) -> list[Run]:
-    """Create the runs of ``--config`` in ``--output``, or in new directories under ``runs/``.
-
-    Several are in folders of ``--output`` that are named by their seeds.
-    """
+    """Create the runs of ``--config`` in ``--output``, several in folders of it; or in new ones under ``runs/``."""
     runs = []
     for experiment in experiments:
+        path = options.output or default_directory("runs", options.config, experiment)
         if options.output and len(experiments) > 1:
             path = Path(options.output) / f"seed-{experiment.training.seed}"
-        else:
-            path = options.output or default_directory("runs", options.config, experiment)
         runs.append(Run.create(experiment, path))
     return runs
 
@@ -326,13 +310,9 @@ def warn(message: str) -> None:
 def exit_on_error(*errors_of_input: type[Exception], hint: str = "") -> Iterator[None]:
     """End a command with a message on standard error and an exit code, instead of a traceback.
 
-    The code is 2 for the given exceptions, 1 for :class:`~algorithms.runs.interrupts.Stopped` and
-    :class:`~mo_deepdrive.support.faults.Fault`, and 130 for Ctrl-C. Other exceptions are errors of the program and are
-    not caught.
-
-    Args:
-        errors_of_input: exceptions that the user's input causes in this context, such as ValueError.
-        hint: a line to print after Ctrl-C and Stopped, such as how to resume.
+    The code is 2 for ``errors_of_input``, which the user's input causes in this context, 1 for Stopped and Fault, and
+    130 for Ctrl-C. Others are errors of the program, and not caught. After Ctrl-C and Stopped the ``hint`` is printed,
+    such as how to resume.
     """
     try:
         yield

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import importlib.util
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 
 import gymnasium
 import mo_gymnasium  # noqa: F401  (registers its ids)
 from pydantic import BeforeValidator, Field, SerializationInfo, SerializerFunctionWrapHandler, model_serializer
 
 import mo_deepdrive
+from algorithms import ALGORITHMS
 from algorithms.hyperparameters import GuideSettings, a_twentieth
-from algorithms.runs.registry import algorithm_names, find_algorithm
-from algorithms.runs.shipped import find_config
 from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
+from mo_deepdrive.support.atomic_io import expand_home
 from mo_deepdrive.support.extras import EXTRAS
-from mo_deepdrive.support.importing import import_module
+from mo_deepdrive.support.importing import import_module, import_named
 from mo_deepdrive.support.machine import check_device
-from mo_deepdrive.support.names import nearest
+from mo_deepdrive.support.names import nearest, nearest_few
 from mo_deepdrive.support.yaml import read_mapping, read_value
 from mo_deepdrive.world.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
 
     from gymnasium.envs.registration import EnvSpec
 
@@ -198,13 +199,11 @@ class Experiment(Settings):
 
 
 def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experiment:
-    """Read an experiment from a YAML file.
+    """Read an experiment from a YAML file, or from a shipped one by its name.
 
-    Args:
-        path: the file, or the name of a shipped one: :func:`find_config`.
-        overrides: as on a command line: ``--section.key=value`` or ``--section.key value``, values as in YAML;
-            ``--seed`` and ``--device`` are short for those of the training section. A mapping is merged into the
-            existing one. If a key is given more than once, the last value is used.
+    Overrides are as on a command line, ``--section.key=value`` or ``--section.key value``, values as in YAML, with
+    ``--seed`` and ``--device`` for those of the training section. A mapping is merged into the existing one. Of a key
+    that is given more than once, the last value is used.
     """
     values = read_mapping(find_config(path))
     if "algorithm" not in values and (kinds := [kind for kind in ("config", "tasks") if kind in values]):
@@ -218,10 +217,8 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
 def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here: bool = True) -> Experiment:
     """Validate ``values`` and fill in every default, including those of the environment and the algorithm.
 
-    Args:
-        values: the sections of the experiment.
-        what: the name of ``values`` in error messages.
-        here: whether the experiment will run on this machine, which must then have its device.
+    ``what`` names them in error messages; ``here`` is whether the experiment will run on this machine, which must then
+    have its device.
     """
     problems: list[str] = []
 
@@ -303,32 +300,8 @@ def override(values: dict[str, Any], key: str, value: Any) -> None:
         values[last] = value
 
 
-def find_environment(env_id: str, source: str = "environment.id") -> EnvSpec:
-    """The registered specification of ``env_id``, which may have the form "module:id"; ``source`` is its key."""
-    module, _, name = env_id.rpartition(":")
-    if ":" in module:
-        raise ValueError(f"{source} = {env_id!r} must be an id, or of the form module:id")
-    if module:
-        import_module(f"{source} = {env_id!r}", module)
-    if name not in gymnasium.registry:
-        ours = ("mo_deepdrive.", "mo_gymnasium.")
-        known = [
-            spec.id
-            for spec in gymnasium.registry.values()
-            if str(spec.entry_point or spec.vector_entry_point).startswith(ours)
-        ]
-        hint = "" if module else f"for one of your own write {f'module:{name}'!r}, which imports its module; "
-        raise ValueError(f"{source} = {env_id!r} is not registered; {hint}{nearest(name, known)}")
-    return gymnasium.registry[name]
-
-
-def is_ours(spec: EnvSpec) -> bool:
-    """Whether an environment belongs to this package, so that EnvConfig is its configuration."""
-    return str(spec.vector_entry_point).startswith("mo_deepdrive.")
-
-
 def _worlds(settings: EnvironmentSettings) -> tuple[dict[str, Any], EnvConfig | None]:
-    """All arguments of an environment, and the configuration of one of this package's."""
+    """All arguments of an environment, and the configuration of one of this package's environments."""
     spec = find_environment(settings.id)
     if not is_ours(spec):
         return dict(settings.arguments), None
@@ -341,7 +314,7 @@ def _worlds(settings: EnvironmentSettings) -> tuple[dict[str, Any], EnvConfig | 
 
 def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
     if "name" not in values:
-        raise ValueError(f"'algorithm.name' is missing; known: {', '.join(algorithm_names())}")
+        raise ValueError(f"'algorithm.name' is missing; known: {', '.join(sorted(ALGORITHMS))}")
     name = values["name"]
     rest = {key: value for key, value in values.items() if key != "name"}
     config = parse(find_algorithm(name).config_class, rest, f"hyperparameters of algorithm {name!r}")
@@ -426,3 +399,113 @@ def check_loggers(experiment: Experiment) -> None:
     """Refuse to train with a logger that is not installed; runs that had one can be evaluated without it."""
     if experiment.logging.wandb is not None and importlib.util.find_spec("wandb") is None:
         raise ValueError(f"logging.wandb needs wandb: pip install 'mo-deepdrive[{EXTRAS['wandb']}]'")
+
+
+# --------------------------------------------------------------------------------------------------------- named things
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+# Within the package where it is installed from a wheel, beside the package in a checkout.
+CONFIGS = next((path for path in (_PACKAGE / "configs", _PACKAGE.parent / "configs") if path.is_dir()), _PACKAGE)
+
+
+def config_names() -> list[str]:
+    """The names of the shipped YAML files, in alphabetical order: their paths in ``configs/`` without the ending."""
+    return sorted(path.relative_to(CONFIGS).with_suffix("").as_posix() for path in CONFIGS.rglob("*.yaml"))
+
+
+def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
+    """The YAML file that a user names: a file, relative to the working directory or to what names it, ``beside``.
+
+    If there is none, it is a shipped one, by its name in :func:`config_names` or its path in a checkout.
+    """
+    path = expand_home(name)
+    candidates = [path] if beside is None else [path, Path(beside).parent / path]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    wanted, names = path.as_posix().removeprefix("configs/").removesuffix(".yaml"), config_names()
+    if wanted in names:
+        return CONFIGS / f"{wanted}.yaml"
+    if path.exists():
+        return path  # what is wrong with it is said by who reads it
+    places = f" (looked for {' and '.join(map(str, candidates))})" if len({*map(Path.absolute, candidates)}) > 1 else ""
+    near = nearest_few(wanted, names)
+    raise ValueError(f"config file {str(name)!r} does not exist{places}; the nearest names of shipped ones: {near}")
+
+
+class AlgorithmEntry(NamedTuple):
+    """The properties of an algorithm that an experiment depends on."""
+
+    name: str  # in YAML files
+    known_utility: bool  # whether it learns for a utility that it is given, or a front for every utility
+    config_class: type[Settings]  # of its hyperparameters
+    is_peer: bool  # whether it is another library's, which the command peers trains
+
+
+def find_algorithm(name: object, source: str = "algorithm.name") -> AlgorithmEntry:
+    """The entry of an algorithm: this project's, another library's, or a user's; ``source`` is the key of its name."""
+    peers: Mapping[str, Any] = {}
+    if isinstance(name, str) and (name in ALGORITHMS or ":" in name):
+        algorithm = agent_class(name)
+    else:
+        peers = resolve_name("algorithms.peers:PEERS")  # of a layer above this one
+        if not isinstance(name, str) or name not in peers:
+            hint = nearest(name, [*ALGORITHMS, *peers])
+            raise ValueError(f"{source} = {name!r} is unknown; {hint}; or package.module:Class")
+        algorithm = peers[name]
+    return AlgorithmEntry(name, bool(algorithm.known_utility), algorithm.Config, is_peer=name in peers)
+
+
+def agent_class(name: str) -> type[Any]:
+    """The class of an algorithm, this project's or a user's, which is named by its path."""
+    if ":" not in name:
+        if name not in ALGORITHMS and find_algorithm(name).is_peer:
+            raise ValueError(f"algorithm {name!r} is another library's; mo-deepdrive peers runs it")
+        return ALGORITHMS[name]
+    from algorithms.agent import Agent, FrontAgent  # as late as this, because it imports torch
+
+    algorithm, given = import_named("algorithm.name", name), f"algorithm.name = {name!r}"
+    if not (isinstance(algorithm, type) and issubclass(algorithm, Agent)):
+        raise ValueError(f"{given} must be a subclass of algorithms.Agent; it is {algorithm!r}")
+    missing = {*algorithm.__abstractmethods__, *({"Config"} if not hasattr(algorithm, "Config") else ())}
+    if missing:
+        raise ValueError(f"{given} does not define {', '.join(sorted(missing))}")
+    if not (algorithm.known_utility or issubclass(algorithm, FrontAgent)):
+        raise ValueError(f"{given}: known_utility = False needs a subclass of algorithms.FrontAgent")
+    if not (isinstance(algorithm.Config, type) and issubclass(algorithm.Config, Settings)):
+        raise ValueError(f"{given}: Config = {algorithm.Config!r} must be a subclass of Settings")
+    return algorithm
+
+
+def peer_running() -> Any:
+    """The module that trains other libraries' algorithms, of a layer above this one."""
+    return resolve_name("algorithms.peers.running")
+
+
+def directory_name(algorithm: str) -> str:
+    """The name of an algorithm in names of directories: its name, or the class's where it is named by its path."""
+    return algorithm.rpartition(":")[2]
+
+
+def find_environment(env_id: str, source: str = "environment.id") -> EnvSpec:
+    """The registered specification of ``env_id``, which may have the form "module:id"; ``source`` is its key."""
+    module, _, name = env_id.rpartition(":")
+    if ":" in module:
+        raise ValueError(f"{source} = {env_id!r} must be an id, or of the form module:id")
+    if module:
+        import_module(f"{source} = {env_id!r}", module)
+    if name not in gymnasium.registry:
+        ours = ("mo_deepdrive.", "mo_gymnasium.")
+        known = [
+            spec.id
+            for spec in gymnasium.registry.values()
+            if str(spec.entry_point or spec.vector_entry_point).startswith(ours)
+        ]
+        hint = "" if module else f"for one of your own write {f'module:{name}'!r}, which imports its module; "
+        raise ValueError(f"{source} = {env_id!r} is not registered; {hint}{nearest(name, known)}")
+    return gymnasium.registry[name]
+
+
+def is_ours(spec: EnvSpec) -> bool:
+    """Whether an environment belongs to this package, so that EnvConfig is its configuration."""
+    return str(spec.vector_entry_point).startswith("mo_deepdrive.")

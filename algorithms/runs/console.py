@@ -1,27 +1,26 @@
-"""What the commands print to."""
+"""What the commands print to; output that cannot be written is dropped, and never stops what prints it."""
 
 from __future__ import annotations
 
-import contextlib
-from typing import TYPE_CHECKING
-
-from rich.console import Console
-from rich.live import Live
-
-from algorithms.runs.accessories import Accessory
+import io
+import os
+import select
+import sys
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from pathlib import Path
     from typing import IO
 
-    from rich.console import RenderableType
+    from rich.console import Console
 
 WIDTH = 120  # columns, of files and where there is no terminal
-LINE_INTERVAL = 15.0  # s between lines about the progress, where there is no terminal
 
 
 def make_console(file: IO[str] | None = None) -> Console:
     """A console on standard output or a file; if that is not a terminal, it is wide enough for tables."""
+    from rich.console import Console  # not earlier: --help needs none
+
     console = Console(file=file)
     return console if file is None and console.is_terminal else Console(file=file, width=WIDTH)
 
@@ -31,46 +30,60 @@ def print_line(console: Console, text: str) -> None:
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-class LiveDisplay:
-    """What is kept up to date at the end of a terminal; nothing elsewhere, or after an error, which is one line.
+class LenientFile(io.FileIO):
+    """A file for writing that drops what it cannot write: a closed pipe or terminal, a full disk."""
 
-    Args:
-        console: where to print.
-        name: of what is shown, for the line.
-        render: what is shown.
+    error: OSError | None = None  # the first one
+
+    def write(self, data: Any) -> int:
+        """Write all of ``data``, bytes, or drop it; returns its length."""
+        rest = whole = memoryview(data).cast("B")
+        try:
+            while rest:
+                written: int | None = super().write(rest)
+                if written is None:  # the descriptor does not block, and cannot take anything now
+                    select.select((), (self,), ())
+                rest = rest[written or 0 :]
+        except OSError as error:
+            self.error = self.error or error
+        return len(whole)
+
+
+def open_log(path: Path) -> io.TextIOWrapper:
+    """A text file to append to; where it cannot be opened or written, its lines are dropped."""
+    try:
+        file = LenientFile(path, "a")
+    except OSError:
+        file = LenientFile(os.devnull, "a")
+    return io.TextIOWrapper(io.BufferedWriter(file), encoding="utf-8", line_buffering=True)
+
+
+def make_standard_streams_lenient() -> None:
+    """Replace standard output and error, unless somebody has replaced them already, by lenient ones.
+
+    Characters that their encoding lacks are written as escapes. Descriptors that are closed lead to the null device:
+    otherwise the next file that is opened would take their place, and what is printed would go there.
     """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest that is free
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None or stream is not getattr(sys, f"__{name}__"):
+            continue
+        file = LenientFile(stream.fileno(), "w", closefd=False)
+        buffer: Any = file if isinstance(stream.buffer, io.RawIOBase) else io.BufferedWriter(file)
+        options = {"line_buffering": stream.line_buffering, "write_through": stream.write_through}
+        lenient = io.TextIOWrapper(buffer, encoding=stream.encoding, errors="backslashreplace", **options)
+        setattr(sys, name, lenient)
 
-    def __init__(self, console: Console, name: str, render: Callable[[], RenderableType]):
-        self._accessory = Accessory(f"{name} is not shown", lambda text: print_line(console, text))
-        self._console, self._render = console, render
-        self._live: Live | None = None
 
-    @property
-    def shown(self) -> bool:
-        """Whether there is something on a terminal."""
-        return self._live is not None
-
-    def start(self) -> None:
-        """Show it from the next :meth:`refresh` or printed line on."""
-        if self._console.is_terminal:
-            with self._accessory:  # no thread refreshes it, whose errors nobody would catch
-                self._live = Live(console=self._console, get_renderable=self._render, auto_refresh=False)
-            self._attempt(lambda live: live.start())
-
-    def refresh(self) -> None:
-        """Show it as it is now."""
-        self._attempt(lambda live: live.refresh())
-
-    def stop(self) -> None:
-        """Show it a last time, and leave it there."""
-        self._attempt(lambda live: live.stop())
-
-    def _attempt(self, action: Callable[[Live], None]) -> None:
-        if self._live is None:
-            return
-        with self._accessory:
-            action(self._live)
-            return
-        live, self._live = self._live, None
-        with contextlib.suppress(Exception):  # it has failed and been reported; this restores the cursor
-            live.stop()
+def lost_output() -> OSError | None:
+    """The first error of standard output, all of which is written now; None if nothing was lost."""
+    if sys.stdout is None:
+        return None
+    sys.stdout.flush()
+    file = getattr(sys.stdout, "buffer", None)
+    return getattr(getattr(file, "raw", file), "error", None)

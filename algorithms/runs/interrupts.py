@@ -1,4 +1,4 @@
-"""What stops a training run early: signals, requests, disks that cannot be written to, and other errors."""
+"""What stops a training run early, and what never does: signals, disks that cannot be written to, other errors."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ import _thread
 import errno
 import signal
 import threading
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from types import FrameType, TracebackType
+    from collections.abc import Callable, Iterator, Mapping
+    from types import FrameType
 
 INTERRUPTED = 130  # exit code after Ctrl-C, as shells count it: 128 + SIGINT
+# How long (s) an update or an evaluation may go on after a signal, so that its work is saved: a person waits at Ctrl-C,
+# a batch system kills some 30 s after SIGTERM.
+PATIENCE = {signal.SIGINT: 2.0, signal.SIGTERM: 10.0}
 
 
 class Stopped(Exception):
@@ -21,6 +25,10 @@ class Stopped(Exception):
 
 class DiskFull(Stopped):
     """There is no space left on the disk."""
+
+
+class JobFailed(Exception):
+    """The error of a run as text: other processes may not be able to import its type."""
 
 
 def no_space(error: OSError) -> bool:
@@ -33,15 +41,6 @@ def stopped_by(error: OSError, message: str) -> Stopped:
     return (DiskFull if no_space(error) else Stopped)(message)
 
 
-# How long (s) an update or an evaluation may go on after a signal, so that its work is saved: a person waits at Ctrl-C,
-# a batch system kills some 30 s after SIGTERM.
-PATIENCE = {signal.SIGINT: 2.0, signal.SIGTERM: 10.0}
-
-
-class JobFailed(Exception):
-    """The error of a run as text: other processes may not be able to import its type."""
-
-
 def describe(error: BaseException) -> str:
     """An error in one line, with its type unless its message is meant for users."""
     text = " ".join(str(error).split())
@@ -49,25 +48,61 @@ def describe(error: BaseException) -> str:
     return text if for_users and text else f"{type(error).__name__}: {text}"
 
 
+class Accessory:
+    """A context in which any error becomes one line, after which work goes on; Ctrl-C passes.
+
+    For figures, videos, pages, loggers and progress, which must never cost a result. It may be entered again and again;
+    whoever does so looks at ``works`` first, which is whether nothing has failed so far.
+
+    Args:
+        failure: what an error means, such as "no video".
+        say: prints the line.
+    """
+
+    def __init__(self, failure: str, say: Callable[[str], None]):
+        self._failure, self._say = failure, say
+        self.works = True
+
+    def __enter__(self) -> Accessory:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> bool:
+        if not isinstance(error, Exception):
+            return False
+        self.works = False
+        self._say(f"warning: {self._failure}: {describe(error)}")
+        return True
+
+
+@contextmanager
+def sole_purpose(failure: str) -> Iterator[None]:
+    """The context of a command that does nothing else: an error that is not the user's ends it in one line, too."""
+    try:
+        yield
+    except (ValueError, ModuleNotFoundError, Stopped):
+        raise
+    except Exception as error:
+        raise Stopped(f"{failure}: {describe(error)}") from error
+
+
 class Interrupts:
-    """Records SIGINT and SIGTERM while it is open, instead of acting on them; a second SIGINT acts at once.
+    """Records SIGINT and SIGTERM in its context, instead of acting on them; a second SIGINT acts at once.
 
     A second SIGTERM does not, so that what the first one began can be saved: a batch system sends it to every process
-    of a job, and then a parent that stops its workers sends it to them again.
-
-    Use it as a context manager. Only the main thread receives signals; in others nothing is recorded.
+    of a job, and then a parent that stops its workers sends it to them again. Only the main thread receives signals; in
+    others nothing is recorded.
 
     Args:
         patience: by signal, after how many seconds it acts nevertheless, as KeyboardInterrupt, unless :meth:`settle` is
-            called before; None to wait for ever.
+            called before; none to wait for ever.
 
     Attributes:
         received: the signal's number, 0 for a request to stop that is no signal, or None.
     """
 
-    def __init__(self, patience: Mapping[signal.Signals, float] | None = None) -> None:
+    def __init__(self, patience: Mapping[signal.Signals, float] = {}) -> None:
         self.received: int | None = None
-        self._patience = dict(patience or {})
+        self._patience = patience
         self._timer: threading.Timer | None = None
         self._overdue = False
         self._previous: dict[int, Any] = {}
@@ -101,9 +136,7 @@ class Interrupts:
             self._previous = {number: signal.signal(number, self._record) for number in (signal.SIGINT, signal.SIGTERM)}
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.settle()
         for number, handler in self._previous.items():
             signal.signal(number, handler)

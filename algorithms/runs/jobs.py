@@ -1,23 +1,39 @@
-"""A job trains a run, resumes it, or skips it if it is finished; the one rule of what becomes of a run that failed."""
+"""Jobs: each trains a run, resumes it or skips it; many at a time are worker processes of this machine.
+
+A worker that dies costs only the steps since its checkpoint. What becomes of a run that failed is decided by
+:func:`verdict`, wherever it was trained.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import Counter
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
+from multiprocessing import connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from algorithms.reporting.run_records import INCIDENTAL, Recorded
-from algorithms.runs.config import Experiment, check_loggers, make_experiment
-from algorithms.runs.interrupts import DiskFull, JobFailed, Stopped, describe, stopped_by
-from algorithms.runs.registry import find_algorithm, peer_running
-from algorithms.runs.run_directory import InUse, Run, imported_paths, read_status
+from algorithms.reporting.run_records import INCIDENTAL, Recorded, flatten
+from algorithms.runs.config import Experiment, check_loggers, find_algorithm, make_experiment, peer_running
+from algorithms.runs.console import make_console, make_standard_streams_lenient, open_log
+from algorithms.runs.interrupts import DiskFull, Interrupts, JobFailed, Stopped, describe, stopped_by
+from algorithms.runs.progress import Dashboard
+from algorithms.runs.run_directory import CONFIG_FILE, InUse, Run, imported_paths, is_run, read_status
 from mo_deepdrive.support.atomic_io import atomic_write
-from mo_deepdrive.support.yaml import dump, read_mapping
+from mo_deepdrive.support.machine import available_cores
+from mo_deepdrive.support.yaml import read_mapping
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from rich.console import Console
 
     from algorithms.runs.training import Watch
 
@@ -28,47 +44,40 @@ DIED = "its worker process died (out of memory, or killed)"
 
 @dataclass(frozen=True)
 class Job:
-    """A run to be made.
+    """A run to be made."""
 
-    Attributes:
-        name: its name in messages.
-        experiment: with every default filled in.
-        path: the run's directory.
-        id: hash of the experiment, if the directory is named by it and cannot hold another run; also the run's id in
-            Weights & Biases.
-    """
-
-    name: str
-    experiment: Experiment = field(hash=False)
-    path: Path
+    name: str  # in messages
+    experiment: Experiment = field(hash=False)  # with every default filled in
+    path: Path  # the run's directory
+    # Hash of the experiment, if the directory is named by it and cannot hold another run; also the run's id in W&B.
     id: str | None = None
+
+    @property
+    def exists(self) -> bool:
+        """Whether the run was started before."""
+        return is_run(self.path)
 
     @property
     def done(self) -> bool:
         """Whether the run is finished (trained and evaluated) or pruned."""
-        if self.id is None:
-            self.check()
+        if self.id is None and self.exists:
+            self.open()
         return read_status(self.path).get("state") in ("finished", "pruned")
 
-    def check(self) -> None:
-        """Check that the directory does not hold another experiment."""
-        if not (self.path / "config.yaml").is_file():
-            return
-        self._refuse(differences(self.open().experiment.to_dict(), self.experiment.to_dict()))
-
     def open(self) -> Run:
-        """The run in the directory, which may import what the job's own experiment names."""
-        config, mine = self.path / "config.yaml", imported_paths(self.experiment.to_dict())
-        theirs = imported_paths(read_mapping(config)) if config.is_file() else {}
-        self._refuse([f"{key} = {name!r} there" for key, name in theirs.items() if name not in mine.values()])
-        return Run.open(self.path, trust=True)
-
-    def _refuse(self, changed: list[str]) -> None:
+        """The run in the directory, which has this experiment, and may import what it names."""
+        mine = imported_paths(self.experiment.to_dict()).values()
+        theirs = imported_paths(read_mapping(self.path / CONFIG_FILE)) if self.exists else {}
+        changed = [f"{key} = {name!r} there" for key, name in theirs.items() if name not in mine]
+        if not changed:
+            run = Run.open(self.path, trust=True)
+            changed = differences(run.experiment.to_dict(), self.experiment.to_dict())
         if changed:
             raise ValueError(
                 f"run directory {str(self.path)!r} holds another experiment: {'; '.join(changed)}; "
                 "delete it or choose another folder"
             )
+        return run
 
     def packed(self) -> dict[str, Any]:
         """Plain values to send to another process, for :meth:`unpack`."""
@@ -87,37 +96,20 @@ class Job:
         return cls(values["name"], experiment, Path(values["path"]), values["id"])
 
 
-def differences(first: Mapping[str, Any], second: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """The keys that differ between two experiments, with both values; INCIDENTAL keys are not compared.
-
-    Args:
-        first: an experiment as nested plain values.
-        second: the wanted one.
-        prefix: dotted path of both in their experiments.
-
-    Returns:
-        One line per key.
-    """
-    found: list[str] = []
-    for key in dict.fromkeys([*first, *second]):
-        name = prefix + key
-        one, other = first.get(key), second.get(key)
-        if name in INCIDENTAL or one == other:
-            continue
-        if isinstance(one, Mapping) and isinstance(other, Mapping):
-            found += differences(one, other, f"{name}.")
-        else:
-            found.append(f"{name} = {one!r} there, {other!r} wanted")
-    return found
+def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
+    """A line per key that differs between an experiment and the wanted one; INCIDENTAL keys are not compared."""
+    there, wanted = flatten(first), flatten(second)
+    return [
+        f"{key} = {there.get(key)!r} there, {wanted.get(key)!r} wanted"
+        for key in there | wanted
+        if not {key, key.partition(".")[0]} & {*INCIDENTAL} and there.get(key) != wanted.get(key)
+    ]
 
 
 def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | None = None) -> JobOutcome:
     """Train a run from the beginning or its checkpoint, and evaluate it; its output goes to its train.log.
 
-    Args:
-        job: the run.
-        watch: called with the step and the metrics of every logged row.
-        stop: called after every update; True saves and stops as a signal does.
+    ``watch`` and ``stop`` are those of :func:`algorithms.runs.training.train`.
 
     Returns:
         "already there" if it was finished before; "stopped" if a signal or ``stop`` ended it early, after saving.
@@ -125,9 +117,6 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     if job.done:
         return "already there"
     # As late as this: the process that hands out jobs needs no torch, which takes seconds and much memory.
-
-    from algorithms.runs.console import make_console
-    from algorithms.runs.lenient_output import open_log
     from algorithms.runs.training import resume, train_and_finish
 
     try:
@@ -138,9 +127,10 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
         if job.done:  # finished by the process that held the lock until now
             return "already there"
         if resumed:
-            _take_over_settings(run, job)
+            _take_over_settings(run, job.experiment)
         check_loggers(run.experiment)
-        _keep_wandb_id(job)
+        if job.id is not None and run.experiment.logging.wandb is not None:
+            atomic_write(job.path / "wandb_id", f"{job.id}\n".encode())  # repeated attempts continue one W&B run
         with open_log(job.path / "train.log") as log:
             if find_algorithm(run.experiment.algorithm.name).is_peer:
                 peer_running().run_peer(run, make_console(log))
@@ -161,42 +151,33 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
 
 def _lock(job: Job) -> tuple[Run, bool]:
     """The run, locked, and whether it was started before."""
-    config = job.path / "config.yaml"
-    if not config.is_file():
+    if not job.exists:
         try:
             return Run.create(job.experiment, job.path), False
         except InUse:
             raise
         except ValueError:
-            if not config.is_file():  # otherwise another process has created it in the meantime
+            if not job.exists:  # otherwise another process has created it in the meantime
                 raise
-    job.check()
     run = job.open()
     run.lock()
     return run, True
 
 
-def _take_over_settings(run: Run, job: Job) -> None:
+def _take_over_settings(run: Run, wanted: Experiment) -> None:
     """Continue a run with the job's logging and, if possible, on its device; config.yaml says so.
 
     The number of threads stays that of the run, because it changes last bits.
     """
-    config = run.path / "config.yaml"
-    before = make_experiment(read_mapping(config), here=False)
+    before = run.experiment
     # Worlds that stay on a device draw other random numbers, so that their checkpoints are others.
-    stays = run.checkpoint.exists() and before.is_resident != job.experiment.is_resident
-    chosen = before if stays else job.experiment
-    training = before.training.model_copy(update={"device": chosen.training.device})
-    wanted = before.model_copy(update={"training": training, "logging": job.experiment.logging})
-    run.experiment = make_experiment(wanted.to_dict(), f"experiment {str(config)!r}")
+    stays = run.checkpoint.exists() and before.is_resident != wanted.is_resident
+    device = (before if stays else wanted).training.device
+    training = before.training.model_copy(update={"device": device})
+    after = before.model_copy(update={"training": training, "logging": wanted.logging})
+    run.experiment = make_experiment(after.to_dict(), f"experiment {str(run.path / CONFIG_FILE)!r}")
     if run.experiment != before:
-        atomic_write(config, dump(run.experiment.to_dict()).encode())
-
-
-def _keep_wandb_id(job: Job) -> None:
-    """Make W&B use the job's id, so that repeated attempts continue one W&B run."""
-    if job.id is not None and job.experiment.logging.wandb is not None:
-        atomic_write(job.path / "wandb_id", f"{job.id}\n".encode())
+        run.write_config()
 
 
 class WorkerDied(JobFailed):
@@ -211,10 +192,7 @@ def verdict(error: BaseException, attempts: int, retries: int) -> Literal["stop"
     - "retry" if its worker died, or it could not read or write: it resumes from its checkpoint.
     - "fail" after ``retries`` of these, and for any other error, which would happen again.
 
-    Args:
-        error: that ended the run.
-        attempts: how often the run has been started.
-        retries: how often it may be started again.
+    ``attempts`` is how often the run has been started.
     """
     if isinstance(error, DiskFull):
         return "stop"
@@ -231,3 +209,159 @@ def record(job: Job, error: BaseException) -> str:
             run = job.open()
             run.set_status("failed", run.status.get("step", 0), reason)
     return reason
+
+
+# ----------------------------------------------------------------------------------------------------- worker processes
+
+POLL = 0.25  # s between checks for finished jobs
+
+
+def _perform(packed: dict[str, Any]) -> JobOutcome:
+    """:func:`perform` in a worker process; its errors can be sent to the parent."""
+    try:
+        outcome = perform(Job.unpack(packed))
+    except (InUse, Stopped):
+        raise
+    except Exception as error:
+        raise JobFailed(describe(error)) from None
+    if outcome == "stopped":
+        os._exit(130)  # everything is saved; otherwise this worker would take the next job
+    return outcome
+
+
+def _begin_worker() -> None:
+    """Leave the handling of signals to the parent: a worker stops at SIGTERM and when the parent ends.
+
+    Batch systems send their signals to every process of a job. Output of the user's code must not stop a worker either.
+    """
+    make_standard_streams_lenient()
+    if os.name == "posix":
+        os.setsid()
+        for number in (signal.SIGUSR1, signal.SIGUSR2):
+            signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold back Ctrl-C in the context: processes started in it never receive it, this one receives it afterwards."""
+    if os.name != "posix":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Workers:
+    """Worker processes that each take one job at a time; if one dies, the others continue."""
+
+    def __init__(self, count: int):
+        self.idle = [self._executor() for _ in range(count)]
+        self.busy: dict[Future[JobOutcome], tuple[ProcessPoolExecutor, Job]] = {}
+
+    @staticmethod
+    def _executor() -> ProcessPoolExecutor:
+        from mo_deepdrive.__main__ import call  # not earlier: it decides which package is algorithms
+
+        return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), call, (_begin_worker,))
+
+    def start(self, job: Job) -> None:
+        """Give a job to an idle worker."""
+        executor = self.idle.pop()
+        with _interrupts_held():
+            self.busy[executor.submit(_perform, job.packed())] = executor, job
+
+    def ended(self, timeout: float) -> Iterator[tuple[Job, BaseException | None]]:
+        """The jobs that end within ``timeout`` seconds, each with its error or None."""
+        for future in wait(self.busy, timeout, FIRST_COMPLETED).done:
+            executor, job = self.busy.pop(future)
+            error = future.exception()
+            if isinstance(error, BrokenProcessPool):
+                executor.shutdown()
+                executor = self._executor()
+            self.idle.append(executor)
+            yield job, error
+
+    def close(self) -> None:
+        """Stop the running jobs, which save their checkpoints, and end the workers."""
+        if self.busy:
+            for process in multiprocessing.active_children():
+                process.terminate()  # SIGTERM, at which training saves
+        for executor in [*self.idle, *(executor for executor, _ in self.busy.values())]:
+            executor.shutdown(wait=True, cancel_futures=True)
+
+
+def perform_all(
+    jobs: Sequence[Job],
+    workers: int,
+    dashboard: Dashboard,
+    *,
+    retries: int = 0,
+    stop: Callable[[], bool] = lambda: False,
+) -> dict[Job, str]:
+    """Make all runs that are not finished, each in a worker process; returns the jobs that failed, with their errors.
+
+    Runs that other processes are making are waited for. ``retries`` are those of :func:`verdict`; ``stop`` is called
+    several times a second, and True saves the running jobs and returns.
+    """
+    waiting = [(0.0, job) for job in jobs if not job.done]  # each with the time from which on it may be started
+    failed: dict[Job, str] = {}
+    if not waiting:
+        return failed
+    attempts: Counter[Path] = Counter()
+    pool = _Workers(min(workers, len(waiting)))
+    try:
+        while (waiting or pool.busy) and not stop():
+            for start in [start for start in waiting if start[0] <= time.monotonic()][: len(pool.idle)]:
+                waiting.remove(start)
+                pool.start(start[1])
+            if not pool.busy:
+                time.sleep(POLL)
+            for job, error in pool.ended(POLL):
+                if error is None:
+                    continue
+                attempts[job.path] += 1
+                if isinstance(error, BrokenProcessPool):
+                    times = f", {attempts[job.path]} times" if attempts[job.path] > 1 else ""
+                    error = WorkerDied(DIED + times)
+                outcome = verdict(error, attempts[job.path], retries)
+                if outcome == "stop":
+                    raise error
+                if outcome == "wait":
+                    attempts[job.path] -= 1
+                    waiting.append((time.monotonic() + BUSY, job))
+                elif outcome == "retry":
+                    waiting.append((0.0, job))
+                else:
+                    failed[job] = record(job, error)
+                    dashboard.failed(job, failed[job])
+            dashboard.update()
+    finally:
+        pool.close()
+        dashboard.update(now=True)
+    return failed
+
+
+def train_apart(runs: Sequence[Run], console: Console) -> int | None:
+    """Train runs whose locks are held, each in a process of its own, as many at a time as there are cores for.
+
+    Returns:
+        The number of the signal that stopped training, 1 if a run failed, or None if all are finished.
+    """
+    jobs = [Job(run.path.name, run.experiment, run.path) for run in runs]
+    workers = max(1, available_cores() // runs[0].experiment.training.threads)
+    for run in runs:
+        run.unlock()
+    with Interrupts() as interrupts, Dashboard(jobs, console) as dashboard:
+        failed = perform_all(jobs, workers, dashboard, stop=lambda: interrupts.received is not None)
+    return interrupts.received or (1 if failed else None)

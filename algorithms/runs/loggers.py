@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import socket
-import time
-import urllib.error
-import urllib.request
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 from algorithms.reporting.run_records import flatten
 from algorithms.reporting.tables import TABLE_METRICS
 from algorithms.reporting.training_log import MetricsFile
-from algorithms.runs.accessories import Accessory
+from algorithms.runs.interrupts import Accessory
 from mo_deepdrive.evaluation.metrics import split_name
 from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.support.extras import needed_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from types import TracebackType
 
     from algorithms.runs.config import WandbSettings
 
@@ -32,14 +26,9 @@ CONNECTION_TIMEOUT = 20.0  # s after which W&B is used offline
 
 
 class WandbRun:
-    """A run in Weights & Biases, offline where it cannot be reached.
+    """A run in Weights & Biases, offline where it cannot be reached; a resumed one continues with the stored id.
 
-    Args:
-        directory: for offline data, the run's id and its project; a resumed run continues with the stored id.
-        settings: project, group and so on.
-        config: the configuration shown with the run.
-        name: name of the run.
-        say: prints messages.
+    The directory has offline data, the run's id and its project; the config and the name are shown with the run.
     """
 
     def __init__(
@@ -50,10 +39,16 @@ class WandbRun:
 
         id_file, project_file = directory / "wandb_id", directory / "wandb_project"
         stored = id_file.read_text().strip() if id_file.exists() else None
-        entity, project = self._place(wandb, settings, project_file)
+        entity: str | None = settings.entity
+        project: str | None = settings.project
+        ours = wandb.setup().settings  # of the user's environment
+        if ours.sweep_id:  # W&B's agent chooses them
+            entity = project = None
+        elif project_file.exists():
+            entity, _, project = project_file.read_text().strip().partition("/")
         options: dict[str, Any] = {
             "project": project,
-            "entity": entity,
+            "entity": entity or None,
             "group": settings.group,
             "tags": settings.tags,
             "config": config,
@@ -64,45 +59,23 @@ class WandbRun:
             "settings": wandb.Settings(console="off", init_timeout=CONNECTION_TIMEOUT),
         }
         # WANDB_MODE, which wandb reads itself, may say offline or disabled.
-        mode: Any = "offline" if settings.mode == "offline" else wandb.setup().settings.mode
-        offline_reason = self._offline_reason(wandb) if mode == "online" else None
-        run = None
-        if mode == "online" and offline_reason is None:
+        mode: Any = "offline" if settings.mode == "offline" else ours.mode
+        self._run: Any = None
+        if mode == "online":
             try:
-                run = wandb.init(mode=mode, **options)
+                if not wandb.login(prompt=False, verify=False):
+                    raise wandb.Error("no API key")
+                self._run = wandb.init(mode=mode, **options)
             except wandb.Error as error:
                 wandb.teardown()  # frees the run's id
-                offline_reason = str(error)
-        if offline_reason is not None:
-            say(f"Weights & Biases: {offline_reason}; logging offline, `wandb sync` uploads the run later")
-            mode = "offline"
-        self._run = run or wandb.init(mode=mode, **options)
+                say(f"Weights & Biases: {error}; logging offline, `wandb sync` uploads the run later")
+                mode = "offline"
+        self._run = self._run or wandb.init(mode=mode, **options)
         self._run.define_metric("step")
         self._run.define_metric("*", step_metric="step")
         if mode != "disabled":  # then entity and project are placeholders
             atomic_write(project_file, f"{self._run.entity}/{self._run.project}\n".encode())
             atomic_write(id_file, f"{self._run.id}\n".encode())
-
-    def _place(self, wandb: Any, settings: WandbSettings, project_file: Path) -> tuple[str | None, str | None]:
-        """Entity and project; None if W&B chooses them, as under the agent of a sweep."""
-        if wandb.setup().settings.sweep_id:
-            return None, None
-        if project_file.exists():
-            entity, _, project = project_file.read_text().strip().partition("/")
-            return entity or None, project
-        return settings.entity, settings.project
-
-    def _offline_reason(self, wandb: Any) -> str | None:
-        """Why a run cannot be online; None if it can."""
-        if not wandb.login(prompt=False, verify=False):
-            return "no API key"
-        try:
-            urllib.request.urlopen(wandb.setup().settings.base_url, timeout=CONNECTION_TIMEOUT).close()
-        except urllib.error.HTTPError:
-            return None  # there is a connection
-        except OSError as error:
-            return f"no connection ({error})"
-        return None
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
         """Log a row."""
@@ -113,64 +86,35 @@ class WandbRun:
         self._run.finish(exit_code=int(failed))
 
 
-class EventFile:
-    """A file of TensorBoard. Every event is in it when :meth:`add` returns; TensorBoard's own writer has a thread.
-
-    Args:
-        directory: the run's directory.
-        suffix: of the file's name.
-        after: step after which TensorBoard is to ignore what earlier files have.
-    """
+class TensorBoard:
+    """A file of TensorBoard, which ignores what earlier files have after the step ``after``."""
 
     def __init__(self, directory: Path, suffix: str = "", after: int | None = None):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # from TensorBoard's dependencies
-            from tensorboard.compat.proto.event_pb2 import Event, SessionLog
-            from tensorboard.summary.writer.record_writer import RecordWriter
-        self._event = Event
-        folder = directory / TENSORBOARD
-        folder.mkdir(exist_ok=True)
-        # Named as TensorBoard's, which reads the files of a folder in the order of their names.
-        name = f"events.out.tfevents.{time.time():017.6f}.{socket.gethostname()}.{os.getpid()}{suffix}"
-        self._file = (folder / name).open("xb")
-        self._records = RecordWriter(self._file)
-        self.add(file_version="brain.Event:2")
-        if after is not None:
-            self.add(step=after + 1, session_log=SessionLog(status=SessionLog.START))
-
-    def add(self, **fields: Any) -> None:
-        """Write an event with these fields."""
-        self._records.write(self._event(wall_time=time.time(), **fields).SerializeToString())
-        self._records.flush()
+            from torch.utils.tensorboard import SummaryWriter
+        purge_step = None if after is None else after + 1
+        self.writer: Any = SummaryWriter(str(directory / TENSORBOARD), purge_step=purge_step, filename_suffix=suffix)
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
         """Log those of the metrics that are finite."""
-        from torch.utils.tensorboard.summary import scalar
-
         for name, value in metrics.items():
             if math.isfinite(value):
-                self.add(step=step, summary=scalar(name, value))
+                self.writer.add_scalar(name, value, step)
+        self.writer.flush()
 
     def close(self, failed: bool = False) -> None:
         """Close the file."""
         del failed  # TensorBoard does not show it
-        self._file.close()
+        self.writer.close()
 
 
 class Logger:
     """Writes each row of metrics to metrics.csv, TensorBoard and, if ``wandb`` is given, Weights & Biases.
 
-    Use it as a context manager. Its files are metrics.csv and tensorboard/ in ``directory``. An error of TensorBoard or
-    Weights & Biases is one message and ends their part alone.
-
-    Args:
-        directory: the run's directory.
-        after: step of the checkpoint that a run resumes from: later rows are dropped, since they are written again.
-            None for a new run.
-        wandb: settings of Weights & Biases; None to leave it out.
-        config: the configuration shown in W&B.
-        name: the run's name in W&B.
-        say: prints messages.
+    Use it as a context manager. An error of TensorBoard or Weights & Biases is one message and ends their part alone.
+    ``after`` is the step of the checkpoint that a run resumes from: later rows are dropped, since they are written
+    again. W&B shows the config and the name.
     """
 
     def __init__(
@@ -185,17 +129,18 @@ class Logger:
     ):
         directory = Path(directory)
         self._file = MetricsFile(directory / "metrics.csv", after)
-        self._outputs: list[tuple[Accessory, EventFile | WandbRun]] = []
-        self._open("TensorBoard", say, lambda: EventFile(directory, after=after))
+        self._outputs: list[tuple[Accessory, TensorBoard | WandbRun]] = []
+        makers: dict[str, Callable[[], TensorBoard | WandbRun]] = {
+            "TensorBoard": lambda: TensorBoard(directory, after=after)
+        }
         if wandb is not None:
-            self._open("Weights & Biases", say, lambda: WandbRun(directory, wandb, config or {}, name, say))
+            makers["Weights & Biases"] = lambda: WandbRun(directory, wandb, config or {}, name, say)
+        for title, make in makers.items():
+            accessory = Accessory(f"{title} is disabled", say)
+            with accessory:
+                self._outputs.append((accessory, make()))
 
-    def _open(self, name: str, say: Callable[[str], None], make: Callable[[], EventFile | WandbRun]) -> None:
-        accessory = Accessory(f"{name} is disabled", say)
-        with accessory:
-            self._outputs.append((accessory, make()))
-
-    def _each(self, action: Callable[[EventFile | WandbRun], None]) -> None:
+    def _each(self, action: Callable[[TensorBoard | WandbRun], None]) -> None:
         """Do something with each output beside metrics.csv that has not failed yet."""
         for accessory, output in self._outputs:
             if accessory.works:
@@ -218,9 +163,7 @@ class Logger:
     def __enter__(self) -> Logger:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.close(failed=kind is not None)
 
 
@@ -231,12 +174,8 @@ def log_results(
 
     They are in a file of their own, which replaces that of an earlier call: a run has one entry in the HParams tab.
 
-    Args:
-        directory: the run's directory.
-        step: of the trained policy.
-        config: the experiment; its keys are hyperparameters, except those of logging.
-        metrics: of the final evaluation, such as greedy/utility_esr; those of tables are shown, as final/...
-        video: an MP4, which becomes a GIF in the Images tab; left out if there is no such file.
+    The keys of the config are hyperparameters, except those of logging; of the metrics, such as greedy/utility_esr,
+    those of tables are shown, as final/...; the video, if there is such a file, becomes a GIF in the Images tab.
     """
     for earlier in (directory / TENSORBOARD).glob(f"*{RESULTS_SUFFIX}"):
         earlier.unlink()
@@ -245,21 +184,26 @@ def log_results(
         for name, value in metrics.items()
         if split_name(name).metric in TABLE_METRICS and math.isfinite(value)
     }
-    events = EventFile(directory, RESULTS_SUFFIX)
+    events = TensorBoard(directory, RESULTS_SUFFIX)
     try:
         from tensorboard.compat.proto.summary_pb2 import Summary
         from torch.utils.tensorboard.summary import hparams
 
         events.log(step, scores)
         flat = flatten({key: value for key, value in config.items() if key != "logging"})
-        plain = {key: value if isinstance(value, (bool, int, float)) else str(value) for key, value in flat.items()}
-        for summary in hparams({key: plain[key] for key in plain if flat[key] is not None}, scores):
-            events.add(summary=summary)
+        plain = {
+            key: value if isinstance(value, (bool, int, float)) else str(value)
+            for key, value in flat.items()
+            if value is not None
+        }
+        summaries = [*hparams(plain, scores)]
         if video is not None and video.is_file():
             from algorithms.reporting.videos import video_as_gif
 
             gif, height, width = video_as_gif(video)
             image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)
-            events.add(step=step, summary=Summary(value=[Summary.Value(tag="video", image=image)]))
+            summaries.append(Summary(value=[Summary.Value(tag="video", image=image)]))
+        for summary in summaries:
+            events.writer.file_writer.add_summary(summary, step)
     finally:
         events.close()

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import itertools
 import platform
 import shlex
 import subprocess
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
+from pkgutil import resolve_name
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any, Literal
 
-from algorithms.runs.config import Experiment, make_experiment
-from algorithms.runs.registry import directory_name, find_trained_policy
-from algorithms.runs.run_files import RESULTS, STATUS_FILE, record_files
+import numpy as np
+
+from algorithms.runs.config import Experiment, directory_name, make_experiment
 from mo_deepdrive.support.atomic_io import (
     atomic_write,
     expand_home,
@@ -33,23 +37,13 @@ if TYPE_CHECKING:
 
 State = Literal["running", "interrupted", "failed", "trained", "pruned", "finished"]
 PACKAGES = (
-    "gymnasium",
-    "matplotlib",
-    "mo-deepdrive",
-    "mo-gymnasium",
-    "moocore",
-    "numba",
-    "numpy",
-    "pettingzoo",
-    "pydantic",
-    "safetensors",
-    "scipy",
-    "tensorboard",
-    "torch",
-    "wandb",
+    *("gymnasium", "matplotlib", "mo-deepdrive", "mo-gymnasium", "moocore", "numba", "numpy", "pettingzoo"),
+    *("pydantic", "safetensors", "scipy", "tensorboard", "torch", "wandb"),
 )
 CONFIG_FILE, CHECKPOINT_FILE, VERSIONS_FILE = "config.yaml", "checkpoint.safetensors", "versions.json"
-METRICS_FILE, FRONTS_FILE, LOCK_FILE = "metrics.csv", "fronts.csv", ".lock"
+METRICS_FILE, FRONTS_FILE, LOCK_FILE, STATUS_FILE = "metrics.csv", "fronts.csv", ".lock", "status.json"
+RESULTS = ("evaluation.json", "front.csv")  # of the final evaluation, which may be done again
+RECORDED = (CONFIG_FILE, CHECKPOINT_FILE, METRICS_FILE, FRONTS_FILE, *RESULTS)
 # Modules in front of the ids of their environments that are imported in any case.
 ALREADY_IMPORTED = ("gymnasium", "mo_deepdrive", "mo_gymnasium")
 
@@ -59,13 +53,9 @@ class InUse(ValueError):
 
 
 class Run:
-    """One training run and the directory that holds it.
+    """One training run and the directory ``path`` that holds it, made by :meth:`create` or :meth:`open`.
 
-    Made by :meth:`create` or :meth:`open`. A process that trains in it holds its lock until the process ends.
-
-    Attributes:
-        path: the directory.
-        experiment: the experiment of the run.
+    A process that trains in it holds its lock until the process ends.
     """
 
     def __init__(self, path: Path, experiment: Experiment):
@@ -81,21 +71,11 @@ class Run:
 
     @classmethod
     def create(cls, experiment: Experiment, path: str | Path) -> Run:
-        """Create and lock the directory of a new run, with its config.yaml.
-
-        Args:
-            experiment: the experiment of the run.
-            path: the directory; it may exist if it is empty.
-        """
+        """Create and lock the directory of a new run, with its config.yaml; it may exist if it is empty."""
         run = cls(expand_home(path), experiment)
         run.path.mkdir(parents=True, exist_ok=True)
         _refuse_contents(run.path)
         run.lock()
-        try:
-            _refuse_contents(run.path)  # another process may have created a run before this one had the lock
-        except ValueError:
-            run.unlock()
-            raise
         write_json(run.path / VERSIONS_FILE, versions())
         run.set_status("running", 0)
         run.write_config()  # last: a directory with a config.yaml is complete
@@ -105,15 +85,13 @@ class Run:
     def open(cls, path: str | Path, *, trust: bool = False, imports: Collection[str] | None = None) -> Run:
         """The run in an existing directory; or a policy of the zoo, which consists of a run's config and policy.
 
-        Args:
-            path: the directory, or the name of the policy.
-            trust: allow a config.yaml that names code to import (:func:`imported_paths`).
-            imports: for a run that drives in another one: what the config of that one names, which is allowed anyway.
+        A config.yaml that names code to import (:func:`imported_paths`) needs ``trust``. A run that drives in another
+        one may import what the config of that one names, which are then ``imports``.
         """
         path = expand_home(path)
         if not path.is_dir():
             try:
-                path = find_trained_policy(str(path))
+                path = Path(resolve_name("algorithms.zoo:find")(str(path)))  # of a layer above this one
             except ValueError as error:
                 raise ValueError(f"{str(path)!r} is not a run directory, and {error}") from None
         config = path / CONFIG_FILE
@@ -135,10 +113,7 @@ class Run:
         atomic_write(self.path / CONFIG_FILE, dump(self.experiment.to_dict()).encode())
 
     def lock(self) -> None:
-        """Lock the directory until this process ends, so that no two processes train in it.
-
-        Temporary files of processes that were killed are removed.
-        """
+        """Lock the directory until this process ends; temporary files of processes that were killed are removed."""
         for entry in self.path.iterdir():
             own_path(self.path, entry.name)
         try:
@@ -163,7 +138,7 @@ class Run:
         """Write status.json: state, step and length of the training, seconds of work, and the reason if it failed.
 
         The seconds are sums over all processes; those of CPUs end with the training. A finished run also gets the
-        record of its files (:mod:`algorithms.runs.run_files`).
+        record of its files (:func:`record_files`).
         """
         before, clocks = self.status, (perf_counter(), process_time())
         seconds, used = (
@@ -171,19 +146,19 @@ class Run:
             for name, now, last in zip(("seconds", "cpu_seconds"), clocks, self._clocks, strict=True)
         )
         self._clocks = clocks
-        write_json(
-            self.path / STATUS_FILE,
-            {
-                "state": state,
-                "step": step,
-                "total_timesteps": self.experiment.training.total_timesteps,
-                "seconds": seconds,
-                "cpu_seconds": before.get("cpu_seconds", used) if state == "finished" else used,
-                "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
-                **({} if reason is None else {"reason": reason}),
-                **({"files": record_files(self.path)} if state == "finished" else {}),
-            },
-        )
+        status: dict[str, Any] = {
+            "state": state,
+            "step": step,
+            "total_timesteps": self.experiment.training.total_timesteps,
+            "seconds": seconds,
+            "cpu_seconds": before.get("cpu_seconds", used) if state == "finished" else used,
+            "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
+        }
+        if reason is not None:
+            status["reason"] = reason
+        if state == "finished":
+            status["files"] = record_files(self.path)
+        write_json(self.path / STATUS_FILE, status)
 
     def record_results(self) -> None:
         """Record the final evaluation of a finished run again, after it was written anew."""
@@ -219,14 +194,7 @@ def read_status(path: Path) -> dict[str, Any]:
 
 
 def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
-    """What an experiment names to be imported: algorithm, network, utilities by dotted path, environment with module.
-
-    Args:
-        values: the sections of the experiment, which need not be valid.
-
-    Returns:
-        "package.module:name" by its key.
-    """
+    """What an experiment, which need not be valid, names to be imported: "package.module:name" by its key."""
     algorithm, utility = _section(values, "algorithm"), _section(values, "utility")
     vehicles = _section(utility, "vehicles")
     names = {
@@ -270,27 +238,21 @@ def default_directory(root: str | Path, config: str | Path, experiment: Experime
     """Make a new, empty directory: ``root/<config's stem>/<algorithm>-seed<N>-<time>``."""
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     name = f"{directory_name(experiment.algorithm.name)}-seed{experiment.training.seed}-{stamp}"
-    path = Path(root) / Path(config).stem / name
-    number = 1
-    while True:
-        try:
+    for number in itertools.count(1):
+        path = Path(root) / Path(config).stem / (name if number == 1 else f"{name}-{number}")
+        if not path.exists():
             path.mkdir(parents=True)
             return path
-        except FileExistsError:
-            number += 1
-            path = path.with_name(f"{name}-{number}")
+    raise AssertionError
 
 
 def versions() -> dict[str, Any]:
     """Versions of Python, platform and packages, and the commit of the repository (None outside of a checkout)."""
-    packages: dict[str, str | None] = {}
+    commit, changes = _git("rev-parse", "HEAD"), _git("status", "--porcelain")
+    packages: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:
-        try:
+        with contextlib.suppress(metadata.PackageNotFoundError):
             packages[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            packages[name] = None
-    commit = _git("rev-parse", "HEAD")
-    changes = _git("status", "--porcelain")
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -302,11 +264,60 @@ def versions() -> dict[str, Any]:
 
 def _git(*arguments: str) -> str | None:
     root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return None
     command = ["git", "-C", str(root), *arguments]
+    if (root / ".git").exists():
+        with contextlib.suppress(OSError, subprocess.SubprocessError):
+            return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+    return None
+
+
+# ------------------------------------------------------------------------------------------- the files of finished runs
+
+
+def record_files(run: Path) -> dict[str, dict[str, Any]]:
+    """The size in bytes and the SHA-256 hash of each of :data:`RECORDED` that exists in a run's directory, by name.
+
+    They are under "files" in the status.json of a finished run, so that what is deleted, cut or edited is noticed.
+    """
+    return {name: _record(run / name) for name in RECORDED if (run / name).is_file()}
+
+
+def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
+    """What does not match the record of a finished run, one line per file; of ``names``, or of all recorded files."""
+    status = read_status(run)
+    if not status and (run / STATUS_FILE).exists():
+        return [f"{STATUS_FILE}: cannot be read"]
+    recorded = status.get("files", {}) if status.get("state") == "finished" else {}
+    problems = {name: _difference(run / name, recorded[name]) for name in recorded if names is None or name in names}
+    return [f"{name}: {problem}" for name, problem in problems.items() if problem]
+
+
+def diverged(run: Path) -> list[str]:
+    """A line if a number in the checkpoint of a run is not finite: its scores are then those of no policy."""
+    from safetensors import SafetensorError  # an extra, which not every command needs
+    from safetensors.numpy import load_file
+
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout.strip() if done.returncode == 0 else None
+        tensors = load_file(run / CHECKPOINT_FILE)
+    except (OSError, SafetensorError):  # missing or broken, as changed_files says
+        return []
+    wrong = [name for name, array in tensors.items() if array.dtype.kind == "f" and not np.isfinite(array).all()]
+    return [f"{CHECKPOINT_FILE}: {wrong[0]!r} is not finite"] if wrong else []
+
+
+def _record(path: Path) -> dict[str, Any]:
+    content = path.read_bytes()
+    return {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+
+
+def _difference(path: Path, recorded: dict[str, Any]) -> str:
+    """How a file differs from its record; empty if it does not."""
+    try:
+        now = _record(path)
+    except FileNotFoundError:
+        return "missing"
+    except OSError as error:
+        return f"cannot be read: {error}"
+    if now["size"] != recorded["size"]:
+        return f"{now['size']} bytes, recorded {recorded['size']}"
+    return "" if now == recorded else "changed since the run finished"

@@ -262,7 +262,7 @@ def scorable(agent: Any, experiment: Experiment) -> Any:
     """
     # Not earlier: a user's own policy is scored without torch.
     from algorithms.agent import FrontAgent
-    from algorithms.runs.policy_evaluation import evaluate_front
+    from algorithms.runs.report import evaluate_front
 
     if not isinstance(agent, FrontAgent):
         return agent

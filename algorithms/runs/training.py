@@ -10,15 +10,21 @@ from typing import TYPE_CHECKING, Any
 from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.training_log import rows_until
-from algorithms.runs.accessories import Accessory
-from algorithms.runs.agent_report import VIDEO_FILE, report_agent, show_results
 from algorithms.runs.build import build_trainee
 from algorithms.runs.config import Experiment, check_loggers, find_environment, is_ours, make_experiment
 from algorithms.runs.console import print_line
 from algorithms.runs.interrupts import PATIENCE, Interrupts, stopped_by
 from algorithms.runs.loggers import Logger
-from algorithms.runs.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
-from algorithms.runs.progress_bar import ProgressReporter, compilation_noted
+from algorithms.runs.progress import ProgressReporter, compilation_noted
+from algorithms.runs.report import (
+    FRONT_EPISODES,
+    VIDEO_FILE,
+    distinct_episodes,
+    evaluation_env,
+    report_agent,
+    show_results,
+    write_explorer,
+)
 from algorithms.runs.run_directory import FRONTS_FILE, METRICS_FILE, Run
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS
@@ -35,11 +41,7 @@ Watch = Callable[[int, Mapping[str, float]], None]
 
 
 def resume(*runs: Run) -> Any:
-    """What trains runs whose locks are held, from their last checkpoints; untrained if there are none.
-
-    Returns:
-        The agent of the runs.
-    """
+    """The agent of runs whose locks are held, from their last checkpoints; untrained if there are none."""
     trainee = build_trainee([run.experiment for run in runs])
     checkpoints = [run.checkpoint for run in runs if run.checkpoint.exists()]
     if checkpoints and len(checkpoints) < len(runs):
@@ -52,10 +54,7 @@ def resume(*runs: Run) -> Any:
 def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tuple[list[Run], Any]:
     """Open and lock existing runs, to resume them; the runs, and their agent or that of the first one on a CPU.
 
-    Args:
-        *paths: the runs' directories; several only of runs that differ in their seeds alone.
-        trust: allow a config.yaml that names code to import.
-        total_timesteps: a new, greater length of the training; None for that of the runs.
+    Several may differ in their seeds alone. ``total_timesteps`` is a new, greater length of the training.
     """
     runs = [Run.open(path, trust=trust) for path in paths]
     longer = [_longer(run.experiment, total_timesteps) for run in runs]
@@ -71,13 +70,13 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
     for run, agent in zip(runs, trainees, strict=True):
         for name in (METRICS_FILE, FRONTS_FILE):
             rows_until(run.path / name, agent.step)
-    if total_timesteps is not None and trainee.schedules:
-        raise ValueError(
-            f"training.total_timesteps = {longer[0].training.total_timesteps}: the run cannot be trained longer, "
-            f"since these settings depend on the length of the training: {', '.join(trainee.schedules)}"
-        )
-    for run, experiment in zip(runs, longer, strict=True):
-        if experiment is not run.experiment:
+    if total_timesteps is not None:
+        if trainee.schedules:
+            raise ValueError(
+                f"training.total_timesteps = {longer[0].training.total_timesteps}: the run cannot be trained longer, "
+                f"since these settings depend on the length of the training: {', '.join(trainee.schedules)}"
+            )
+        for run, experiment in zip(runs, longer, strict=True):
             run.experiment = experiment
             # In this order: a process that is killed in between leaves a run that can be resumed.
             run.set_status("running", trainee.step)
@@ -89,10 +88,9 @@ def _longer(experiment: Experiment, total_timesteps: Any) -> Experiment:
     """An experiment with another length of the training; itself if that is None."""
     if total_timesteps is None:
         return experiment
-    values = experiment.to_dict()
+    values, length = experiment.to_dict(), experiment.training.total_timesteps
     values["training"]["total_timesteps"] = total_timesteps
     longer = make_experiment(values)
-    length = experiment.training.total_timesteps
     if longer.training.total_timesteps <= length:
         raise ValueError(f"training.total_timesteps = {total_timesteps} must be more than the {length:,} of the run")
     return longer
@@ -127,32 +125,23 @@ def train_and_finish(
 
 
 class _Record:
-    """What is written of a run while it trains: its rows, its checkpoints and its state.
+    """What is written of a run while it trains: its rows, its checkpoints and its state."""
 
-    Args:
-        run: whose directory receives them.
-        step: of the last checkpoint.
-    """
+    logger: Logger
+    fronts: FrontsFile | None = None
 
-    def __init__(self, run: Run, step: int):
-        self.run, self.saved = run, step
-        self.logger: Logger
-        self.fronts: FrontsFile | None = None
+    def __init__(self, run: Run, saved: int):
+        self.run, self.saved = run, saved  # the step of the last checkpoint
 
     def open(self, resumed: bool, say: Callable[[str], None]) -> Logger:
         """Open the files of rows, which are continued if the run was started before; the logger is to be closed."""
         run, after = self.run, (self.saved if self.saved > 0 else -1) if resumed else None
-        self.logger = Logger(
-            run.path,
-            after=after,
-            wandb=run.experiment.logging.wandb,
-            config={**run.experiment.to_dict(), "versions": run.versions},
-            name=run.path.name,
-            say=say,
-        )
+        config = {**run.experiment.to_dict(), "versions": run.versions}
+        wandb = run.experiment.logging.wandb
+        self.logger = Logger(run.path, after=after, wandb=wandb, config=config, name=run.path.name, say=say)
         if not run.experiment.known_utility:
             self.fronts = FrontsFile(run.path / FRONTS_FILE, after)
-        self.run.set_status("running", self.saved)
+        run.set_status("running", self.saved)
         return self.logger
 
     def save(self, step: int, write: Callable[[Path], None], state: Any) -> None:
@@ -193,9 +182,9 @@ def train(
 
     Args:
         runs: their directories receive everything that is written; several if they are trained side by side.
-        trainee: of :func:`build_trainee` or :func:`resume`, for these runs.
+        trainee: their agent, untrained or of :func:`resume`.
         console: for the progress.
-        resumed: whether the runs were started before, so that their metrics are continued.
+        resumed: whether the runs were started before.
         watch: called with the step and the metrics of every logged row.
         stop: called after every update; True saves and stops as a signal does.
 
@@ -209,56 +198,55 @@ def train(
     experiment = runs[0].experiment
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
     checkpoint_interval = logging.checkpoint_interval or training.total_timesteps
-    begun, known_utility, episodes = trainee.step, experiment.known_utility, evaluation.episodes
-    if not known_utility:
+    begun, learns_front, episodes = trainee.step, not experiment.known_utility, evaluation.episodes
+    if learns_front:
         episodes = distinct_episodes(experiment.environment, episodes)
-    eval_env = evaluation_env(experiment, episodes if known_utility else FRONT_EPISODES)
-    reference_front = None if known_utility else best_known_front(eval_env, evaluation.gamma)
+    eval_env = evaluation_env(experiment, FRONT_EPISODES if learns_front else episodes)
     ours = is_ours(find_environment(experiment.environment.id))
     interrupts = Interrupts(PATIENCE)
     records = [_Record(run, begun) for run in runs]
     ended: set[int] = set()  # seeds that failed while others go on
-    progress = ProgressReporter(training.total_timesteps, begun, console, arrivals=ours, front=not known_utility)
+    progress = ProgressReporter(training.total_timesteps, begun, console, arrivals=ours, front=learns_front)
+
+    def log_of(record: _Record) -> Log:
+        def log(step: int, metrics: Mapping[str, float]) -> None:
+            record.logger.log(step, metrics)
+            progress.note(metrics)
+            if watch is not None:
+                watch(step, metrics)
+
+        return log
+
+    def note_failures() -> None:
+        for seed in trainee.failed.keys() - ended:
+            ended.add(seed)
+            records[seed].end("failed", trainee.failed[seed])
+            progress.say(f"{trainee.failed[seed]}; {records[seed].rest}")
+
+    def save(state: Any) -> None:
+        for seed, record in enumerate(records):
+            if seed not in trainee.failed:
+                try:
+                    record.save(trainee.step, partial(trainee.save, seed=seed), state)
+                except Fault as error:
+                    trainee.fail(seed, error, f"in the checkpoint of step {trainee.step:,}")
+        note_failures()
+
+    def after_update(_: Any) -> bool:
+        progress.update(trainee.step)
+        note_failures()
+        last_saved = max(record.saved for record in records)
+        if trainee.step // checkpoint_interval > last_saved // checkpoint_interval:
+            save("running")
+        if interrupts.received is None and stop is not None and stop():
+            interrupts.received = 0
+        interrupts.settle()
+        return interrupts.received is not None
+
     try:
         with interrupts, progress, compilation_noted(progress.say), contextlib.ExitStack() as loggers:
             for record in records:
                 loggers.enter_context(record.open(resumed, progress.say))
-
-            def log_of(record: _Record) -> Log:
-                def log(step: int, metrics: Mapping[str, float]) -> None:
-                    record.logger.log(step, metrics)
-                    progress.note(metrics)
-                    if watch is not None:
-                        watch(step, metrics)
-
-                return log
-
-            def note_failures() -> None:
-                for seed in trainee.failed.keys() - ended:
-                    ended.add(seed)
-                    records[seed].end("failed", trainee.failed[seed])
-                    progress.say(f"{trainee.failed[seed]}; {records[seed].rest}")
-
-            def save(state: Any) -> None:
-                for seed, record in enumerate(records):
-                    if seed not in trainee.failed:
-                        try:
-                            record.save(trainee.step, partial(trainee.save, seed=seed), state)
-                        except Fault as error:
-                            trainee.fail(seed, error, f"in the checkpoint of step {trainee.step:,}")
-                note_failures()
-
-            def after_update(_: Any) -> bool:
-                progress.update(trainee.step)
-                note_failures()
-                last_saved = max(record.saved for record in records)
-                if trainee.step // checkpoint_interval > last_saved // checkpoint_interval:
-                    save("running")
-                if interrupts.received is None and stop is not None and stop():
-                    interrupts.received = 0
-                interrupts.settle()
-                return interrupts.received is not None
-
             trainee.train(
                 training.total_timesteps,
                 eval_env,
@@ -267,9 +255,9 @@ def train(
                 eval_seed=SPLITS["validation"].start,
                 eval_gamma=evaluation.gamma,
                 reference_point=evaluation.reference_point,
-                reference_front=reference_front,
+                reference_front=best_known_front(eval_env, evaluation.gamma) if learns_front else None,
                 log=[log_of(record) for record in records],
-                log_front=None if known_utility else [record.fronts.write_front for record in records if record.fronts],
+                log_front=[record.fronts.write_front for record in records if record.fronts] or None,
                 log_interval=logging.interval,
                 after_update=after_update,
             )
@@ -297,11 +285,9 @@ def _reason(error: BaseException) -> str:
 def finish(run: Run, agent: Any, console: Console) -> None:
     """Evaluate the trained agent of a run; write and print the numbers, draw the learning curves and record a video.
 
-    TensorBoard gets the hyperparameters with the final scores, and the video.
-
-    An agent that learnt a front has the front evaluated and drawn, four of its policies filmed, and the page written on
-    which a person chooses a policy. Without ``logging.save_figures`` there are neither curves nor videos nor the page.
-    If any of these fails, the reason is printed and the run is finished all the same.
+    Of a front four policies are filmed, and the page is written on which a person chooses one. Without
+    ``logging.save_figures`` there are neither curves nor videos nor the page. If any of these fails, the reason is
+    printed and the run is finished all the same.
     """
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
     try:
@@ -319,10 +305,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
 
             score_run(run, scorable(agent, run.experiment))
         if figures and not run.experiment.known_utility:
-            with Accessory("no explorer", lambda text: print_line(console, text)):
-                from algorithms.runs.front_explorer import write_explorer  # not earlier: only fronts need it
-
-                write_explorer(run, agent, console)
+            write_explorer(run, agent, console)
         show_results(run, agent.step, console)
         run.set_status("finished", agent.step)
     except OSError as error:

@@ -31,8 +31,7 @@ import polars as pl
 
 from algorithms.reporting.run_records import ExperimentRecord, experiment_record, final_scores
 from algorithms.reporting.training_log import DIGITS, read_header, read_metrics
-from algorithms.runs.run_directory import METRICS_FILE, read_status
-from algorithms.runs.run_files import changed_files
+from algorithms.runs.run_directory import METRICS_FILE, changed_files, read_status
 from algorithms.studies.manifest import ManifestRow, label, read_manifest
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP, MetricName, split_name

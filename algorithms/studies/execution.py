@@ -17,10 +17,9 @@ import numpy as np
 from algorithms.reporting.run_records import final_metrics
 from algorithms.reporting.training_log import read_metrics
 from algorithms.runs.console import print_line
-from algorithms.runs.dashboard import Dashboard, count_states, summary_of
 from algorithms.runs.interrupts import Interrupts
-from algorithms.runs.run_directory import METRICS_FILE, is_run, read_status
-from algorithms.runs.run_files import RESULTS, STATUS_FILE, changed_files
+from algorithms.runs.progress import Dashboard, count_states, summary_of
+from algorithms.runs.run_directory import METRICS_FILE, RESULTS, STATUS_FILE, changed_files, is_run, read_status
 from algorithms.studies.manifest import Scores, is_sweep, read_manifest, write_manifest
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import EVALUATION, known_metric
@@ -78,7 +77,7 @@ class Backend:
             from algorithms.studies.slurm import run_on_slurm
 
             return run_on_slurm(jobs, settings, directory, monitor, stop=stop, wait=self.wait)
-        from algorithms.runs.worker_pool import perform_all
+        from algorithms.runs.jobs import perform_all
 
         workers = self._local_workers([job for job in jobs if not job.done], settings.resources)
         return perform_all(jobs, workers, monitor, retries=settings.retries, stop=stop)

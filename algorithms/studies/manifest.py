@@ -15,9 +15,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from algorithms.reporting.run_records import INCIDENTAL
-from algorithms.runs.config import Experiment, check_loggers, make_experiment, override
+from algorithms.runs.config import (
+    Experiment,
+    check_loggers,
+    directory_name,
+    find_algorithm,
+    make_experiment,
+    override,
+    peer_running,
+)
 from algorithms.runs.jobs import Job
-from algorithms.runs.registry import directory_name, find_algorithm, peer_running
 from mo_deepdrive.support.atomic_io import atomic_write, own_path
 from mo_deepdrive.support.names import nearest_few
 
@@ -161,7 +168,7 @@ def cell_rows(
 def _check_buildable(experiment: Experiment, metric: str | None) -> None:
     """Raise now the error that the run would raise when it starts, or whoever needs the metric at its end."""
     from algorithms.runs.build import build, check_resident
-    from algorithms.runs.policy_evaluation import final_metrics
+    from algorithms.runs.report import final_metrics
 
     check_loggers(experiment)
     if find_algorithm(experiment.algorithm.name).is_peer:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from algorithms.runs.accessories import sole_purpose
-from algorithms.runs.shipped import CONFIGS
+from algorithms.runs.config import CONFIGS
+from algorithms.runs.interrupts import sole_purpose
 from algorithms.studies import FIGURES
 from algorithms.studies.collection import collect
 from algorithms.studies.execution import Backend, Runner

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.runs.registry import find_algorithm
-from algorithms.runs.shipped import find_config
+from algorithms.runs.config import find_algorithm, find_config
 from algorithms.studies.manifest import ManifestRow, Scores, cell_rows, overridden, refuse_duplicates, short_names
 from algorithms.studies.settings import ELSEWHERE, SEED_KEYS, learners_in, replaced_keys
 from mo_deepdrive import suite
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
     import optuna
 
-    from algorithms.runs.registry import AlgorithmEntry
+    from algorithms.runs.config import AlgorithmEntry
     from algorithms.studies.settings import (
         Learner,
         PlanSettings,
@@ -318,7 +317,7 @@ class StudyPlan(Plan):
 
     def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
         """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
-        from algorithms.runs.policy_evaluation import final_metrics
+        from algorithms.runs.report import final_metrics
 
         known: set[str] = set()
         for row in rows:

@@ -32,7 +32,7 @@ from mo_deepdrive.support.machine import GIB
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from algorithms.runs.dashboard import Dashboard
+    from algorithms.runs.progress import Dashboard
     from algorithms.studies.settings import AshaSettings, PlanSettings
 
 TuneReport = dict[str, Any]

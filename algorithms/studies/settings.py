@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from algorithms.runs.config import Count, UtilitySettings
-from algorithms.runs.shipped import find_config
+from algorithms.runs.config import Count, UtilitySettings, find_config
 from mo_deepdrive.support.yaml import read_mapping
 from mo_deepdrive.world.config import EnvironmentSettings, Settings, parse
 

@@ -25,11 +25,10 @@ import submitit
 from rich.console import Console
 
 from algorithms.runs.console import WIDTH
-from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.interrupts import Stopped
-from algorithms.runs.jobs import WorkerDied, record, verdict
+from algorithms.runs.jobs import WorkerDied, perform_all, record, verdict
+from algorithms.runs.progress import Dashboard
 from algorithms.runs.run_directory import read_status
-from algorithms.runs.worker_pool import perform_all
 from mo_deepdrive.support.atomic_io import own_path, write_json
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.runs.shipped import CONFIGS
+from algorithms.runs.config import CONFIGS
 from algorithms.studies import ALL, CORE, REFERENCE
 from algorithms.studies.manifest import short_names
 from algorithms.studies.plan import StudyPlan

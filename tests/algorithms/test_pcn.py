@@ -121,10 +121,10 @@ def choices(num_envs: int = 4, **arguments: Any) -> VectorEnv:
     ("changed", "message"),
     [
         ({"hidden": []}, "'hidden' = []"),
-        ({"hidden": [8, 0]}, "'hidden' = [8, 0]: layer sizes must be between 1 and 16384"),
+        ({"hidden": [8, 0]}, "'hidden.1' = 0: Input should be greater than or equal to 1"),
         (
             {"objective_scales": [1.0, 0.0, 1.0, 1.0]},
-            "'objective_scales' = [1.0, 0.0, 1.0, 1.0]: scales must be positive",
+            "'objective_scales.1' = 0.0: Input should be greater than 0",
         ),
         ({"objective_scales": [1.0, 1.0]}, "objective_scales = [1.0, 1.0] needs 4 numbers: ('distance', "),
         ({"horizon_scale": 0.0}, "'horizon_scale' = 0.0"),

@@ -14,8 +14,7 @@ from algorithms.reporting.explorer.data import ExplorableFront, explorable_best_
 from algorithms.reporting.explorer.page import write_page
 from algorithms.runs.build import build, load_policy
 from algorithms.runs.config import load_experiment
-from algorithms.runs.front_explorer import explorable
-from algorithms.runs.policy_evaluation import evaluate_front
+from algorithms.runs.report import evaluate_front, explorable
 from algorithms.runs.run_directory import Run
 from tests.browser.explorer_page import EPISODES, SEED, Page
 

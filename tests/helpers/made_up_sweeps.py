@@ -10,7 +10,7 @@ from typing import Any
 
 from algorithms.reporting.training_log import MetricsFile
 from algorithms.runs.config import load_experiment
-from algorithms.runs.run_files import record_files
+from algorithms.runs.run_directory import record_files
 from algorithms.studies.manifest import ManifestRow, run_id, write_manifest
 from tests.helpers.paths import REPOSITORY
 

@@ -16,6 +16,16 @@ from algorithms.reporting.training_log import read_metrics
 from tests.helpers.paths import REPOSITORY
 
 TIMEOUT = 240
+
+
+def exit_code(main: Callable[[list[str]], int], *arguments: object) -> int:
+    """The exit code of a command in this process."""
+    try:
+        return int(main([str(argument) for argument in arguments]))
+    except SystemExit as end:
+        return int(end.code or 0)
+
+
 DRIVING = """
 environment:
   id: mo-deepdrive-one-waypoint-v0

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 import yaml
 
-from algorithms.runs import worker_pool as pool
+from algorithms.runs import jobs as pool
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole
 

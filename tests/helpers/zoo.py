@@ -16,7 +16,7 @@ from algorithms.actor_critic import ActorCritic
 from algorithms.agent import FrontAgent
 from algorithms.runs.build import build, make_environment
 from algorithms.runs.config import Experiment, make_experiment
-from algorithms.runs.policy_evaluation import evaluate_front
+from algorithms.runs.report import evaluate_front
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.policy import AccruedReward

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from algorithms.runs.build import build, load_policy
 from algorithms.runs.config import load_experiment
-from algorithms.runs.policy_evaluation import evaluate_front
+from algorithms.runs.report import evaluate_front
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.episodes import evaluate

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from algorithms.runs.run_files import changed_files
+from algorithms.runs.run_directory import changed_files
 from mo_deepdrive.evaluation.front import Front
 from tests.helpers.script_runs import (
     PICTURES,

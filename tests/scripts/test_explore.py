@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from algorithms.runs.build import load_policy
-from algorithms.runs.policy_evaluation import evaluate_front_policies
+from algorithms.runs.report import evaluate_front_policies
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.fronts.reference_fronts import reference_front, shipped

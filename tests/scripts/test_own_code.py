@@ -63,11 +63,7 @@ def documented_commands(document: str) -> list[list[str]]:
     return [shlex.split(line) for block in blocks for line in block.splitlines()]
 
 
-def test_examples_are_as_short_as_the_documentation_says() -> None:
-    for name in ("reinforce.py", "plain_ppo.py"):
-        lines = [line for line in (EXAMPLES / name).read_text().splitlines() if line.strip()]
-        assert 40 <= len(lines) <= 80
-    assert len([line for line in (EXAMPLES / "kl_penalty.py").read_text().splitlines() if line.strip()]) <= 25
+def test_the_documentation_shows_the_yaml_of_the_examples() -> None:
     for document, example in (("own_algorithm", "reinforce"), ("own_environment", "commute")):
         text = (REPOSITORY / "docs" / f"{document}.md").read_text()
         shown = yaml.safe_load(re.findall(r"^```yaml\n(environment:.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)[0])

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from algorithms.runs import worker_pool
-from algorithms.runs.dashboard import Dashboard
+from algorithms.runs import jobs
 from algorithms.runs.jobs import Job, perform
+from algorithms.runs.progress import Dashboard
 from tests.helpers.short_runs import job
 from tests.helpers.sweep_files import (
     assert_same_sweep,
@@ -269,7 +269,7 @@ def test_a_search_proceeds_batch_by_batch_and_resumes_to_the_same_results(
     ended = max((run / "status.json").stat().st_mtime_ns for run in made[:3])
     assert all((run / "config.yaml").stat().st_mtime_ns > ended for run in made[3:])
 
-    perform_all = worker_pool.perform_all
+    perform_all = jobs.perform_all
 
     def interrupted(jobs: Sequence[Job], workers: int, monitor: Dashboard, **options: Any) -> dict[Job, str]:
         def stop() -> bool:
@@ -283,7 +283,7 @@ def test_a_search_proceeds_batch_by_batch_and_resumes_to_the_same_results(
         return perform_all(jobs, workers, monitor, stop=stop, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(worker_pool, "perform_all", interrupted)
+        patch.setattr(jobs, "perform_all", interrupted)
         assert call(file, "--output", "second", "--workers", "2")[0] == 130
     assert states(tmp_path / "second").count("finished") < 6
     assert call(file, "--output", "second", "--workers", "2")[0] == 0

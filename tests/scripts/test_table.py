@@ -16,6 +16,7 @@ from algorithms.runs.config import load_experiment
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.support.yaml import dump, read_mapping
 from tests.helpers.paths import REPOSITORY
+from tests.helpers.script_runs import exit_code
 
 ROOT = REPOSITORY
 Script = Callable[..., int]  # calls a script with arguments and returns its exit code
@@ -23,7 +24,7 @@ Script = Callable[..., int]  # calls a script with arguments and returns its exi
 
 @pytest.fixture
 def run_table(load_script: Callable[[str], ModuleType]) -> Script:
-    return lambda *arguments: load_script("table").main([str(argument) for argument in arguments])
+    return lambda *arguments: exit_code(load_script("table").main, *arguments)
 
 
 def read(path: Path) -> list[dict[str, str]]:

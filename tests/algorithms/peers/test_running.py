@@ -15,7 +15,7 @@ from algorithms.peers import PEERS
 from algorithms.peers.running import prepare, run_peer
 from algorithms.runs.config import load_experiment
 from algorithms.runs.console import make_console
-from algorithms.runs.policy_evaluation import evaluate_front
+from algorithms.runs.report import evaluate_front
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.peers import ONE_WAYPOINT, constant_policies, fake_adapter, make_task

@@ -31,9 +31,9 @@ from algorithms.reporting.videos import (
     write_gif,
     write_video_grid,
 )
-from algorithms.runs.agent_report import film
 from algorithms.runs.build import build
 from algorithms.runs.config import Experiment, make_experiment
+from algorithms.runs.report import film
 from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.world.actions import action_names
 

@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 
-from algorithms.runs.accessories import Accessory
 from algorithms.runs.config import Experiment, make_experiment
-from algorithms.runs.console import LiveDisplay, make_console, print_line
+from algorithms.runs.console import make_console, print_line
+from algorithms.runs.interrupts import Accessory
+from algorithms.runs.progress import ProgressReporter
 from algorithms.runs.run_directory import Run, read_status
 from algorithms.runs.training import resume, train_and_finish
 from tests.helpers.short_runs import VALUES
@@ -56,9 +57,9 @@ def finished(folder: Path, experiment: Experiment, file: io.StringIO) -> list[st
 @pytest.mark.parametrize(
     ("place", "file", "message"),
     [
-        ("algorithms.runs.loggers.EventFile.__init__", io.StringIO, "TensorBoard is disabled"),
-        ("algorithms.runs.loggers.EventFile.log", io.StringIO, "TensorBoard is disabled"),
-        ("algorithms.runs.loggers.EventFile.close", io.StringIO, "TensorBoard is disabled"),
+        ("algorithms.runs.loggers.TensorBoard.__init__", io.StringIO, "TensorBoard is disabled"),
+        ("algorithms.runs.loggers.TensorBoard.log", io.StringIO, "TensorBoard is disabled"),
+        ("algorithms.runs.loggers.TensorBoard.close", io.StringIO, "TensorBoard is disabled"),
         ("rich.live.Live.start", Terminal, "the progress bar is not shown"),
         ("rich.live.Live.refresh", Terminal, "the progress bar is not shown"),
         ("rich.live.Live.stop", Terminal, "the progress bar is not shown"),
@@ -74,7 +75,7 @@ def test_a_run_is_finished_whatever_fails_beside_it(
     values = {**VALUES, "logging": {**VALUES["logging"], "save_figures": figures}}
     said = finished(tmp_path, make_experiment(values), file())
     assert said[0].endswith(f"warning: {message}: RuntimeError: of two lines")
-    assert len(said) == (2 if "EventFile" in place else 1)  # of the results, too
+    assert len(said) == (2 if "TensorBoard" in place else 1)  # of the results, too
 
 
 @pytest.mark.slow
@@ -104,14 +105,12 @@ def test_an_accessory_ends_with_its_first_error_and_lets_an_interrupt_pass() -> 
 
 def test_a_display_that_fails_gives_the_terminal_back(monkeypatch: pytest.MonkeyPatch) -> None:
     console = make_console(Terminal())
-    display = LiveDisplay(console, "the progress", lambda: "50%")
-    display.start()
-    monkeypatch.setattr("rich.live.Live.get_renderable", broken)
-    display.refresh()
-    display.refresh()
-    assert not display.shown
+    with ProgressReporter(100, 0, console) as progress:
+        monkeypatch.setattr("rich.live.Live.get_renderable", broken)
+        progress.show(now=True)
+        progress.show(now=True)
     print_line(console, "the end")
     text = console.file.getvalue()  # type: ignore[attr-defined]
-    assert text.count("the progress is not shown") == 1
+    assert text.count("the progress bar is not shown") == 1
     assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l"), "the cursor is visible again"
     assert "the end" in text

@@ -129,10 +129,15 @@ def test_an_exported_policy_drives_the_episodes_of_the_policy(
 def test_a_file_that_acts_differently_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = experiment_of("a2c", ONE_WAYPOINT, {}, hidden=[8])
     agent = build(experiment)
-    respond = onnx_export._distribution_of
-    monkeypatch.setattr(onnx_export, "_distribution_of", lambda *given: tuple(each + 1.0 for each in respond(*given)))
+    respond = onnx_export._ActorsGraph.distribution
+    changes: list[Any] = [lambda logits: logits + 1.0]
+
+    def changed(*given: Any) -> Any:
+        return tuple(map(changes[-1], respond(*given)))
+
+    monkeypatch.setattr(onnx_export._ActorsGraph, "distribution", changed)
     export_onnx(agent, experiment, tmp_path / "shifted.onnx")  # logits that differ by a constant are the same policy
-    monkeypatch.setattr(onnx_export, "_distribution_of", lambda *given: tuple(-each for each in respond(*given)))
+    changes.append(lambda logits: -logits)
     with pytest.raises(ValueError, match="chooses other actions than the policy"):
         export_onnx(agent, experiment, tmp_path / "policy.onnx")
     assert not (tmp_path / "policy.onnx").exists()

@@ -13,8 +13,7 @@ import algorithms.runs.config
 from algorithms import MOA2C
 from algorithms.runs.config import make_experiment
 from algorithms.runs.jobs import Job, perform
-from algorithms.runs.run_directory import read_status
-from algorithms.runs.run_files import changed_files
+from algorithms.runs.run_directory import changed_files, read_status
 from algorithms.runs.training import reopen, train_and_finish
 from mo_deepdrive.support.yaml import dump
 from tests.helpers.short_runs import VALUES, assert_same_run, job, quiet

@@ -11,6 +11,7 @@ import pytest
 
 from algorithms.studies.manifest import ManifestRow
 from tests.helpers.made_up_sweeps import Script, config_of, make_row
+from tests.helpers.script_runs import exit_code
 
 
 @pytest.fixture(scope="session")
@@ -30,17 +31,10 @@ def grid(base: dict[str, Any]) -> list[ManifestRow]:
 @pytest.fixture
 def table(load_script: Callable[[str], ModuleType]) -> Script:
     """Call mo-deepdrive table."""
-    return lambda *arguments: load_script("table").main([str(argument) for argument in arguments])
+    return lambda *arguments: exit_code(load_script("table").main, *arguments)
 
 
 @pytest.fixture
 def plot(load_script: Callable[[str], ModuleType]) -> Script:
     """Call mo-deepdrive plot."""
-
-    def call(*arguments: Any) -> int:
-        try:
-            return int(load_script("plot").main([str(argument) for argument in arguments]))
-        except SystemExit as end:
-            return int(end.code or 0)
-
-    return call
+    return lambda *arguments: exit_code(load_script("plot").main, *arguments)

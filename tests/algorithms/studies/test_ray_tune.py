@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from algorithms.runs.config import make_experiment
-from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
+from algorithms.runs.progress import Dashboard
 from algorithms.runs.run_directory import Run, read_status
 from algorithms.studies.settings import load_sweep
 from tests.helpers.short_runs import VALUES, quiet

@@ -23,8 +23,8 @@ pytest.importorskip("submitit", reason="submitit is not installed: pip install '
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from algorithms.runs.dashboard import Dashboard
 from algorithms.runs.jobs import Job
+from algorithms.runs.progress import Dashboard
 from algorithms.studies import slurm
 from algorithms.studies.execution import Backend, Runner
 from algorithms.studies.manifest import Scores, read_manifest

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from algorithms.runs.build import load_policy
-from algorithms.runs.policy_evaluation import evaluate_front_policies
+from algorithms.runs.report import evaluate_front_policies
 from algorithms.runs.run_directory import Run
 from mo_deepdrive import parallel_env
 from mo_deepdrive.evaluation.drives import READINGS, Playback, record_scenes

@@ -1,4 +1,4 @@
-"""The dashboard: the counts of runs by state, the time left, and how often it prints."""
+"""Progress: the counts of runs by state, the time left, compilation, and how often it is printed."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import json
 import re
 from pathlib import Path
 
+import numba
 import pytest
 from rich.console import Console
 
-from algorithms.runs import dashboard as module
-from algorithms.runs.dashboard import MOST_ROWS, Dashboard
+from algorithms.runs import progress as module
 from algorithms.runs.jobs import Job
+from algorithms.runs.progress import COMPILING, MOST_ROWS, Dashboard, ProgressReporter, compilation_noted
 from tests.helpers.short_runs import job, printed, quiet
 
 STEPS = 960  # of each run
@@ -32,7 +33,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """The dashboard's clock."""
     made = Clock()
-    monkeypatch.setattr(module, "monotonic", made)
+    monkeypatch.setattr(module, "perf_counter", made)
     return made
 
 
@@ -172,3 +173,34 @@ def test_a_terminal_shows_a_dozen_runs_and_counts_the_others(tmp_path: Path, mon
     assert [line.split()[-1] for line in seen if "seed" in line] == [str(seed) for seed in range(MOST_ROWS)]
     assert [line for line in seen if "more" in line] == ["and 3 more"]
     assert printed(console).count("\x1b[?25h") == 1  # the cursor is back
+
+
+# ------------------------------------------------------------------------------------------------------------- one run
+
+
+def test_the_time_left_is_that_of_the_updates_after_compilation(clock: Clock) -> None:
+    console = quiet()
+    with ProgressReporter(100_000, 0, console) as reporter:
+        for step, seconds in ((100, 30.0), (200, 16.0), (1200, 1.0), (20_200, 19.0)):
+            clock.now += seconds
+            reporter.update(step)
+    lines = printed(console).splitlines()
+    assert lines[0] == "step 100 of 100,000 (0%)"
+    assert lines[1] == "step 200 of 100,000 (0%)"
+    assert lines[2] == "step 20,200 of 100,000 (20%)    0:01:20 left"  # 20,000 steps in 20 s
+
+
+@pytest.mark.parametrize(("module", "said"), [("mo_deepdrive.simulation.kernel", [COMPILING]), ("users_code", [])])
+def test_compilation_is_mentioned_once_and_only_where_it_happens(module: str, said: list[str]) -> None:
+    def function(x: float) -> float:
+        return x + 1.0
+
+    function.__module__ = module
+    compiled, lines = numba.njit(function), []
+    with compilation_noted(lines.append):
+        compiled(1.0)
+        compiled(1)  # another type is compiled again
+    assert lines == said
+    with compilation_noted(lines.append):
+        compiled(2.0)
+    assert lines == said

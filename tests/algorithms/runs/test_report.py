@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms.runs import policy_evaluation
+from algorithms.runs import report
 from algorithms.runs.build import build
 from algorithms.runs.config import EnvironmentSettings, make_experiment
-from algorithms.runs.policy_evaluation import distinct_episodes, evaluate_front, evaluate_front_policies
+from algorithms.runs.report import distinct_episodes, evaluate_front, evaluate_front_policies
 
 OURS = "mo-deepdrive-{}-v0"
 
@@ -51,7 +51,7 @@ def test_one_episode_of_a_front_gives_the_numbers_of_many(monkeypatch: pytest.Mo
     driven = evaluate_front(agent, experiment, episodes=20, seed=5)
     evaluations = evaluate_front_policies(agent, driven, experiment, episodes=20, seed=5)
     assert driven.episodes == len(evaluations[0].returns) == 1
-    monkeypatch.setattr(policy_evaluation, "distinct_episodes", lambda _, episodes: episodes)
+    monkeypatch.setattr(report, "distinct_episodes", lambda _, episodes: episodes)
     every = evaluate_front(agent, experiment, episodes=20, seed=5)
     assert every.episodes == 20
     for name in ("returns", "low", "high", "discounted", "success", "length", "conditions"):

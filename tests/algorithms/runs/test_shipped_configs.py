@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from algorithms.runs.config import load_experiment
-from algorithms.runs.shipped import CONFIGS, config_names, find_config
+from algorithms.runs.config import CONFIGS, config_names, find_config, load_experiment
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.settings import load_study, load_sweep
 

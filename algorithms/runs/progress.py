@@ -1,0 +1,304 @@
+"""The progress of one run or of many: on a terminal kept up to date at its end, periodic lines elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+from abc import ABC, abstractmethod
+from collections import Counter
+from datetime import timedelta
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from algorithms.runs.console import print_line
+from algorithms.runs.interrupts import Accessory
+from algorithms.runs.run_directory import read_status
+from mo_deepdrive.evaluation.metrics import (
+    CARDINALITY,
+    FRONT,
+    HYPERVOLUME,
+    STEPS_PER_SECOND,
+    SUCCESS,
+    TRAIN,
+    UTILITY,
+    evaluation_prefix,
+    split_name,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from rich.console import RenderableType
+    from typing_extensions import Self
+
+
+LINE_INTERVAL, REFRESH_INTERVAL = 15.0, 0.1  # s between lines, and between refreshes of a terminal
+
+
+class Display(ABC):
+    """Shows progress while its context is open; what fails on the terminal is one line, and lines follow it."""
+
+    def __init__(self, console: Console, name: str):
+        self._console, self._last_line = console, ""
+        self._live: Live | None = None
+        self._accessory = Accessory(f"{name} is not shown", self.say)
+        self._shown_time = perf_counter()
+
+    @abstractmethod
+    def line(self) -> str:
+        """The progress as a line."""
+
+    @abstractmethod
+    def render(self) -> RenderableType:
+        """The progress as a terminal shows it."""
+
+    def say(self, message: str) -> None:
+        """Print a message, above what is shown."""
+        print_line(self._console, message)
+
+    def show(self, now: bool = False) -> None:
+        """Show the progress, if that was done long enough ago."""
+        if now or perf_counter() - self._shown_time >= (REFRESH_INTERVAL if self._live else LINE_INTERVAL):
+            self._shown_time = perf_counter()
+            if self._live is not None:
+                self._attempt(lambda live: live.refresh())
+            elif (line := self.line()) != self._last_line or not now:
+                self.say(line)
+                self._last_line = line
+
+    def _attempt(self, action: Callable[[Live], None]) -> None:
+        if self._live is None:
+            return
+        with self._accessory:
+            action(self._live)
+            return
+        live, self._live = self._live, None
+        with contextlib.suppress(Exception):  # it has failed and been reported; this restores the cursor
+            live.stop()
+
+    def __enter__(self) -> Self:
+        self._shown_time = perf_counter()
+        if self._console.is_terminal:
+            # No thread refreshes it, whose errors nobody would catch.
+            self._live = Live(console=self._console, get_renderable=self.render, auto_refresh=False)
+            self._attempt(lambda live: live.start(refresh=True))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        on_terminal = self._live is not None
+        self._attempt(lambda live: live.stop())  # which shows it a last time
+        if not on_terminal:
+            self.show(now=True)
+
+
+# -------------------------------------------------------------------------------------------------------------- one run
+
+SHOWN_METRICS = (STEPS_PER_SECOND, *(evaluation_prefix(FRONT) + name for name in (HYPERVOLUME, CARDINALITY)))
+FIRST_UPDATES = 2  # in which code may be compiled; the time left is known from later ones
+COMPILING = "compiling the simulator (once, about 20 s)"
+
+
+@contextlib.contextmanager
+def compilation_noted(say: Callable[[str], None]) -> Iterator[None]:
+    """In this context, ``say`` is called once if Numba has to compile code of this project, which is not cached yet."""
+    from numba.core import event  # not earlier: what only starts workers needs no Numba
+
+    messages = [COMPILING]
+
+    class Listener(event.Listener):
+        def on_start(self, event: Any) -> None:
+            module = event.data["dispatcher"].py_func.__module__
+            if messages and module.partition(".")[0] in ("mo_deepdrive", "algorithms"):
+                say(messages.pop())
+
+        def on_end(self, event: Any) -> None:
+            """Not needed."""
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
+
+
+class ProgressReporter(Display):
+    """Shows steps, speed, time left, arrivals, where they are reported, and the utility, or the hypervolume of a front.
+
+    ``total`` are the environment steps of the whole training, of which ``step`` have been taken.
+    """
+
+    def __init__(self, total: int, step: int, console: Console, arrivals: bool = True, front: bool = False):
+        super().__init__(console, "the progress bar")
+        of_front = {HYPERVOLUME: "hypervolume {:,.1f}", CARDINALITY: "{:.0f} policies"}
+        self._formats = of_front if front else {UTILITY: "utility {:.2f}"}
+        if arrivals:
+            self._formats = {**self._formats, SUCCESS: "arrivals {:.0%}"}
+        self._total, self._step, self._first, self._updates = total, step, step, 0
+        self._start_time = perf_counter()
+        self._metrics: dict[str, float] = {}
+        self._bar = Progress(
+            BarColumn(bar_width=None),
+            TextColumn(f"{{task.percentage:>3.0f}}% of {total:,}"),
+            TextColumn("{task.fields[numbers]}"),
+            TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+            console=console,
+        )
+        self._task = self._bar.add_task("training", total=total, completed=step, numbers="")
+
+    def note(self, metrics: Mapping[str, float]) -> None:
+        """Keep the newest values of the metrics that are shown."""
+        for name, value in metrics.items():
+            if name in SHOWN_METRICS or (name.startswith(TRAIN) and split_name(name).metric in (UTILITY, SUCCESS)):
+                self._metrics[name] = value
+
+    def update(self, step: int) -> None:
+        """Show that ``step`` environment steps have been taken."""
+        self._step = step
+        self._updates += 1
+        if self._updates == FIRST_UPDATES:
+            self._start_time, self._first = perf_counter(), step
+        self.show()
+
+    def _numbers(self) -> str:
+        """The metrics as text; with several vehicles their mean."""
+        parts = []
+        for suffix, unit in self._formats.items():
+            values = [value for name, value in self._metrics.items() if name.endswith("/" + suffix)]
+            if values:
+                parts.append(unit.format(sum(values) / len(values)))
+        if STEPS_PER_SECOND in self._metrics:
+            parts.append(f"{self._metrics[STEPS_PER_SECOND]:,.0f} steps/s")
+        return "  ".join(parts)
+
+    def line(self) -> str:
+        """As :meth:`Display.line`."""
+        left = ""
+        if self._updates > FIRST_UPDATES and self._step < self._total:
+            seconds = (perf_counter() - self._start_time) / (self._step - self._first) * (self._total - self._step)
+            left = f"  {timedelta(seconds=round(seconds))} left"
+        share = self._step / self._total
+        return f"step {self._step:,} of {self._total:,} ({share:.0%})  {self._numbers()}{left}".rstrip()
+
+    def render(self) -> RenderableType:
+        """As :meth:`Display.render`."""
+        self._bar.update(self._task, completed=min(self._step, self._total), numbers=self._numbers())
+        return self._bar.get_renderable()
+
+
+# ------------------------------------------------------------------------------------------------------------ many runs
+
+# The name of each state in the table.
+SHOWN_STATES = {
+    "finished": "done",
+    "pruned": "pruned",
+    "failed": "failed",
+    "running": "running",
+    "trained": "running",
+    "interrupted": "interrupted",
+    None: "waiting",
+}
+ENDED = ("finished", "pruned")
+READING_SHARE = 0.05  # largest share of the time that is spent reading directories
+MOST_ROWS = 12  # running jobs that are listed
+
+
+def count_states(states: Iterable[Any]) -> Counter[str]:
+    """The number of runs in each state, by the names in the table; the states are those of status.json or None."""
+    return Counter(SHOWN_STATES[state] for state in states)
+
+
+def summary_of(counts: Counter[str]) -> str:
+    """The result of :func:`count_states` in one line."""
+    parts = [f"{counts[name]} {name}" for name in ("done", "running", "failed", "waiting")]
+    parts += [f"{counts[name]} {name}" for name in ("interrupted", "pruned") if counts[name]]
+    return f"{', '.join(parts)} of {counts.total()}"
+
+
+class Dashboard(Display):
+    """Shows how many runs are done, running, failed and waiting, the running ones, and the time left.
+
+    Call :meth:`update` often; it reads the directories of ``jobs``, each a Job, at longer intervals.
+    """
+
+    def __init__(self, jobs: Sequence[Any], console: Console, title: str = "runs"):
+        super().__init__(console, "the progress")
+        self._jobs, self._title = list(jobs), title
+        self._status: dict[Path, dict[str, Any]] = {}
+        self._failed: set[Path] = set()
+        self._start_time, self._next_update = perf_counter(), 0.0
+        self._read()
+        self._steps_at_start = self._steps_done()
+
+    @property
+    def counts(self) -> Counter[str]:
+        """The number of runs in each state, by the names in the table."""
+        return count_states(map(self._state, self._jobs))
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Seconds until all runs are done, at the mean speed since the start; None before the first new step."""
+        done = self._steps_done() - self._steps_at_start
+        return self._steps_left() * (perf_counter() - self._start_time) / done if done > 0 else None
+
+    def failed(self, job: Any, reason: str) -> None:
+        """Mark a run as failed and print the reason."""
+        self._failed.add(job.path)
+        self.say(f"FAILED {job.name}: {reason}")
+
+    def update(self, now: bool = False) -> None:
+        """Read and show the progress if the last update is long enough ago, or if ``now`` is true."""
+        started = perf_counter()
+        if now or started >= self._next_update:
+            self._read()
+            self._next_update = perf_counter() + max(1.0, (perf_counter() - started) / READING_SHARE)
+            self.show()
+
+    def _state(self, job: Any) -> Any:
+        return "failed" if job.path in self._failed else self._status[job.path].get("state")
+
+    def _read(self) -> None:
+        for job in self._jobs:
+            if self._status.get(job.path, {}).get("state") not in ENDED:
+                self._status[job.path] = read_status(job.path)
+
+    def _step(self, job: Any) -> int:
+        total: int = job.experiment.training.total_timesteps
+        return min(total, int(self._status[job.path].get("step", 0)))
+
+    def _steps_done(self) -> int:
+        """Steps up to the last checkpoints, over all runs."""
+        return sum(map(self._step, self._jobs))
+
+    def _steps_left(self) -> int:
+        """Steps until all runs are done, without those that have ended or failed."""
+        left = [job for job in self._jobs if self._state(job) not in (*ENDED, "failed")]
+        return sum(job.experiment.training.total_timesteps - self._step(job) for job in left)
+
+    def summary(self) -> str:
+        """One line: the number of runs in each state, and the time left."""
+        left = self.seconds_left
+        return summary_of(self.counts) + (f", {timedelta(seconds=round(left))} left" if left else "")
+
+    def line(self) -> str:
+        """As :meth:`Display.line`."""
+        return f"{self._title}: {self.summary()}"
+
+    def render(self) -> RenderableType:
+        """As :meth:`Display.render`."""
+        head, rows = Table.grid(padding=(0, 2)), Table.grid(padding=(0, 2))
+        done, left = self._steps_done(), self._steps_left()
+        head.add_row(
+            Text(self._title, style="bold", overflow="fold"),
+            ProgressBar(max(1, done + left), done if left else max(1, done), width=30),
+            Text(self.summary()),
+        )
+        running = [job for job in self._jobs if SHOWN_STATES[self._state(job)] == "running"]
+        for job in running[:MOST_ROWS]:
+            step, total = self._step(job), job.experiment.training.total_timesteps
+            rows.add_row(ProgressBar(total, step, width=16), Text(f"{step / total:.0%}"), Text(job.name))
+        more = len(running) - MOST_ROWS
+        return Group(head, rows, *([Text(f"and {more} more")] if more > 0 else []))
