@@ -21,7 +21,7 @@ from algorithms.runs.loggers import log_results
 from algorithms.runs.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.runs.run_directory import METRICS_FILE
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
-from mo_deepdrive.evaluation.evaluation_files import write_evaluation
+from mo_deepdrive.evaluation.evaluation import write_evaluation
 from mo_deepdrive.evaluation.front import FRONT_FILE, best_known_front, measure_front
 from mo_deepdrive.evaluation.metrics import FRONT, GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.splits import describe_episodes
