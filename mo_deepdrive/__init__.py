@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from pettingzoo import AECEnv
 
     from mo_deepdrive.envs.parallel import DrivingParallelEnv
-    from mo_deepdrive.fronts.reference_fronts import reference_front
-    from mo_deepdrive.fronts.reference_points import reference_point
+    from mo_deepdrive.fronts.reference_fronts import reference_front, reference_point
 
 __all__ = [
     "Objective",
@@ -43,7 +42,7 @@ __version__ = "0.2.0"
 # Attributes that are imported on first use, and their modules.
 _LAZY = {
     "reference_front": "mo_deepdrive.fronts.reference_fronts",
-    "reference_point": "mo_deepdrive.fronts.reference_points",
+    "reference_point": "mo_deepdrive.fronts.reference_fronts",
 }
 
 for _scenario in SCENARIOS.values():

@@ -473,6 +473,29 @@ def _with_budgets(name: str, budgets: Mapping[str, Any]) -> ComfortBudget:
     return replace(COMFORT_BUDGETS[name], **numbers)
 
 
+def fitting_utility(
+    utility: str | Utility,
+    objectives: Sequence[str],
+    cost_sign: str = "maximise",
+    *,
+    named: bool = True,
+    **arguments: Any,
+) -> Utility:
+    """A utility, by its name or as it is, for an environment; objectives that are ``named`` must be the same.
+
+    Raises:
+        ValueError: as :func:`make_utility`, or if the utility takes other objectives.
+    """
+    if isinstance(utility, str):
+        return make_utility(utility, objectives, cost_sign, **arguments)
+    if arguments:
+        raise ValueError(f"arguments {sorted(arguments)} are for a utility given by name")
+    if utility.objectives != tuple(objectives) and (named or len(utility.objectives) != len(objectives)):
+        has = f"the environment has {tuple(objectives)}, in this order"
+        raise ValueError(f"utility {utility.name!r} takes {utility.objectives}; {has}")
+    return utility
+
+
 def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> None:
     """Call a utility with returns of every number of axes: of a mean, of episodes, and of steps of episodes.
 

@@ -14,7 +14,7 @@ from pettingzoo.utils import BaseParallelWrapper
 
 from mo_deepdrive.support.names import nearest
 from mo_deepdrive.support.plain_values import finite_numbers
-from mo_deepdrive.utilities import Utility, make_utility
+from mo_deepdrive.utilities import Utility, fitting_utility
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -371,15 +371,8 @@ def _fitting_utility(
     if space is None or len(space.shape) != 1:
         raise ValueError(f"a utility needs vector rewards; {env} has no reward_space of shape (d,)")
     objectives = tuple(f"objective_{i}" for i in range(space.shape[0])) if names is None else tuple(names)
-    if isinstance(utility, str):
-        cost_sign = getattr(getattr(env.unwrapped, "config", None), "cost_sign", "maximise")
-        return make_utility(utility, objectives, cost_sign, **arguments)
-    if arguments:
-        raise ValueError(f"arguments {sorted(arguments)} are for a utility given by name")
-    fits = len(utility.objectives) == len(objectives) if names is None else utility.objectives == objectives
-    if not fits:
-        raise ValueError(f"utility {utility.name!r} takes {utility.objectives}; the environment has {objectives}")
-    return utility
+    cost_sign = getattr(getattr(env.unwrapped, "config", None), "cost_sign", "maximise")
+    return fitting_utility(utility, objectives, cost_sign, named=names is not None, **arguments)
 
 
 class ScaledObservation(gymnasium.ObservationWrapper[Any, Any, Any], gymnasium.utils.RecordConstructorArgs):

@@ -99,7 +99,7 @@ def unskilled_policies(config: EnvConfig) -> dict[str, Function]:
     Args:
         config: of the environment.
     """
-    scenario = config.row
+    scenario = config.scenario_data
     axes = (scenario.vehicles,) if scenario.vehicles > 1 else ()
     found: dict[str, Function] = {
         "stands still": _holding(idle(config.action_type), axes),

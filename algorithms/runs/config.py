@@ -344,11 +344,11 @@ def _front_evaluation(evaluation: EvaluationSettings, config: EnvConfig) -> dict
     gamma, point = evaluation.gamma, evaluation.reference_point
     if "gamma" not in evaluation.model_fields_set:
         # As late as this, because they import the simulation.
-        from mo_deepdrive.fronts.reference_points import default_discount
+        from mo_deepdrive.fronts.reference_fronts import default_discount
         from mo_deepdrive.world.params import chosen_objectives
 
         gamma = default_discount(chosen_objectives(config))
-    if point is None and config.row.vehicles == 1:
+    if point is None and config.scenario_data.vehicles == 1:
         try:
             default = mo_deepdrive.reference_point(config.scenario, config.action_type, gamma, config.objectives)
         except ValueError as error:

@@ -27,8 +27,7 @@ from algorithms.runs.run_directory import METRICS_FILE, imported_paths
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import OTHER_ENVS, OUR_ENVS, evaluate
-from mo_deepdrive.evaluation.evaluation import Evaluation
-from mo_deepdrive.evaluation.evaluation_files import write_evaluation
+from mo_deepdrive.evaluation.evaluation import Evaluation, write_evaluation
 from mo_deepdrive.evaluation.front import FRONT_FILE, Front, best_known_front, indicators, measure_front
 from mo_deepdrive.evaluation.metrics import ARRIVED, FRONT, GREEDY, STOCHASTIC, SUCCESS, SUITE
 from mo_deepdrive.evaluation.splits import SPLITS, Split, describe_episodes

@@ -290,7 +290,7 @@ class Viewer:
             raise ValueError(f"render_mode = {render_mode!r} must be one of {list(RENDER_MODES)}")
         self.config = config
         self.render_mode = render_mode
-        self.scenario = config.row
+        self.scenario = config.scenario_data
         self._roads = self.scenario.routes if self.scenario.roads else ()
         self.objectives = chosen_objectives(config)
         # With this sign the rewards are the magnitudes.

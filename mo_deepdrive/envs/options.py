@@ -108,7 +108,7 @@ def make_pins(options: Mapping[str, Any] | None, config: EnvConfig) -> np.ndarra
     """
     if not (options := checked_options(options)):
         return None
-    scenario = config.row
+    scenario = config.scenario_data
     known = option_names(scenario)
     for name in options:
         if name not in known:

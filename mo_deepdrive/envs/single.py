@@ -52,7 +52,7 @@ class DrivingEnv(WorldEnv):
 
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
         config = parse_arguments(scenario, options)
-        if (vehicles := config.row.vehicles) > 1:
+        if (vehicles := config.scenario_data.vehicles) > 1:
             raise ValueError(
                 f"scenario = {scenario!r} has {vehicles} vehicles; use gymnasium.make({SCENARIOS[scenario].id!r}), "
                 "where they take turns, its make_vec, or mo_deepdrive.parallel_env()"

@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 def observation_space(config: EnvConfig) -> spaces.Box:
     """The observation of one vehicle: float32, shape (size,), SI units; entries in ``observation.layout``."""
-    low, high = observation.bounds(config.row, limits(config))
+    low, high = observation.bounds(config.scenario_data, limits(config))
     return spaces.Box(low, high, dtype=np.float32)
 
 
 def observation_scales(config: EnvConfig) -> NDArray[np.float32]:
     """Nominal magnitudes of the observation of one vehicle, by which learners divide: (size,)."""
-    return observation.scales(config.row).astype(np.float32)
+    return observation.scales(config.scenario_data).astype(np.float32)
 
 
 def joint_observation_space(config: EnvConfig) -> spaces.Box:
     """The concatenated observations of all vehicles: float32, shape (vehicles * size,)."""
     space = observation_space(config)
-    vehicles = config.row.vehicles
+    vehicles = config.scenario_data.vehicles
     return spaces.Box(np.tile(space.low, vehicles), np.tile(space.high, vehicles), dtype=np.float32)
 
 

@@ -76,18 +76,10 @@ def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], s
 def rank_policies(
     values: NDArray[np.float64], mean_returns: NDArray[np.float64], scales: NDArray[Any]
 ) -> NDArray[np.intp]:
-    """Order policies by their values, the greatest first.
+    """Indices (K,) of policies in the order of their ``values`` (K,), the greatest first.
 
-    Args:
-        values: (K,) values of the policies; those that differ only by rounding errors are considered equal.
-        mean_returns: (K, d); of equal values, the policy with the greater sum of mean returns comes first.
-        scales: (d,) magnitudes by which the returns are divided.
-
-    Returns:
-        (K,) indices of the policies.
-
-    Raises:
-        ValueError: for a value that is not finite.
+    Values that differ only by rounding errors are equal: then the greater sum of ``mean_returns`` (K, d), divided by
+    ``scales`` (d,), comes first. A value that is not finite is a ValueError.
     """
     if not np.isfinite(values).all():
         (first, *_) = np.flatnonzero(~np.isfinite(values)).tolist()

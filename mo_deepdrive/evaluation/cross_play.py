@@ -94,7 +94,7 @@ def cross_play(
     def utility_of(name: str) -> UtilityLike:
         return utility[name] if isinstance(utility, Mapping) else utility
 
-    found = []
+    encounters = []
     for first, one in drivers[0].items():
         for second, other in drivers[1].items():
             others = one.env.vehicles - 1
@@ -108,10 +108,10 @@ def cross_play(
                 env_kwargs=env_kwargs,
                 greedy=greedy,
             )
-            found.append(Encounter((first, second), _estimates(result)))
+            encounters.append(Encounter((first, second), _estimates(result)))
             if progress is not None:
                 progress()
-    return found
+    return encounters
 
 
 def _estimates(result: Evaluation) -> dict[str, Estimate]:

@@ -133,20 +133,10 @@ def record_scenes(
     seeds: Sequence[int],
     drives: int,
 ) -> list[Scene]:
-    """Record one episode of each of K drivers in each of S scenarios.
+    """Record one episode of each of K = ``drives`` drivers in each of the S scenarios of the ``seeds``.
 
-    Args:
-        policy: acts in N = S K environments: those of the first scenario first.
-        env_id: of an environment of this package, with V vehicles.
-        env_arguments: its keyword arguments.
-        seeds: of the S scenarios.
-        drives: K.
-
-    Returns:
-        S scenes.
-
-    Raises:
-        ValueError: if the environment is not one of this package.
+    The policy acts in S K environments, those of the first scenario first. An environment that is not one of this
+    package is a ValueError.
     """
     if not is_drivable(env_id):
         raise ValueError(f"drives in {env_id!r} cannot be recorded: it is not a driving scenario")

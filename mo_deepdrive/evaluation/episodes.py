@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, is_drivable, make_env
-from mo_deepdrive.evaluation.evaluation import Evaluation
-from mo_deepdrive.evaluation.evaluation_files import Provenance
+from mo_deepdrive.evaluation.evaluation import Evaluation, Provenance
 from mo_deepdrive.evaluation.policy import FunctionPolicy, Policy, check_same_task, drive, seeded_generator
 from mo_deepdrive.evaluation.splits import first_seed
 from mo_deepdrive.support.machine import check_memory
 from mo_deepdrive.support.plain_values import is_finite
-from mo_deepdrive.utilities import Utility, check_utility, make_utility
+from mo_deepdrive.utilities import Utility, check_utility, fitting_utility
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -171,17 +170,12 @@ def vehicle_utilities(utility: UtilityLike | Sequence[UtilityLike] | None, env: 
 
 
 def _utility(utility: UtilityLike, env: EnvAdapter) -> Utility:
-    if isinstance(utility, str):
-        return make_utility(utility, env.objectives, env.cost_sign)
-    if not isinstance(utility, Utility):
+    if not isinstance(utility, (str, Utility)):
         utility = Utility(getattr(utility, "__name__", "utility"), env.objectives, utility)
-    fits = utility.objectives == env.objectives if env.named else len(utility.objectives) == len(env.objectives)
-    if not fits:
-        raise ValueError(
-            f"utility {utility.name!r} reads {utility.objectives} in this order; the environment emits {env.objectives}"
-        )
-    check_utility(utility, np.zeros)
-    return utility
+    fitting = fitting_utility(utility, env.objectives, env.cost_sign, named=env.named)
+    if fitting is utility:
+        check_utility(fitting, np.zeros)
+    return fitting
 
 
 def evaluate_each(

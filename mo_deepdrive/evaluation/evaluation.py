@@ -1,55 +1,60 @@
-"""The episodes of one policy, their metrics, and every metric's 95% interval over the episodes."""
+"""The episodes of one policy, their metrics with 95% intervals over the episodes, and both as files."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import io
+import json
+import os
+import zipfile
+from dataclasses import asdict, dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import yaml
 
-from mo_deepdrive.evaluation.evaluation_files import Provenance, read_episodes, save_as_run
-from mo_deepdrive.evaluation.metrics import (
-    ARRIVED,
-    COLLISION,
-    COMFORT,
-    DISCOUNTED_RETURN,
-    DISCOUNTED_UTILITY_ESR,
-    DISCOUNTED_UTILITY_SER,
-    END,
-    GINI_UTILITY_ESR,
-    LENGTH,
-    MEAN_UTILITY_ESR,
-    RETURN,
-    SHARE_ARRIVED,
-    SHARE_COLLIDED,
-    SUCCESS,
-    TOTAL_UTILITY_ESR,
-    USUAL_FAILURES,
-    UTILITY_ESR,
-    UTILITY_SER,
-    WORST_OFF_UTILITY_ESR,
-    discounted_return_of,
-    end_by,
-    end_rates,
-    joint_objectives,
-    maximum_of,
-    mean_of,
-    return_of,
-    split_name,
-    vehicle_prefix,
-)
-from mo_deepdrive.evaluation.splits import describe_episodes
+from mo_deepdrive.evaluation import metrics
+from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes
 from mo_deepdrive.evaluation.statistics import Estimate, mean, rate, utility_of_mean
 from mo_deepdrive.evaluation.team import generalised_gini, total, worst_off
+from mo_deepdrive.support.atomic_io import atomic_folder, atomic_write, csv_bytes, own_path, write_json
+from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from mo_deepdrive.utilities import Utility
+
+
+EVALUATION_FILE, EPISODES_FILE = "evaluation.json", "episodes.npz"
+ARRAYS = ("returns", "discounted", "lengths", "succeeded", "ends", "largest")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How an evaluation was done.
+
+    Attributes:
+        env_id: the environment.
+        seed: of the first episode; those of the others count up.
+        gamma: discount of the discounted returns.
+        greedy: whether actions were the most likely (or mean) ones; of a function, which evaluate cannot know, True.
+        arguments: of the environment; of this package's all, of another's those that were given.
+    """
+
+    env_id: str
+    seed: int
+    gamma: float
+    greedy: bool
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+    def split(self, episodes: int) -> str | None:
+        """The split of which the first ``episodes`` scenarios were driven; None for another seed."""
+        found = (name for name, seeds in SPLITS.items() if seeds.start == self.seed and episodes <= len(seeds))
+        return next(found, None)
 
 
 class Measure(NamedTuple):
@@ -98,12 +103,14 @@ class Evaluation:
             team = [f"{name} {samples.mean():.4g}" for name, samples in self.team_samples().items()]
             lines.append(f"  together: {', '.join(team)}")
         for v in range(vehicles):
-            scores = [f"{SUCCESS} {self.succeeded[:, v].mean():.4g}"]
+            scores = [f"{metrics.SUCCESS} {self.succeeded[:, v].mean():.4g}"]
             if self.utilities:
-                scores.append(f"{UTILITY_ESR} {self.episode_utilities(v).mean():.4g} ({self.utilities[v].name})")
+                scores.append(
+                    f"{metrics.UTILITY_ESR} {self.episode_utilities(v).mean():.4g} ({self.utilities[v].name})"
+                )
             means = zip(self.objectives, self.returns[:, v].mean(axis=0), strict=True)
             scores.append("mean returns " + ", ".join(f"{name} {value:.4g}" for name, value in means))
-            lines.append(f"  {vehicle_prefix(v, vehicles).replace('/', ': ')}{'; '.join(scores)}")
+            lines.append(f"  {metrics.vehicle_prefix(v, vehicles).replace('/', ': ')}{'; '.join(scores)}")
         return "\n".join(lines)
 
     def save(self, directory: str | Path, *, name: str, seed: int, steps: int = 0, greedy: bool | None = None) -> Path:
@@ -124,9 +131,45 @@ class Evaluation:
             ValueError: if the directory exists, an argument is not valid, or the environment is not known.
             OSError: if it cannot be written; nothing is left then.
         """
-        if greedy is None:
-            greedy = self.provenance is None or self.provenance.greedy
-        return save_as_run(self, directory, name=name, seed=seed, steps=steps, greedy=greedy)
+        about = self.provenance
+        if about is None:
+            raise ValueError("the evaluation does not know its environment: save what evaluate returned")
+        for argument, value in (("seed", seed), ("steps", steps)):
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
+                raise ValueError(f"{argument} = {value!r} must be an integer of at least 0")
+        if not (isinstance(name, str) and name.strip() and name.isprintable()):
+            raise ValueError(f"name = {name!r} must be the label of the algorithm")
+        target, episodes = Path(directory), len(self.returns)
+        if os.path.lexists(target):
+            raise ValueError(f"directory {str(target)!r} exists; choose another")
+        utilities = [{"name": each.name, "arguments": _plain(each.arguments or {})} for each in self.utilities]
+        own = {metrics.vehicle_name(v): each for v, each in enumerate(utilities) if each != utilities[0]}
+        config = {
+            "environment": {"id": about.env_id, "arguments": _plain(about.arguments)},
+            "utility": {**utilities[0], "vehicles": own} if utilities else None,
+            "algorithm": {"name": name},
+            "training": {"total_timesteps": int(steps), "seed": int(seed)},
+            "evaluation": {
+                "final_episodes": episodes,
+                "split": about.split(episodes),
+                "gamma": about.gamma,
+                "reference_point": None,
+            },
+        }
+        policy = metrics.GREEDY if (about.greedy if greedy is None else greedy) else metrics.STOCHASTIC
+        curve = {metrics.evaluation_prefix(policy) + metric: value for metric, value in self.metrics().items()}
+        rows: list[list[Any]] = [[metrics.STEP, *curve], [int(steps), *curve.values()]]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_folder(target) as staged:
+            write_evaluation(
+                staged,
+                {policy: self},
+                {"step": int(steps), "episodes": episodes, "seed": about.seed, "gamma": about.gamma},
+            )
+            atomic_write(staged / "metrics.csv", csv_bytes(rows))
+            atomic_write(staged / EPISODES_FILE, _episodes_bytes(self))
+            atomic_write(staged / "config.yaml", yaml.safe_dump(config, sort_keys=False).encode())
+        return target
 
     @classmethod
     def load(cls, directory: str | Path, *, utilities: Sequence[Utility] | None = None) -> Evaluation:
@@ -139,7 +182,33 @@ class Evaluation:
         Raises:
             ValueError: if it is missing or broken, or has a utility that this package cannot make.
         """
-        return cls(**read_episodes(directory, utilities))
+        path = Path(directory) / EPISODES_FILE
+        if not path.is_file():
+            raise ValueError(f"{str(directory)!r} has no {EPISODES_FILE}; Evaluation.save writes it")
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in ARRAYS}
+                about = json.loads(str(file["about"]))
+            objectives, provenance = tuple(about["objectives"]), Provenance(**about["provenance"])
+            known = [(str(name), arguments) for name, arguments in about["utilities"]]
+            e, v, d = arrays["returns"].shape
+            shapes = {name: (e, v, d) if name in ("returns", "discounted", "largest") else (e, v) for name in ARRAYS}
+            if any(arrays[name].shape != shape for name, shape in shapes.items()) or len(objectives) != d:
+                raise ValueError("its arrays do not fit together")
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            raise ValueError(f"{str(path)!r} is not a saved evaluation: {error}") from None
+        if utilities is None:
+            cost_sign = provenance.arguments.get("cost_sign", "maximise")
+            utilities = [_utility(name, objectives, cost_sign, arguments) for name, arguments in known]
+        elif len(utilities) != v:
+            raise ValueError(f"{len(utilities)} utilities are given for {v} vehicles")
+        ends = np.where(arrays["ends"] == "", None, arrays["ends"].astype(object))
+        return cls(
+            **{**arrays, "ends": ends},
+            objectives=objectives,
+            utilities=tuple(utilities),
+            provenance=provenance,
+        )
 
     def episode_utilities(self, v: int = 0) -> NDArray[np.float64]:
         """(E,) utility of every undiscounted return of vehicle ``v``; its mean is the ESR value."""
@@ -147,25 +216,25 @@ class Evaluation:
 
     def team_samples(self) -> dict[str, NDArray[Any]]:
         """(E,) what is measured of all vehicles together, by metric; means are the metrics."""
-        collided = np.array([[end == COLLISION for end in ends] for ends in self.ends.tolist()])
+        collided = np.array([[end == metrics.COLLISION for end in ends] for ends in self.ends.tolist()])
         samples: dict[str, NDArray[Any]] = {
-            SUCCESS: self.joint_succeeded,
-            end_by(COLLISION): np.asarray(collided.any(axis=1)),
-            SHARE_ARRIVED: self.succeeded.mean(axis=1),
-            SHARE_COLLIDED: collided.mean(axis=1),
+            metrics.SUCCESS: self.joint_succeeded,
+            metrics.end_by(metrics.COLLISION): np.asarray(collided.any(axis=1)),
+            metrics.SHARE_ARRIVED: self.succeeded.mean(axis=1),
+            metrics.SHARE_COLLIDED: collided.mean(axis=1),
         }
         if self.utilities:
             each = np.stack([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=1)
-            samples[TOTAL_UTILITY_ESR] = total(each)
-            samples[MEAN_UTILITY_ESR] = samples[TOTAL_UTILITY_ESR] / each.shape[1]
-            samples[WORST_OFF_UTILITY_ESR] = worst_off(each)
-            samples[GINI_UTILITY_ESR] = generalised_gini(each)
+            samples[metrics.TOTAL_UTILITY_ESR] = total(each)
+            samples[metrics.MEAN_UTILITY_ESR] = samples[metrics.TOTAL_UTILITY_ESR] / each.shape[1]
+            samples[metrics.WORST_OFF_UTILITY_ESR] = worst_off(each)
+            samples[metrics.GINI_UTILITY_ESR] = generalised_gini(each)
         return samples
 
     @property
     def joint_objectives(self) -> tuple[str, ...]:
         """Names of the V d components of joint returns: those of the first vehicle, of the second one, and so on."""
-        return joint_objectives(self.objectives, self.returns.shape[1])
+        return metrics.joint_objectives(self.objectives, self.returns.shape[1])
 
     @property
     def joint_returns(self) -> NDArray[np.float64]:
@@ -189,7 +258,7 @@ class Evaluation:
 
     def end_rates(self, v: int = 0) -> dict[str, float]:
         """Share of the episodes of vehicle ``v`` per reason of their end."""
-        return end_rates(self.ends[:, v])
+        return metrics.end_rates(self.ends[:, v])
 
     def estimates(self) -> dict[str, Estimate]:
         """Every metric with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
@@ -217,38 +286,40 @@ class Evaluation:
                 yield _mean_of(name, samples)
         for v in range(vehicles):
             for measure in sorted(self._vehicle_measures(v), key=place):
-                yield measure._replace(name=vehicle_prefix(v, vehicles) + measure.name)
+                yield measure._replace(name=metrics.vehicle_prefix(v, vehicles) + measure.name)
 
     def _vehicle_measures(self, v: int) -> Iterator[Measure]:
         returns, discounted, lengths = self.returns[:, v], self.discounted[:, v], self.lengths[:, v]
         if self.utilities:
             utility = self.utilities[v]
             for esr, ser, vectors in (
-                (UTILITY_ESR, UTILITY_SER, returns),
-                (DISCOUNTED_UTILITY_ESR, DISCOUNTED_UTILITY_SER, discounted),
+                (metrics.UTILITY_ESR, metrics.UTILITY_SER, returns),
+                (metrics.DISCOUNTED_UTILITY_ESR, metrics.DISCOUNTED_UTILITY_SER, discounted),
             ):
                 yield _mean_of(esr, np.asarray(utility(vectors)))
                 yield Measure(ser, float(utility(vectors.mean(axis=0))), partial(utility_of_mean, vectors, utility))
-        yield _mean_of(SUCCESS, self.succeeded[:, v])
-        yield _mean_of(LENGTH, lengths)
+        yield _mean_of(metrics.SUCCESS, self.succeeded[:, v])
+        yield _mean_of(metrics.LENGTH, lengths)
         for reason in self.end_rates(v):
-            yield _mean_of(end_by(reason), np.array([str(end) == reason for end in self.ends[:, v]]))
+            yield _mean_of(metrics.end_by(reason), np.array([str(end) == reason for end in self.ends[:, v]]))
         for i, objective in enumerate(self.objectives):
-            yield _mean_of(return_of(objective), returns[:, i])
-            yield _mean_of(discounted_return_of(objective), discounted[:, i])
-            if objective in COMFORT:
-                yield _mean_of(mean_of(objective), np.abs(returns[:, i]) / np.maximum(lengths, 1))
+            yield _mean_of(metrics.return_of(objective), returns[:, i])
+            yield _mean_of(metrics.discounted_return_of(objective), discounted[:, i])
+            if objective in metrics.COMFORT:
+                yield _mean_of(metrics.mean_of(objective), np.abs(returns[:, i]) / np.maximum(lengths, 1))
                 largest = float(self.largest[:, v, i].max())
-                yield Measure(maximum_of(objective), largest, partial(Estimate, largest))
+                yield Measure(metrics.maximum_of(objective), largest, partial(Estimate, largest))
 
     def _is_reported(self, name: str, value: float) -> bool:
         """Whether a metric has a place in tables: what no episode came to is left out, but for the usual failures."""
-        _, vehicle, metric = split_name(name)
-        if metric == SUCCESS:
+        _, vehicle, metric = metrics.split_name(name)
+        if metric == metrics.SUCCESS:
             of_all = not vehicle and self.returns.shape[1] > 1
             return of_all or value > 0.0 or any(end is not None for end in self.ends.flat)
-        if metric.startswith(END):
-            return metric != end_by(ARRIVED) and (value > 0.0 or metric.removeprefix(END) in USUAL_FAILURES)
+        if metric.startswith(metrics.END):
+            return metric != metrics.end_by(metrics.ARRIVED) and (
+                value > 0.0 or metric.removeprefix(metrics.END) in metrics.USUAL_FAILURES
+            )
         return True
 
 
@@ -259,8 +330,91 @@ def _mean_of(name: str, samples: NDArray[Any]) -> Measure:
 def _place_in_tables(measure: Measure) -> int:
     """After utilities and success come the usual failures, other ends, length and returns, and comfort."""
     name = measure.name
-    if name.startswith(END):
-        return 1 if name.removeprefix(END) in USUAL_FAILURES else 2
-    if name == LENGTH or name.startswith((RETURN, DISCOUNTED_RETURN)):
+    if name.startswith(metrics.END):
+        return 1 if name.removeprefix(metrics.END) in metrics.USUAL_FAILURES else 2
+    if name == metrics.LENGTH or name.startswith((metrics.RETURN, metrics.DISCOUNTED_RETURN)):
         return 3
     return 4 if name.startswith(("mean_", "max_")) else 0
+
+
+# --------------------------------------------------------------------------------------------------------------- files
+
+
+def write_evaluation(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping[str, Any]) -> None:
+    """Write evaluation.json and evaluation.csv (every metric) and episodes.csv (one row per episode and vehicle).
+
+    Args:
+        directory: an existing one.
+        evaluations: one per policy.
+        about: how the policies were evaluated: seed, gamma, step and so on.
+
+    Raises:
+        ValueError: if one of these files is a link.
+        OSError: if a file cannot be written; each file is complete or unchanged.
+    """
+    columns = {policy: evaluation.estimates() for policy, evaluation in evaluations.items()}
+    policies = {
+        policy: {name: asdict(estimate) for name, estimate in estimates.items()}
+        for policy, estimates in columns.items()
+    }
+    write_json(own_path(directory, EVALUATION_FILE), {**about, "policies": policies})
+    rows: list[list[Any]] = [["policy", "metric", "value", "low", "high"]]
+    for policy, estimates in columns.items():
+        rows += [[policy, name, each.value, each.low, each.high] for name, each in estimates.items()]
+    atomic_write(own_path(directory, "evaluation.csv"), csv_bytes(rows))
+    atomic_write(own_path(directory, "episodes.csv"), csv_bytes(_episode_rows(evaluations, int(about["seed"]))))
+
+
+def _episode_rows(evaluations: Mapping[str, Evaluation], seed: int) -> list[list[Any]]:
+    objectives = next(iter(evaluations.values())).objectives
+    rows: list[list[Any]] = [
+        [
+            *("policy", "seed", "vehicle", metrics.SUCCESS, "end", metrics.LENGTH, metrics.UTILITY),
+            *(metrics.return_of(objective) for objective in objectives),
+            *(metrics.discounted_return_of(objective) for objective in objectives),
+        ]
+    ]
+    for policy, evaluation in evaluations.items():
+        episodes, vehicles, _ = evaluation.returns.shape
+        for v in range(vehicles):
+            utilities = evaluation.episode_utilities(v).tolist() if evaluation.utilities else [None] * episodes
+            for e in range(episodes):
+                how = [bool(evaluation.succeeded[e, v]), evaluation.ends[e, v], int(evaluation.lengths[e, v])]
+                returns = [*evaluation.returns[e, v].tolist(), *evaluation.discounted[e, v].tolist()]
+                rows.append([policy, seed + e, v, *how, utilities[e], *returns])
+    return rows
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """``values`` as text files hold them, with lists in place of arrays and tuples."""
+    plain: dict[str, Any] = json.loads(json.dumps(dict(values), default=_plain_value))
+    return plain
+
+
+def _plain_value(value: Any) -> Any:
+    """What JSON does not know: NumPy's values, and as text any object that an environment takes."""
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else repr(value)
+
+
+def _episodes_bytes(evaluation: Evaluation) -> bytes:
+    """The arrays, with reasons as text, and the rest as JSON: an .npz file without pickled objects."""
+    arrays = {name: getattr(evaluation, name) for name in ARRAYS}
+    arrays["ends"] = np.array([["" if end is None else str(end) for end in ends] for ends in evaluation.ends])
+    about = {
+        "objectives": evaluation.objectives,
+        "utilities": [[each.name, each.arguments] for each in evaluation.utilities],
+        "provenance": None if evaluation.provenance is None else asdict(evaluation.provenance),
+    }
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, about=np.array(json.dumps(about, default=_plain_value)), **arrays)
+    return buffer.getvalue()
+
+
+def _utility(name: str, objectives: Sequence[str], cost_sign: str, arguments: Mapping[str, Any] | None) -> Utility:
+    """A utility by what was saved of it; nothing is imported that a file names."""
+    try:
+        if ":" in name or arguments is None:
+            raise ValueError("it is a function that is not in this package")
+        return make_utility(name, objectives, cost_sign=cost_sign, **arguments)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"utility {name!r} cannot be loaded: {error}; give utilities=[...]") from None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.evaluation.evaluation_files import EVALUATION_FILE as EVALUATION_FILE
+from mo_deepdrive.evaluation.evaluation import EVALUATION_FILE as EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import (
     ADDITIVE_EPSILON,
     CARDINALITY,
@@ -109,29 +109,12 @@ class Front:
             condition_names: m names.
             gamma: discount factor of ``discounted``.
             seed: of the first episode.
-
-        Raises:
-            ValueError: if there is no policy or no episode, or the shapes do not match.
         """
         returns = np.asarray(returns, dtype=np.float64)
         discounted, lengths = np.asarray(discounted, dtype=np.float64), np.asarray(lengths, dtype=np.float64)
-        if returns.ndim != 3 or not returns.size or returns.shape[2] != len(objectives):
-            raise ValueError(
-                f"returns have shape {returns.shape}; expected (policies, episodes, {len(objectives)}), at least one "
-                "of each"
-            )
         k, e, _ = returns.shape
         arrived = np.full((k, e), np.nan) if succeeded is None else np.asarray(succeeded, dtype=np.float64)
         given = np.zeros((k, 0)) if conditions is None else np.asarray(conditions, dtype=np.float64)
-        shapes = {
-            "discounted": (discounted.shape, returns.shape),
-            "lengths": (lengths.shape, (k, e)),
-            "succeeded": (arrived.shape, (k, e)),
-            "conditions": (given.shape, (k, len(condition_names))),
-        }
-        for name, (shape, expected) in shapes.items():
-            if shape != expected:
-                raise ValueError(f"{name} has shape {shape}; expected {expected}")
         mean = returns.mean(axis=1)
         low, high = bootstrap(returns.swapaxes(0, 1)) if e >= MIN_SAMPLES else (mean.copy(), mean.copy())
         return cls(
@@ -274,11 +257,7 @@ class Front:
             raise ValueError(f"the front in {str(directory)!r} is broken: {type(error).__name__}: {error}") from None
 
     def _check(self) -> None:
-        """Refuse numbers that no evaluation gives.
-
-        Raises:
-            ValueError: naming the column or entry, its value and what is allowed.
-        """
+        """Refuse numbers that no evaluation gives."""
         if not len(self):
             raise ValueError(f"{FRONT_FILE} has no policy")
         allowed = dict.fromkeys(self._columns(), (-LARGEST, LARGEST))
@@ -342,17 +321,7 @@ def measure_front(
     reference_front: ArrayLike | None,
     scales: ArrayLike | None,
 ) -> dict[str, float]:
-    """The indicators of a front by metric, and the share of its episodes that arrived where that is known.
-
-    Args:
-        front: K policies.
-        reference_point: (d,) of the hypervolume; None for no hypervolume.
-        reference_front: (k, d) best-known discounted returns; None if there are none.
-        scales: (d,) nominal size of each objective's return; 1 if None.
-
-    Raises:
-        ValueError: as :func:`indicators`.
-    """
+    """:func:`indicators` of the discounted returns of a front, and the share of episodes that arrived, if known."""
     found = indicators(
         front.discounted, reference_point=reference_point, reference_front=reference_front, scales=scales
     )
@@ -376,10 +345,6 @@ def best_known_front(env: VectorEnv, gamma: float) -> NDArray[np.float64] | None
 
 
 def check_reference_point(point: Sequence[float] | None, objectives: Sequence[str]) -> None:
-    """Check that the reference point of an experiment's hypervolume fits its environment; None always does.
-
-    Raises:
-        ValueError: if it does not have one number per objective.
-    """
+    """Refuse a reference point of an experiment's hypervolume that does not have one number per objective."""
     if point is not None and len(point) != len(objectives):
         raise ValueError(f"evaluation.reference_point = {point} needs {len(objectives)} numbers: {tuple(objectives)}")

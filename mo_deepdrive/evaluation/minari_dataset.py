@@ -94,11 +94,7 @@ def _episode(
 ) -> EpisodeBuffer:
     observation, info = env.reset(seed=seed)
     accrued_reward = AccruedReward.begin(1, 1, len(adapter.objectives))
-    observations, infos = [observation], [info]
-    actions: list[Any] = []
-    rewards: list[Any] = []
-    terminations: list[bool] = []
-    truncations: list[bool] = []
+    observations, infos, steps = [observation], [info], []
     for _ in adapter.decisions():
         seen = adapter.policy_observations(np.asarray(observation)[None])
         check_vehicles("observation", seen, adapter.name)
@@ -108,20 +104,12 @@ def _episode(
         check_vehicles("reward", vector[None, None], adapter.name, adapter.objectives)
         accrued_reward.add(vector[None, None], policy.gamma)
         observations.append(observation)
-        actions.append(action)
-        rewards.append(vector)
-        terminations.append(terminated)
-        truncations.append(truncated)
         infos.append(info)
+        steps.append((action, vector, terminated, truncated))
         if terminated or truncated:
             break
     absent = {name: np.zeros_like(value)[()] for each in infos for name, value in each.items()}
-    return EpisodeBuffer(
-        seed=seed,
-        observations=observations,
-        actions=actions,
-        rewards=rewards,
-        terminations=terminations,
-        truncations=truncations,
-        infos={name: [each.get(name, value) for each in infos] for name, value in absent.items()},
-    )
+    infos_by_name = {name: [each.get(name, value) for each in infos] for name, value in absent.items()}
+    columns = map(list, zip(*steps, strict=True))
+    named = dict(zip(("actions", "rewards", "terminations", "truncations"), columns, strict=True))
+    return EpisodeBuffer(seed=seed, observations=observations, infos=infos_by_name, **named)

@@ -24,15 +24,10 @@ LATTICE = 5_000  # minimum number of points from which evenly spaced weights are
 
 
 def finite_points(returns: ArrayLike, name: str, width: int | None = None) -> NDArray[np.float64]:
-    """``returns`` as an array (n, d) of finite numbers, n and d at least 1.
-
-    Args:
-        returns: the points.
-        name: what they are, for messages.
-        width: the expected d; any if None.
+    """``returns`` as an array (n, d) of finite numbers, n and d at least 1, and d the ``width`` if it is given.
 
     Raises:
-        ValueError: for another shape, or numbers that are not finite.
+        ValueError: with the ``name`` of the points, for another shape, or numbers that are not finite.
     """
     points = np.asarray(returns, dtype=np.float64)
     if points.ndim != 2 or not points.size:
@@ -98,18 +93,23 @@ def hypervolume(returns: ArrayLike, reference: ArrayLike, objectives: Sequence[s
 
 def igd_plus(returns: ArrayLike, reference_front: ArrayLike, scales: ArrayLike | None = None) -> float:
     """IGD+: mean distance by which ``returns`` (n, d) fall short of ``reference_front`` (k, d), in ``scales``."""
-    points = finite_points(returns, "front")
-    front = finite_points(reference_front, "reference front", points.shape[1])
-    unit = _scales(scales, points.shape[1])
-    return float(moocore.igd_plus(points / unit, ref=front / unit, maximise=True))
+    points, front = _scaled_fronts(returns, reference_front, scales)
+    return float(moocore.igd_plus(points, ref=front, maximise=True))
 
 
 def additive_epsilon(returns: ArrayLike, reference_front: ArrayLike, scales: ArrayLike | None = None) -> float:
     """Smallest number, in ``scales``, to add to all ``returns`` so that they weakly dominate ``reference_front``."""
+    points, front = _scaled_fronts(returns, reference_front, scales)
+    return float(moocore.epsilon_additive(points, ref=front, maximise=True))
+
+
+def _scaled_fronts(
+    returns: ArrayLike, reference_front: ArrayLike, scales: ArrayLike | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     points = finite_points(returns, "front")
     front = finite_points(reference_front, "reference front", points.shape[1])
     unit = _scales(scales, points.shape[1])
-    return float(moocore.epsilon_additive(points / unit, ref=front / unit, maximise=True))
+    return points / unit, front / unit
 
 
 def expected_utility(returns: ArrayLike, weights: ArrayLike, scales: ArrayLike | None = None) -> float:
@@ -140,13 +140,7 @@ def evenly_spaced_weights(d: int, n: int = WEIGHTS) -> NDArray[np.float64]:
     bars = np.array(list(combinations(range(steps + d - 1), d - 1)))
     edges = np.concatenate([np.full((len(bars), 1), -1), bars, np.full((len(bars), 1), steps + d - 1)], axis=1)
     lattice = (np.diff(edges, axis=1) - 1) / steps
-    chosen = np.eye(d)
-    nearest = np.linalg.norm(lattice[:, None] - chosen, axis=-1).min(axis=1)
-    while len(chosen) < n:
-        new = lattice[int(nearest.argmax())]
-        chosen = np.concatenate([chosen, new[None]])
-        nearest = np.minimum(nearest, np.linalg.norm(lattice - new, axis=-1))
-    return chosen
+    return lattice[farthest_point_subset(lattice, n)]
 
 
 def crowding_distances(returns: ArrayLike) -> NDArray[np.float64]:

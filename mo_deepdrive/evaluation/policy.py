@@ -104,10 +104,10 @@ def check_same_task(found: EnvAdapter, expected: EnvAdapter) -> None:
     Raises:
         ValueError: if id, observations, actions or objectives differ.
     """
-    for what in ("name", "vehicles", "observation_size", "actions", "continuous", "objectives", "cost_sign"):
-        mine, other = getattr(expected, what), getattr(found, what)
+    for attribute in ("name", "vehicles", "observation_size", "actions", "continuous", "objectives", "cost_sign"):
+        mine, other = getattr(expected, attribute), getattr(found, attribute)
         if mine != other:
-            raise ValueError(f"a policy for {what} = {other!r} cannot drive where {what} = {mine!r}")
+            raise ValueError(f"a policy for {attribute} = {other!r} cannot drive where {attribute} = {mine!r}")
 
 
 class FunctionPolicy:

@@ -26,16 +26,7 @@ EVALUATION_SEED_LIMIT = 2**31
 
 
 def check_episodes(name: str, episodes: int, split: Split) -> None:
-    """Check that a split has a scenario for each of ``episodes`` episodes.
-
-    Args:
-        name: what sets the number of episodes, for the message.
-        episodes: the number.
-        split: the split.
-
-    Raises:
-        ValueError: if it has not.
-    """
+    """Refuse more ``episodes``, which ``name`` sets, than a split has scenarios."""
     if episodes > len(SPLITS[split]):
         raise ValueError(f"{name} = {episodes} exceeds the {len(SPLITS[split]):,} scenarios of the {split} split")
 

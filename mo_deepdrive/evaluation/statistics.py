@@ -120,9 +120,15 @@ def resample(samples: NDArray[Any], statistic: Callable[[NDArray[Any]], float]) 
     if n < MIN_SAMPLES:
         return Estimate(value)
     draws = np.random.default_rng(0).integers(n, size=(RESAMPLES, n))
-    values = [statistic(samples[rows]) for rows in draws]
+    return _between_tails(value, [statistic(samples[rows]) for rows in draws])
+
+
+def _between_tails(value: float, resampled: Any) -> Estimate:
+    """An estimate with the percentile interval of the statistic's values in resamples."""
     tail = (1.0 - LEVEL) / 2.0
-    low, high = np.quantile(values, [tail, 1.0 - tail])
+    # Interpolating between two infinite values would give NaN.
+    method: Literal["linear", "nearest"] = "linear" if np.isfinite(resampled).all() else "nearest"
+    low, high = np.quantile(resampled, [tail, 1.0 - tail], method=method)
     return Estimate(value, float(low), float(high))
 
 
@@ -142,10 +148,7 @@ def utility_of_mean(returns: NDArray[np.float64], utility: Callable[[Any], Any])
         return Estimate(value)
     # Resampled means from the number of times that each episode is drawn: a matrix product.
     counts = generator.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
-    values = np.asarray(utility(counts @ returns / n))
-    tail = (1.0 - LEVEL) / 2.0
-    low, high = np.quantile(values, [tail, 1.0 - tail])
-    return Estimate(value, float(low), float(high))
+    return _between_tails(value, np.asarray(utility(counts @ returns / n)))
 
 
 def iqm(samples: NDArray[Any]) -> Estimate:
@@ -160,12 +163,12 @@ def interquartile_mean(samples: NDArray[Any], axis: int = 0) -> Any:
 
 def probability_of_improvement(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
     """The probability that a run of ``first`` (n,) scores higher than one of ``second`` (m,); ties count half."""
-    return _compare(first, second, _improvement)
+    return _resampled([first, second], _improvement)
 
 
 def mean_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
     """Mean of ``first`` (n,) minus that of ``second`` (m,)."""
-    return _compare(first, second, lambda x, y: x.mean(axis=-1) - y.mean(axis=-1))
+    return _resampled([first, second], lambda x, y: x.mean(axis=-1) - y.mean(axis=-1))
 
 
 def mann_whitney_p(first: NDArray[Any], second: NDArray[Any]) -> float:
@@ -175,7 +178,7 @@ def mann_whitney_p(first: NDArray[Any], second: NDArray[Any]) -> float:
 
 def iqm_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
     """Interquartile mean of ``first`` (n,) minus that of ``second`` (m,)."""
-    return _compare(first, second, lambda x, y: interquartile_mean(x, axis=-1) - interquartile_mean(y, axis=-1))
+    return _resampled([first, second], lambda x, y: interquartile_mean(x, axis=-1) - interquartile_mean(y, axis=-1))
 
 
 def spread_ratio(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
@@ -185,19 +188,15 @@ def spread_ratio(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.nan_to_num(np.std(x, axis=-1, ddof=1) / np.std(y, axis=-1, ddof=1), nan=1.0, posinf=np.inf)
 
-    return _compare(first, second, ratio)
+    return _resampled([first, second], ratio)
 
 
 @cache
 def spread_ratio_power(runs: int, ratio: float) -> float:
-    """The power of a test that decides by the interval of :func:`spread_ratio`.
+    """The power of a test that decides by the interval of :func:`spread_ratio`, of ``runs`` of each algorithm.
 
-    Args:
-        runs: number of runs of each algorithm.
-        ratio: true ratio of the standard deviations of normally distributed scores.
-
-    Returns:
-        The share of POWER_SAMPLES simulated comparisons in which the interval is below 1.
+    It is the share of POWER_SAMPLES simulated comparisons in which the interval is below 1; the scores are normally
+    distributed, and ``ratio`` is the true ratio of their standard deviations.
     """
     generator = np.random.default_rng(0)
     scores = generator.standard_normal((POWER_SAMPLES, 2, runs))
@@ -211,12 +210,7 @@ def iqm_over_tasks(samples: Sequence[NDArray[Any]]) -> Estimate:
 
 
 def improvement_over_tasks(first: Sequence[NDArray[Any]], second: Sequence[NDArray[Any]]) -> Estimate:
-    """The mean over tasks of :func:`probability_of_improvement`; resampled within each task.
-
-    Args:
-        first: (n,) scores of each task.
-        second: (m,) scores of the same tasks, in the same order.
-    """
+    """The mean over tasks, in the same order, of :func:`probability_of_improvement`; resampled within each task."""
 
     def statistic(*samples: Any) -> Any:
         pairs = zip(samples[: len(first)], samples[len(first) :], strict=True)
@@ -229,11 +223,6 @@ def _improvement(x: Any, y: Any) -> Any:
     return (np.sign(x[..., :, None] - y[..., None, :]).mean((-2, -1)) + 1.0) / 2.0
 
 
-def _compare(first: NDArray[Any], second: NDArray[Any], statistic: Callable[[Any, Any], Any]) -> Estimate:
-    """``statistic`` of two independent samples, which are resampled independently; no interval if one is too small."""
-    return _resampled([first, second], statistic)
-
-
 def _resampled(samples: Sequence[NDArray[Any]], statistic: Callable[..., Any]) -> Estimate:
     """``statistic`` of independent samples, which are resampled independently; no interval if one is too small."""
     samples = [np.asarray(sample, dtype=np.float64) for sample in samples]
@@ -241,9 +230,5 @@ def _resampled(samples: Sequence[NDArray[Any]], statistic: Callable[..., Any]) -
     if min(len(sample) for sample in samples) < MIN_SAMPLES:
         return Estimate(value)
     generator = np.random.default_rng(0)
-    resampled = statistic(*(generator.choice(sample, (COMPARISON_RESAMPLES, len(sample))) for sample in samples))
-    tail = (1.0 - LEVEL) / 2.0
-    # Interpolating between two infinite values would give NaN.
-    method: Literal["linear", "nearest"] = "linear" if np.isfinite(resampled).all() else "nearest"
-    low, high = np.quantile(resampled, [tail, 1.0 - tail], method=method)
-    return Estimate(value, float(low), float(high))
+    resamples = (generator.choice(sample, (COMPARISON_RESAMPLES, len(sample))) for sample in samples)
+    return _between_tails(value, statistic(*resamples))

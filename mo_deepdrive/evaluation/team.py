@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.evaluation.policy import Policy, check_same_task
+from mo_deepdrive.evaluation.policy import check_same_task
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,8 +1,9 @@
-"""Best-known Pareto fronts: the best returns found so far, and the actions that earn them.
+"""Best-known Pareto fronts, and the reference points from which hypervolumes are measured.
 
-A front belongs to a scenario that is the same in every episode (``fixed_destination``, ``fixed_obstacle``) with the
-default physics. It is stored as sequences of actions, and the returns are computed by replaying them. So a front is
-exact for every discount factor, and anyone can reproduce it. ``docs/fronts.md`` says how fronts are found and improved.
+A front has the best returns found so far, and the actions that earn them. It belongs to a scenario that is the same in
+every episode (``fixed_destination``, ``fixed_obstacle``) with the default physics. It is stored as sequences of
+actions, and the returns are computed by replaying them. So a front is exact for every discount factor, and anyone can
+reproduce it. ``docs/fronts.md`` says how fronts are found and improved.
 """
 
 from __future__ import annotations
@@ -11,15 +12,15 @@ import functools
 import json
 from dataclasses import dataclass
 from importlib import resources
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, get_args
 
 import moocore
+import numpy as np
+import yaml
 
-from mo_deepdrive.fronts.reference_points import default_discount, select_objectives
 from mo_deepdrive.support.names import nearest
-from mo_deepdrive.world.action_sequences import decode, discounted_sum, replay
-from mo_deepdrive.world.config import EnvConfig
-from mo_deepdrive.world.objectives import signs
+from mo_deepdrive.world.config import ActionType, EnvConfig
+from mo_deepdrive.world.objectives import INDEX, OBJECTIVES, signs
 from mo_deepdrive.world.params import chosen_objectives
 from mo_deepdrive.world.scenarios import SCENARIOS
 
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from importlib.resources.abc import Traversable
 
-    import numpy as np
     from numpy.typing import NDArray
 
 GAMMA = 0.99  # the discount factor, besides 1.0, for which fronts are searched
@@ -35,6 +35,106 @@ TIME = "time"  # an objective that fronts have besides the scenario's own
 DATA = resources.files("mo_deepdrive") / "data"
 # The settings that the stored fronts do not depend on: they hold all objectives, maximised, and are replayed.
 _SELECTION = ("objectives", "cost_sign", "charge_remaining_time")
+
+
+@dataclass(frozen=True)
+class ReferencePoint:
+    """The point from which hypervolumes are measured, from ``data/reference_points.yaml``.
+
+    It is part of a published result: hypervolumes that were measured from different points cannot be compared. A
+    registered objective or scenario gives its own.
+
+    Attributes:
+        objectives: names of the d objectives, in order.
+        values: (d,) one number per objective, maximised. A policy adds to the hypervolume if it is better in all of
+            them.
+        version: of the table of reference points.
+        reason: the rule behind each value.
+    """
+
+    objectives: tuple[str, ...]
+    values: NDArray[np.float64]
+    version: int
+    reason: str
+
+
+def default_discount(objectives: Sequence[str]) -> float:
+    """The discount factor of fronts, unless another one is asked for: 1 where time is an objective, else 0.99.
+
+    Without a price of its own, time counts by the discount alone. With one, a discount would count it twice, and put
+    policies on the front that wait so that costs come later.
+    """
+    return 1.0 if "time" in objectives else 0.99
+
+
+def reference_point(
+    scenario: str = "one_waypoint",
+    action_type: str = "discrete",
+    gamma: float | None = None,
+    objectives: Sequence[str] | None = None,
+) -> ReferencePoint:
+    """The agreed reference point for hypervolumes.
+
+    Args:
+        scenario: "one_waypoint", "static_obstacle", "intersection", "left_turn" or a registered one; it holds for each
+            vehicle.
+        action_type: "discrete", "discrete-16" or "continuous".
+        gamma: discount factor of the returns: 0.99 or 1.0; any for a registered scenario; None for
+            :func:`default_discount`.
+        objectives: names, to select and order; None for all of the scenario's.
+
+    Raises:
+        ValueError: for an unknown scenario, action type or objective, a gamma without a reference point, or an
+            objective that is registered without a reference value.
+    """
+    names = select_objectives(scenario, action_type, objectives)
+    gamma = default_discount(names) if gamma is None else gamma
+    table = _table()
+    values, reasons = dict(SCENARIOS[scenario].reference), dict.fromkeys(names, "as registered")
+    known = [
+        point for point in table["points"] if scenario in point["scenarios"] and action_type in point["action_types"]
+    ]
+    if known:
+        agreed = next((point for point in known if point["gamma"] == gamma), None)
+        if agreed is None:
+            gammas = ", ".join(str(point["gamma"]) for point in known)
+            raise ValueError(f"gamma = {gamma!r} has no reference point; known: {gammas}")
+        values |= agreed["values"]
+        reasons |= table["reasons"]
+    for name in names:
+        registered = OBJECTIVES[INDEX[name]].reference
+        if registered is not None:
+            values.setdefault(name, registered)
+        if name not in values:
+            raise ValueError(f"objective {name!r} has no reference value in {scenario!r}; register it with one")
+    return ReferencePoint(
+        objectives=names,
+        values=np.array([values[name] for name in names], dtype=np.float64),
+        version=table["version"],
+        reason="; ".join(f"{name}: {reasons[name]}" for name in names),
+    )
+
+
+@functools.cache
+def _table() -> dict[str, Any]:
+    table: dict[str, Any] = yaml.safe_load((DATA / "reference_points.yaml").read_text(encoding="utf-8"))
+    return table
+
+
+def select_objectives(scenario: str, action_type: str, objectives: Sequence[str] | None) -> tuple[str, ...]:
+    """The names of the selected objectives, in order; all of the scenario's for None.
+
+    Raises:
+        ValueError: for an unknown scenario, action type or objective.
+    """
+    for name, value, allowed in (
+        ("scenario", scenario, SCENARIOS),
+        ("action_type", action_type, get_args(ActionType)),
+    ):
+        if value not in allowed:
+            raise ValueError(f"{name} = {value!r} is unknown; {nearest(value, allowed)}")
+    chosen = None if objectives is None else tuple(objectives)
+    return chosen_objectives(EnvConfig(scenario=scenario, objectives=chosen))
 
 
 @dataclass(frozen=True)
@@ -67,7 +167,7 @@ def reference_front(
         scenario: "one_waypoint" or "static_obstacle".
         action_type: "discrete", "discrete-16" or "continuous".
         gamma: discount factor in [0, 1]; the fronts are searched for 0.99, for 1.0, and for 1.0 with the time. None for
-            :func:`mo_deepdrive.fronts.reference_points.default_discount`.
+            :func:`default_discount`.
         objectives: names, to select and order; "time" may be among them. None for all of the scenario's.
         charge_remaining_time: the environment's setting.
 
@@ -77,6 +177,8 @@ def reference_front(
     Raises:
         ValueError: for an unknown name, a gamma out of range, or a scenario without a best-known front.
     """
+    from mo_deepdrive.world.action_sequences import discounted_sum  # late, as the worlds are compiled
+
     names = select_objectives(scenario, action_type, objectives)
     gamma = default_discount(names) if gamma is None else gamma
     if not 0.0 <= gamma <= 1.0:
@@ -136,11 +238,7 @@ def _file(scenario: str, action_type: str) -> Traversable:
 
 
 def shipped(scenario: str, action_type: str) -> tuple[KnownPolicy, ...]:
-    """The policies of a best-known front that comes with the package.
-
-    Raises:
-        ValueError: if there is no such front.
-    """
+    """The policies of a best-known front that comes with the package; a ValueError if there is no such front."""
     file = _file(scenario, action_type)
     if not file.is_file():
         files = [entry.name for entry in DATA.iterdir() if entry.name.startswith("front_")]
@@ -176,6 +274,8 @@ def write(scenario: str, action_type: str, policies: Sequence[KnownPolicy]) -> s
 
 @functools.cache
 def _rewards(scenario: str, action_type: str, charge_remaining_time: bool) -> NDArray[np.float32]:
+    from mo_deepdrive.world.action_sequences import decode, replay
+
     policies = shipped(scenario, action_type)
     objectives = (*SCENARIOS[scenario].objectives, TIME)
     timed = {"objectives": objectives, "charge_remaining_time": charge_remaining_time}

@@ -20,7 +20,7 @@ from mo_deepdrive.evaluation.pareto import hypervolume
 from mo_deepdrive.evaluation.policy import FunctionPolicy
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.evaluation.team import Team
-from mo_deepdrive.fronts.reference_points import reference_point
+from mo_deepdrive.fronts.reference_fronts import reference_point
 from mo_deepdrive.support.importing import import_named
 from mo_deepdrive.utilities import RISK_AVERSE
 

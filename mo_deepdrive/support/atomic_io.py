@@ -29,11 +29,7 @@ UNSUPPORTED = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL, errn
 
 @contextlib.contextmanager
 def optional() -> Iterator[None]:
-    """Continue where a file system refuses what it need not have: permissions, locks, flushing to the disk.
-
-    Raises:
-        OSError: any other, such as that of a full disk.
-    """
+    """Continue where a file system refuses what it need not have: permissions, locks, flushing to the disk."""
     try:
         yield
     except OSError as error:
@@ -42,11 +38,7 @@ def optional() -> Iterator[None]:
 
 
 def expand_home(path: str | Path) -> Path:
-    """A path that a user has written, with ``~`` at its beginning replaced by the home directory.
-
-    Raises:
-        ValueError: if the user has none.
-    """
+    """A path that a user has written, with ``~`` at its beginning replaced by the home directory."""
     expanded = Path(os.path.expanduser(path))  # noqa: PTH111 (keeps ~name where there is no such user, as shells do)
     if expanded.parts[:1] == ("~",):
         raise ValueError(f"path {str(path)!r}: this user has no home directory, and HOME is not set")
@@ -54,16 +46,9 @@ def expand_home(path: str | Path) -> Path:
 
 
 def own_path(directory: Path, name: str) -> Path:
-    """The path of what is in the directory of a run or sweep, to be written or deleted.
+    """The path of what is in the directory of a run or sweep, to be written or deleted; it need not exist.
 
-    The directory itself may be reached through a link, but no link in it may lead elsewhere.
-
-    Args:
-        directory: of the run or sweep.
-        name: relative to it; it need not exist.
-
-    Raises:
-        ValueError: if there is a link.
+    The directory itself may be reached through a link; a link in it that leads elsewhere is a ValueError.
     """
     path = directory / name
     if (place := path.resolve()) != directory.resolve() / name:
@@ -105,11 +90,7 @@ def atomic_write(path: str | Path, data: bytes | Iterable[bytes]) -> None:
 
 
 def flush_to_disk(file: IO[Any]) -> None:
-    """Make what was written to an open file reach the disk.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
+    """Make what was written to an open file reach the disk."""
     with optional():
         os.fsync(file.fileno())
 
@@ -125,15 +106,10 @@ def leftovers(folder: Path) -> Iterator[Path]:
 
 
 def lock(path: Path, *, wait: bool) -> BaseFileLock:
-    """Lock a file until it is released or the process ends, if the file system has locks.
-
-    Args:
-        path: what to lock; made if it does not exist.
-        wait: until no other process holds it.
+    """Lock a file, made if it does not exist, until it is released or the process ends; if the file system has locks.
 
     Raises:
         BlockingIOError: if another process holds it, and ``wait`` is False.
-        OSError: if the file cannot be written.
     """
     from filelock import FileLock, Timeout  # of the training, which environments need not install
 
@@ -168,11 +144,7 @@ def atomic_folder(target: Path) -> Iterator[Path]:
 
 
 def write_json(path: str | Path, value: Any) -> None:
-    """Write ``value`` as indented JSON, atomically.
-
-    Raises:
-        OSError: as :func:`atomic_write`.
-    """
+    """Write ``value`` as indented JSON, atomically."""
     atomic_write(path, (json.dumps(value, indent=2) + "\n").encode())
 
 

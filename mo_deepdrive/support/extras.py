@@ -42,13 +42,9 @@ class MissingExtraError(ImportError):
 def needed_for(what: str, extra: str | None = None) -> Iterator[None]:
     """In this context, a package that cannot be imported is reported with the extra that brings it.
 
-    Args:
-        what: what needs the package, such as "training".
-        extra: the extra; by default that of :data:`EXTRAS`.
-
     Raises:
-        MissingExtraError: such as "training needs torch: pip install 'mo-deepdrive[train]'"; packages that no extra
-            brings keep their own error.
+        MissingExtraError: such as "training needs torch: pip install 'mo-deepdrive[train]'", where "training" is
+            ``what`` needs it; packages that no extra brings keep their own error.
     """
     try:
         yield

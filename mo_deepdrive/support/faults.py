@@ -29,27 +29,17 @@ class EndlessEpisode(Fault):
 
 
 def check_numbers(numbers: Mapping[str, Any]) -> None:
-    """Refuse numbers by name of which one is not finite.
-
-    Raises:
-        NotFinite: naming the first one.
-    """
+    """Refuse numbers, by name, of which one is not finite."""
     for name, value in numbers.items():
         if not math.isfinite(float(value)):
             raise NotFinite(f"{name} = {float(value)}; it must be finite")
 
 
 def check_vehicles(what: str, values: Any, env: str, names: Sequence[str] = ()) -> None:
-    """Refuse numbers of the vehicles of N environments that are not finite or beyond LARGEST.
-
-    Args:
-        what: the values, for the message.
-        values: (..., N, V, k).
-        env: the environments' id.
-        names: of the k components; their numbers where it is empty.
+    """Refuse ``values`` (..., N, V, k) of the vehicles of N environments that are not finite or beyond LARGEST.
 
     Raises:
-        NotFinite: naming the environment, the vehicle and the component of the first one.
+        NotFinite: naming the environment, the vehicle and the component, by ``names`` where they are known.
     """
     fine = np.abs(values) <= LARGEST
     if not fine.all():

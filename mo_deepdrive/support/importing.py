@@ -19,11 +19,7 @@ if TYPE_CHECKING:
 
 
 def import_named(key: str, path: str) -> Any:
-    """The object that a setting names.
-
-    Args:
-        key: of the setting, for messages, such as "algorithm.network".
-        path: its value, ``package.module:name``.
+    """The object that a setting ``key``, such as "algorithm.network", names as ``package.module:name``.
 
     Raises:
         ValueError: in one line, if the path has another form, the module cannot be imported or lacks the name.
@@ -61,12 +57,9 @@ def import_file(what: str, path: Path) -> ModuleType:
 def import_module(what: str, name: str) -> ModuleType:
     """The module ``name``.
 
-    Args:
-        what: names it, for messages.
-        name: of the module.
-
     Raises:
-        ValueError: in one line, if it cannot be imported; if there is none, with the places where it was looked for.
+        ValueError: in one line that begins with ``what``, if it cannot be imported; if there is none, with the places
+            where it was looked for.
     """
     try:
         return importlib.import_module(name)
@@ -78,11 +71,7 @@ def import_module(what: str, name: str) -> ModuleType:
 
 
 def failure(error: BaseException) -> str:
-    """An error of a user's code in one line, with the file and the line of that code, where they are known.
-
-    Args:
-        error: as caught by whoever imported or called the code.
-    """
+    """An error of a user's code, just caught, in one line with the file and line of that code, where they are known."""
     ours = ("<frozen ", str(importlib.__file__), str(Path(__file__).parents[1]))
     frames = traceback.extract_tb(error.__traceback__)[1:]  # without the caller
     theirs = [frame for frame in frames if not frame.filename.startswith(ours)]
@@ -92,11 +81,7 @@ def failure(error: BaseException) -> str:
 
 
 def own_algorithms() -> ModuleSpec:
-    """The package ``algorithms`` beside this one, wherever Python would find one of that name first.
-
-    Raises:
-        ImportError: if there is none.
-    """
+    """The package ``algorithms`` beside this one, wherever Python would find one of that name first."""
     root = str(Path(__file__).parents[2])
     spec = PathFinder.find_spec("algorithms", [root])
     if spec is None or spec.loader is None:
@@ -105,11 +90,7 @@ def own_algorithms() -> ModuleSpec:
 
 
 def load_own(spec: ModuleSpec | None) -> ModuleType:
-    """Load the package ``algorithms`` of this one under the name of ``spec``.
-
-    Raises:
-        ImportError: if another project's is installed over it.
-    """
+    """Load the package ``algorithms`` of this one under the name of ``spec``."""
     assert spec is not None
     assert spec.loader is not None
     module = sys.modules[spec.name] = module_from_spec(spec)
@@ -123,5 +104,5 @@ def _own_folders() -> list[str]:
     """The folders of ``sys.path`` without those of Python and of installed packages."""
     places = sysconfig.get_paths()
     installed = {Path(places[name]) for name in ("stdlib", "platstdlib", "purelib", "platlib", "scripts")}
-    folders = [path for path in dict.fromkeys(Path(each).absolute() for each in sys.path) if path.is_dir()]
+    folders = [path for path in dict.fromkeys(Path(entry).absolute() for entry in sys.path) if path.is_dir()]
     return [repr(str(path)) for path in folders if not installed & {path, *path.parents}]

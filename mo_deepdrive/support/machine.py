@@ -19,11 +19,7 @@ CACHES = ("active_file", "inactive_file")  # in a cgroup's memory.stat: what the
 
 
 def available_cores(root: Path = ROOT) -> int:
-    """The number of cores that this process may use: those of its affinity mask, or fewer by its container's quota.
-
-    Args:
-        root: of the file system.
-    """
+    """The number of cores that this process may use: those of its affinity mask, or fewer by its container's quota."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     quotas: list[float] = [cores]
     for folder in _control_groups(root, "cpu"):
@@ -37,11 +33,7 @@ def available_cores(root: Path = ROOT) -> int:
 
 
 def available_memory(root: Path = ROOT) -> float:
-    """Bytes that this process can still use, of the machine (with swap) and of its container; infinite if unknown.
-
-    Args:
-        root: of the file system.
-    """
+    """Bytes that this process can still use, of the machine (with swap) and of its container; infinite if unknown."""
     machine = _table(root / "proc/meminfo")
     swap = KIB * machine.get("SwapFree", 0)
     free = [KIB * machine["MemAvailable"] + swap] if "MemAvailable" in machine else []
@@ -66,15 +58,7 @@ def peak_memory() -> int:
 
 
 def check_memory(what: str, needed: float) -> None:
-    """Refuse what cannot fit into memory, before it is allocated.
-
-    Args:
-        what: the argument and its value.
-        needed: bytes that it takes at the least.
-
-    Raises:
-        ValueError: with both numbers, if there is less than that.
-    """
+    """Refuse an argument, ``what``, that cannot fit into memory before the bytes that it takes are allocated."""
     if needed > LITTLE and needed > (available := available_memory()):
         raise ValueError(
             f"{what} takes at least {needed / GIB:,.1f} GiB of memory; {available / GIB:,.1f} GiB are available"
@@ -82,11 +66,7 @@ def check_memory(what: str, needed: float) -> None:
 
 
 def check_device(argument: str, name: str, here: bool = True) -> None:
-    """Refuse a device of PyTorch that does not exist; ``here`` means on this machine.
-
-    Raises:
-        ValueError: with the name of the ``argument``.
-    """
+    """Refuse a device of PyTorch, the value of ``argument``, that does not exist; ``here`` means on this machine."""
     import torch  # as late as this, because it takes seconds and much memory
 
     try:

@@ -56,18 +56,7 @@ def is_finite(value: Any) -> bool:
 
 
 def whole_number(name: str, value: Any, low: int, high: float = np.inf, allowed: str = "") -> int:
-    """``value`` as an integer.
-
-    Args:
-        name: of the argument, for the message.
-        value: that was given.
-        low: the lowest value that is allowed.
-        high: the highest.
-        allowed: what is, for the message.
-
-    Raises:
-        ValueError: naming the argument, its value and what is allowed.
-    """
+    """``value`` as an integer from ``low`` to ``high``, or a ValueError that names it and what is allowed."""
     number = plain(value)
     if isinstance(number, bool) or not isinstance(number, int) or not low <= number <= high:
         raise ValueError(f"{name} = {value!r} must be {allowed}")

@@ -184,7 +184,7 @@ class WorldBatch:
 
     def __init__(self, config: EnvConfig, worlds: int, threads: int = 1):
         self.config = config
-        self.scenario = config.row
+        self.scenario = config.scenario_data
         self.objectives = chosen_objectives(config)
         self.params = make_params(config)
         vehicles, obstacles, cars = self.scenario.vehicles, self.scenario.obstacles, self.scenario.cars

@@ -209,7 +209,7 @@ class EnvConfig(Settings):
             raise ValueError(
                 f"time_limit = {self.time_limit} must be at least one decision of 1/{self.decision_frequency} s"
             )
-        if self.row.roads and (problem := fit_problem(self.row)):
+        if self.scenario_data.roads and (problem := fit_problem(self.scenario_data)):
             raise ValueError(problem)
         if self.objectives is not None:
             if not self.objectives or len(set(self.objectives)) != len(self.objectives):
@@ -223,7 +223,7 @@ class EnvConfig(Settings):
         return self
 
     @property
-    def row(self) -> Scenario:
+    def scenario_data(self) -> Scenario:
         """The scenario, with as many vehicles and cars as the configuration says."""
         scenario = SCENARIOS[self.scenario]
         number = scenario.number if self.vehicles is None else self.vehicles

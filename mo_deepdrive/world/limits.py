@@ -93,7 +93,7 @@ def limits(config: EnvConfig) -> dict[str, float]:
 
 def _longest_route(config: EnvConfig) -> float:
     """The length (m) of the longest lane of segments; 0 where there is none."""
-    return max(route.length for route in config.row.routes)
+    return max(route.length for route in config.scenario_data.routes)
 
 
 def objective_bound(name: str, config: EnvConfig) -> float:
@@ -133,8 +133,8 @@ def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str
         "n_waypoints": (n_waypoints, n_waypoints),
         "crossing": (0, 1),
         "approaching": (0, 1),
-        "route": (0, max(len(config.row.routes) - 1, 0)),
-        "segment": (0, max(max(len(route.segments) for route in config.row.routes) - 1, 0)),
+        "route": (0, max(len(config.scenario_data.routes) - 1, 0)),
+        "segment": (0, max(max(len(route.segments) for route in config.scenario_data.routes) - 1, 0)),
         "entered": (NEVER, config.max_decisions),
         "decisions": (0, config.max_decisions),
         "end": (0, len(ENDS) - 1),
@@ -155,10 +155,10 @@ def _car_ranges(config: EnvConfig, most: dict[str, float]) -> dict[str, tuple[fl
     longest_gap = HEADWAYS[1] * DESIRED_SPEEDS[1] + STANDSTILL_GAP + LENGTH
     return {
         "x": (-most["m"], most["m"]),
-        "y": (-most["m"], MAP_SIZE + config.row.cars * longest_gap),
+        "y": (-most["m"], MAP_SIZE + config.scenario_data.cars * longest_gap),
         "cos_heading": (-most["1"], most["1"]),
         "sin_heading": (-most["1"], most["1"]),
-        "route": (0, len(config.row.routes) - 1),
+        "route": (0, len(config.scenario_data.routes) - 1),
         "route_distance": (-most["m"], most["m"]),
         "entered": (NEVER, config.max_decisions),
         "speed": (0.0, most["m/s"]),

@@ -56,7 +56,7 @@ def make_measures(config: EnvConfig) -> tuple[Any, ...]:
 
 def _checked(name: str, measure: Any, config: EnvConfig) -> Any:
     """The measure, if it can be compiled for the worlds of a configuration."""
-    nothing = np.zeros((0, config.row.vehicles), dtype=vehicle_record(config))
+    nothing = np.zeros((0, config.scenario_data.vehicles), dtype=vehicle_record(config))
     flags, rewards = np.zeros(nothing.shape, dtype=np.bool_), np.zeros((*nothing.shape, 1), dtype=np.float32)
     try:
         batch_rewards((measure,))(nothing, make_params(config), flags, rewards)

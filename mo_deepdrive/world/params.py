@@ -38,7 +38,7 @@ def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
     Raises:
         ValueError: if the scenario does not have one of them.
     """
-    scenario = config.row
+    scenario = config.scenario_data
     if config.objectives is None:
         return scenario.objectives
     known = {
@@ -81,12 +81,12 @@ def _has_effect(scenario: Scenario) -> dict[str, bool]:
 
 def cars_in_traffic(config: EnvConfig) -> int:
     """How many oncoming cars an episode has, unless a reset option says otherwise."""
-    return 0 if config.traffic == "none" else config.row.cars
+    return 0 if config.traffic == "none" else config.scenario_data.cars
 
 
 def vehicle_record(config: EnvConfig) -> np.dtype[Any]:
     """The record VEHICLE with the room that a configuration needs."""
-    scenario = config.row
+    scenario = config.scenario_data
     return with_room(VEHICLE, scenario.obstacles, scenario.cars, config.action_delay)
 
 
@@ -96,7 +96,7 @@ def make_params(config: EnvConfig) -> np.ndarray:
     Raises:
         ValueError: if a setting has no effect in the scenario, or there are too many objectives.
     """
-    scenario = config.row
+    scenario = config.scenario_data
     settings = _has_effect(scenario)
     for name, effect in settings.items():
         if not effect and getattr(config, name) != type(config).model_fields[name].default:

@@ -39,10 +39,9 @@ from algorithms.runs.config import find_environment
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.policy import drive
-from mo_deepdrive.fronts.reference_fronts import DATA, GAMMA, KnownPolicy, front_config
+from mo_deepdrive.fronts.reference_fronts import DATA, GAMMA, KnownPolicy, front_config, reference_point
 from mo_deepdrive.fronts.reference_fronts import read as read_front
 from mo_deepdrive.fronts.reference_fronts import write as format_front
-from mo_deepdrive.fronts.reference_points import reference_point
 from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.world.action_sequences import decode as decode_actions
 from mo_deepdrive.world.action_sequences import encode as encode_actions

@@ -297,13 +297,10 @@ class PlanEvaluator:
         self._times = self._weights.cumsum(axis=1) * (params["dt"] * params["physics_steps"])
 
     def evaluate(self, plans: Plans, source: int, rules: NDArray[Any] | None = None) -> EvaluatedPlans:
-        """Simulate the episodes of plans.
+        """Simulate the episodes of plans, of which ``source`` is the index of what found them.
 
-        Args:
-            plans: (n, decisions, k), changed in place: the actions of rules are written, and idle actions after the
-                end of an episode.
-            source: index of what found the plans.
-            rules: (n,) of RULE, each of which replaces its plan from its ``first_decision`` on; None for no rules.
+        Of the ``rules`` (n,) of RULE, each replaces its plan from its ``first_decision`` on. Plans are written:
+        with the actions of rules, and idle actions after the end of an episode.
         """
         n, d = len(plans), len(self.batch.objectives)
         if rules is None:

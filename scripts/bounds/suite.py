@@ -17,7 +17,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import track
 
@@ -54,7 +53,7 @@ from scripts.result_file import check_folder, check_least
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from mo_deepdrive.evaluation.evaluation import Evaluation
     from mo_deepdrive.suite import Task
@@ -84,21 +83,6 @@ def drives_in(run: Run, task: Task) -> bool:
     trained_in = run.experiment.environment
     same = trained_in.id == task.environment.id
     return same and task.model_copy(update={"environment": trained_in}).config() == task.config()
-
-
-def learner(name: str, run: Run) -> Driver:
-    """The driver that a run has trained."""
-    return name, LEARNER, run.experiment.training.seed, load_policy(run)
-
-
-def driver_rows(task_id: str, drivers: Iterable[Driver], episodes: int) -> list[dict[str, Any]]:
-    """A row per driver, each of ``episodes`` episodes of the test split; see :func:`measures`."""
-    task = suite.load().task(task_id)
-    rows = []
-    for name, kind, seed, policy in drivers:
-        about = {"task": task_id, "driver": name, "kind": kind, "seed": seed, "episodes": episodes}
-        rows.append({**about, **measures(drive(policy, task, episodes, "test"))})
-    return rows
 
 
 def drive(policy: Any, task: Task, episodes: int, split: Any) -> Evaluation:
@@ -139,11 +123,12 @@ def measures(found: Evaluation) -> dict[str, float | None]:
 
 def _best(candidates: Mapping[str, Any], task: Task) -> tuple[str, Any]:
     """The candidate whose vehicles have the highest mean utility on the validation split."""
-    worth = {
-        name: measures(drive(policy, task, TRIED_IN_ROUNDABOUTS, "validation"))["utility"]
-        for name, policy in candidates.items()
-    }
-    name = max(worth, key=lambda each: worth[each] or -np.inf)
+
+    def worth(name: str) -> float:
+        driven = drive(candidates[name], task, TRIED_IN_ROUNDABOUTS, "validation")
+        return float(driven.team_samples()[MEAN_UTILITY_ESR].mean())
+
+    name = max(candidates, key=worth)
     return name, candidates[name]
 
 
@@ -208,13 +193,18 @@ def drivers(options: argparse.Namespace) -> None:
     for task_id in options.tasks:
         task = tasks.task(task_id)
         there = [run for run in runs if drives_in(run, task)]
-        chosen = [learner(options.label, run) for run in there] if runs else bounds(task)
-        found = driver_rows(task_id, chosen, options.episodes)
-        for row in found:
+        trained: list[Driver] = [
+            (options.label, LEARNER, run.experiment.training.seed, load_policy(run)) for run in there
+        ]
+        driven: list[dict[str, Any]] = []
+        for name, kind, seed, policy in trained if runs else bounds(task):
+            about = {"task": task_id, "driver": name, "kind": kind, "seed": seed, "episodes": options.episodes}
+            row = {**about, **measures(drive(policy, task, options.episodes, "test"))}
+            driven.append(row)
             print(f"{task_id}: {row['driver']}: arrived {row['arrived']:.3f}, utility {row['utility']:.4g}", flush=True)
         new = {options.label} if runs else {row["driver"] for row in rows if row["kind"] != LEARNER}
         rows = [row for row in rows if row["task"] != task_id or row["driver"] not in new]
-        rows += [{name: _cell(value) for name, value in row.items()} for row in found]
+        rows += [{name: _cell(value) for name, value in row.items()} for row in driven]
     atomic_write(options.output, csv_bytes([list(rows[0]), *(list(row.values()) for row in rows)]))
 
 

@@ -80,10 +80,8 @@ class UtilitySearch:
     ) -> tuple[EvaluatedPlans, NDArray[np.float64]]:
         """The best plan found for each utility, (P,) of them, and their utilities (P,).
 
-        Args:
-            start: (1,) of VEHICLE, the state in which the scenario begins.
-            sequences: of environment actions, from which the search also starts.
-            generations: after the first one.
+        The scenario begins in the state ``start`` (1,) of VEHICLE; the search starts from the ``sequences`` of
+        environment actions, too, and has ``generations`` after the first one.
         """
         self.evaluator.batch.state[0] = start
         plan_format = self.evaluator.format
@@ -152,17 +150,10 @@ def blind_plan(
     starts: Sequence[NDArray[Any]],
     held: Sequence[NDArray[Any]],
 ) -> tuple[NDArray[Any], float]:
-    """The sequence of actions that is worth most in the mean over scenarios: the best policy that sees the time alone.
+    """The sequence of actions that is worth most in the mean over scenarios, and what it is worth.
 
-    Args:
-        evaluator: as of :class:`UtilitySearch`.
-        values: from returns (n, d) to utilities (n,).
-        unfinished: as of :class:`UtilitySearch`.
-        starts: each (1,) of VEHICLE, the states in which the scenarios begin.
-        held: sequences of environment actions, from which the search starts.
-
-    Returns:
-        The environment actions, and what they are worth.
+    It is the best policy that sees the time alone. Arguments are those of :class:`UtilitySearch`, with one utility; the
+    scenarios begin in the states ``starts``, and the search starts from the sequences ``held`` of environment actions.
     """
     search = UtilitySearch(evaluator, values, unfinished, 0)
     plan_format, rng = evaluator.format, np.random.default_rng(0)
@@ -221,9 +212,7 @@ class ScenarioPlanner:
     def plan(self, seed: int, known: Sequence[NDArray[Any]] = ()) -> tuple[list[NDArray[Any]], NDArray[np.float64]]:
         """The best drives found in the scenario of ``seed``, one per utility, and their utilities.
 
-        Args:
-            seed: by which the environment is reset.
-            known: drives of discrete actions from which the search starts, in place of one that it looks for.
+        The search starts from ``known`` drives of discrete actions, in place of one that it looks for.
         """
         self.env.reset(seed=seed)
         start = self.env.unwrapped.batch.state[0].copy()

@@ -25,12 +25,9 @@ RIPPLE_RATE = 0.4  # probability that a change of a segment's length moves what 
 
 @numba.njit(cache=True)
 def resize_segment(plan: NDArray[Any], length: int, first: int, last: int, room: int) -> int:
-    """Make the decisions [first, last) of a plan ``room`` decisions long and move what follows them.
+    """Make the decisions [first, last) of a plan ``room`` decisions long and move what follows; the plan's new length.
 
     The content of the new [first, first + room) is left for the caller to write.
-
-    Returns:
-        The plan's new length.
     """
     new = min(length + room - (last - first), len(plan))
     end = min(first + room, new)
@@ -173,20 +170,11 @@ def make_offspring(
     idle: NDArray[Any],
     rng: np.random.Generator,
 ) -> None:
-    """Write one offspring of each parent: a copy, sometimes crossed with a mate, and mutated.
+    """Write one offspring of each parent over idle plans: a copy, sometimes crossed with a mate, and mutated.
 
     A crossover joins the first part of the parent and the last part of the mate, cut within five decisions of the same
-    one; it is followed by a mutation half of the time. Without a crossover there is at least one mutation.
-
-    Args:
-        parents: (n, decisions, k) plans.
-        lengths: (n,) of the parents.
-        mates: (n, decisions, k) plans.
-        mate_lengths: (n,).
-        offspring: (n, decisions, k) idle plans, written.
-        n_actions: size of a discrete action set; 0 for a continuous one.
-        idle: (k,) the action that does nothing.
-        rng: draws everything.
+    one; it is followed by a mutation half of the time. Without a crossover there is at least one mutation. The number
+    of actions is 0 for a continuous action set.
     """
     for i in range(len(offspring)):
         plan = offspring[i]

@@ -305,7 +305,7 @@ def test_objective_scales_replace_those_of_the_environment() -> None:
 @CLASSES
 def test_a_utility_over_another_number_of_objectives_is_refused(cls: type[ActorCritic]) -> None:
     narrow = make_utility("linear", ("distance", "jerk"), weights=[1.0, 1.0])
-    with pytest.raises(ValueError, match=r"'linear' reads .*'distance', 'jerk'.*the environment emits"):
+    with pytest.raises(ValueError, match=r"'linear' takes .*'distance', 'jerk'.*the environment has"):
         make_agent(cls, utility=narrow)
 
 

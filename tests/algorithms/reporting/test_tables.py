@@ -24,8 +24,7 @@ from algorithms.reporting.tables import (
     tidy_scores,
 )
 from algorithms.runs.config import make_experiment
-from mo_deepdrive.evaluation.evaluation import Evaluation
-from mo_deepdrive.evaluation.evaluation_files import write_evaluation
+from mo_deepdrive.evaluation.evaluation import Evaluation, write_evaluation
 from mo_deepdrive.evaluation.statistics import Estimate
 from mo_deepdrive.support.yaml import dump
 from mo_deepdrive.utilities import Utility, make_utility

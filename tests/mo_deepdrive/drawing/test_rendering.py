@@ -82,7 +82,7 @@ def test_many_vehicles_are_drawn_on_their_lanes_until_they_have_left() -> None:
     batch, viewer = WorldBatch(config, 1), Viewer(config, "rgb_array")
     place(batch, 0.5)
     batch.state[0, 0].route_distance = 200.0  # nothing is left of its route
-    reach = rendering.reach_of(batch.state[0], config.row.routes)
+    reach = rendering.reach_of(batch.state[0], config.scenario_data.routes)
     scale, low = MAP_SIZE / (2 * reach), MAP_SIZE / 2 - reach
     shown = [viewer.draw(batch.state[0])]
     batch.state["end"] = ENDS.index("collision")

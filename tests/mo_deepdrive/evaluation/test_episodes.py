@@ -412,7 +412,7 @@ def test_without_a_utility_the_estimates_are_those_of_returns_and_rates() -> Non
         (idle, {"utility": "one_waypoint_linaer"}, ValueError, "did you mean 'one_waypoint_linear'"),
         (idle, {"utility": [NONLINEAR] * 2}, ValueError, "2 utilities are given for 1 vehicles"),
         (idle, {"utility": lambda returns: returns}, ValueError, "utility '<lambda>' gives"),
-        (idle, {"utility": make_utility("linear", ["a"], weights=[1.0])}, ValueError, "the environment emits"),
+        (idle, {"utility": make_utility("linear", ["a"], weights=[1.0])}, ValueError, "the environment has"),
         (idle, {"utility": make_utility("linear", OBJECTIVES[::-1], weights=[1.0] * 4)}, ValueError, "in this order"),
         (idle, {"env_kwargs": {"time_limt": 3.0}}, TypeError, "did you mean 'time_limit'"),
         ("ppo", {}, TypeError, "policy = 'ppo' must be an agent or a function"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import re
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -70,26 +69,6 @@ def test_intervals_are_as_wide_as_the_variation_of_the_episodes_implies() -> Non
     expected = 1.96 * episodes(e=400)["returns"].std(axis=1, ddof=1) / 400**0.5
     np.testing.assert_allclose((front.high - front.low) / 2.0, expected, rtol=0.1)
     np.testing.assert_allclose(front.returns - front.low, expected, rtol=0.2)
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"returns": np.zeros((3, 40, 3))}, "returns have shape (3, 40, 3); expected (policies, episodes, 2)"),
-        ({"returns": np.zeros((3, 2))}, "returns have shape (3, 2)"),
-        ({"returns": np.zeros((0, 40, 2))}, "returns have shape (0, 40, 2)"),
-        ({"returns": np.zeros((3, 0, 2))}, "returns have shape (3, 0, 2)"),
-        ({"discounted": np.zeros((3, 39, 2))}, "discounted has shape (3, 39, 2); expected (3, 40, 2)"),
-        ({"lengths": np.zeros((3, 1))}, "lengths has shape (3, 1); expected (3, 40)"),
-        ({"succeeded": np.zeros(40)}, "succeeded has shape (40,); expected (3, 40)"),
-        ({"conditions": np.zeros((3, 2))}, "conditions has shape (3, 2); expected (3, 3)"),
-        ({"conditions": None}, "conditions has shape (3, 0); expected (3, 3)"),
-        ({"condition_names": ("a",)}, "conditions has shape (3, 3); expected (3, 1)"),
-    ],
-)
-def test_wrong_shapes_are_refused_by_name(changed: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(message)):
-        make_front(**changed)
 
 
 def make_evaluation(seed: int, arrives: bool, says: bool) -> Evaluation:

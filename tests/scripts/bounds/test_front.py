@@ -11,15 +11,14 @@ import moocore
 import numpy as np
 import pytest
 
-from mo_deepdrive.fronts.reference_fronts import GAMMA, front_config
+from mo_deepdrive.fronts.reference_fronts import GAMMA, front_config, reference_point
 from mo_deepdrive.fronts.reference_fronts import read as read_front
 from mo_deepdrive.fronts.reference_fronts import write as format_front
-from mo_deepdrive.fronts.reference_points import reference_point
 from mo_deepdrive.world.action_sequences import decode as decode_actions
 from mo_deepdrive.world.action_sequences import discounted_sum
 from mo_deepdrive.world.action_sequences import replay as replay_sequences
 from scripts.bounds import front
-from scripts.bounds.front import FrontSearchSettings, improve_front, record_run, shipped_front_file
+from scripts.bounds.front import FrontSearchSettings, improve_front, record_run
 
 pytestmark = pytest.mark.slow
 
@@ -115,10 +114,6 @@ def replayed_returns(file: Path) -> np.ndarray:
     policies = read_front(file.read_text(encoding="utf-8"))
     sequences = [decode_actions(policy.actions, "discrete") for policy in policies]
     return discounted_sum(replay_sequences(front_config("one_waypoint", "discrete"), sequences), GAMMA)
-
-
-def test_fronts_are_shipped_where_the_package_reads_them() -> None:
-    assert shipped_front_file("one_waypoint", "discrete").is_file()
 
 
 def test_a_search_of_no_decisions_keeps_the_shipped_front(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import moocore
 import numpy as np
 import pytest
 
-from mo_deepdrive.fronts.reference_points import reference_point
+from mo_deepdrive.fronts.reference_fronts import reference_point
 from mo_deepdrive.world.objectives import scales
 from scripts.bounds import front
 from scripts.bounds.front import (

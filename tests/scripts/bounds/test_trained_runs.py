@@ -36,13 +36,3 @@ def test_every_policy_of_a_front_acts_greedily_once_and_then_sampled(make_run: C
     assert len(sampled) == 4 * policies
     for first, again in zip(greedy, sampled, strict=False):
         np.testing.assert_array_equal(first, again)
-
-
-def test_a_run_of_another_scenario_or_action_set_is_refused(make_run: Callable[..., Path]) -> None:
-    path = str(make_run())
-    with pytest.raises(ValueError, match="has scenario = 'one_waypoint'; the front needs 'static_obstacle'"):
-        record_run(path, "static_obstacle", "discrete", 0)
-    with pytest.raises(ValueError, match="has action_type = 'discrete'; the front needs 'continuous'"):
-        record_run(path, "one_waypoint", "continuous", 0)
-    with pytest.raises(ValueError, match="no/such/run"):
-        record_run("no/such/run", "one_waypoint", "discrete", 0)
