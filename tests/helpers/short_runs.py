@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,15 +54,15 @@ def metrics(run: Path) -> list[dict[str, str]]:
     return [{name: value for name, value in row.items() if not name.startswith("time/")} for row in rows]
 
 
-def assert_same_run(first: Path, second: Path) -> None:
-    """Assert that both runs are finished, with equal checkpoints, metrics and final evaluations."""
+def assert_same_run(first: Path, second: Path, files: Sequence[str] = ("evaluation.json", "episodes.csv")) -> None:
+    """Assert that both runs are finished, with equal checkpoints, metrics and ``files``."""
     for path in (first, second):
         assert json.loads((path / "status.json").read_text())["state"] == "finished"
     one, other = (load_file(path / "checkpoint.safetensors") for path in (first, second))
     assert one.keys() == other.keys()
     assert all(np.array_equal(one[key], other[key]) for key in one)
     assert metrics(first) == metrics(second)
-    for name in ("evaluation.json", "episodes.csv"):
+    for name in files:
         assert (first / name).read_bytes() == (second / name).read_bytes()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import errno
 import json
 import os
@@ -13,14 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from safetensors.numpy import load_file
 
 from algorithms.reporting import videos
 from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.training_log import read_metrics
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.pareto import hypervolume, non_dominated
-from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import (
     FRONT,
     FRONT_RESULTS,
@@ -34,10 +31,13 @@ from tests.helpers.script_runs import (
     refused,
     status,
 )
+from tests.helpers.short_runs import assert_same_run
 
 pytestmark = pytest.mark.slow
 
 NO_FIGURES = "--logging.save_figures=false"
+FILE, LEARNS_A_FRONT = ["--config", "driving.yaml"], ["--config", "front.yaml"]
+CROSSING = "--environment={id: mo-deepdrive-intersection-v0, arguments: {fixed_destination: false}}"
 
 
 def test_training_leaves_everything_in_its_directory(finished: Path) -> None:
@@ -81,15 +81,7 @@ def test_an_interrupted_and_resumed_run_is_the_same_run(driving: Path, call: Cal
     assert first["step"] < status(run)["step"] < 24_000
     assert call("train", "--resume", run)[0] == 0
     assert call("train", *options, "--output", whole)[0] == 0
-    tensors, again = (load_file(each / "checkpoint.safetensors") for each in (whole, run))
-    assert tensors.keys() == again.keys()
-    for name, array in tensors.items():
-        np.testing.assert_array_equal(array, again[name], err_msg=name)
-    rows, resumed = (read_metrics(each / "metrics.csv") for each in (whole, run))
-    assert rows.keys() == resumed.keys()
-    for name in rows.keys() - {"time/steps_per_second"}:
-        np.testing.assert_array_equal(rows[name], resumed[name], err_msg=name)
-    assert (whole / "evaluation.json").read_text() == (run / "evaluation.json").read_text()
+    assert_same_run(whole, run)
 
 
 def test_a_finished_run_has_nothing_to_resume(finished: Path, call: Call) -> None:
@@ -140,22 +132,33 @@ def test_broken_checkpoints_and_those_of_other_agents_are_refused(finished: Path
     refused(call("train", "--resume", run), "algorithm = 'mo_a2c'", "'a2c'")
 
 
-def test_bad_input_is_refused_before_anything_starts(driving: Path, call: Call) -> None:
-    folder = driving.parent
-    before = sorted(folder.iterdir())
-    (folder / "own.py").write_text("def wrong(returns):\n    return returns\n")
-    config = ["--config", driving]
-    refused(call("train", "--config", "nowhere.yaml"), "'nowhere.yaml' does not exist")
-    refused(call("train", *config, "--algorithm.learning_rat=1"), "did you mean 'learning_rate'?")
-    refused(call("train", *config, "--utility.name=one_waypoint_liner"), "one_waypoint_linear")
-    refused(call("train", *config, "--utility.name=own:wrong"), "own:wrong", "gives shape (4,)")
-    refused(call("train", *config, "--environment.id=CartPole-v1"), "CartPole-v1", "cannot be made")
-    refused(call("train", *config, "surplus"), "'surplus' is not of the form")
-    refused(call("train", *config, "--output", "own.py/run"), "Not a directory: 'own.py/run'")
-    refused(call("train", *config, "--output", "."), "is not empty")
-    refused(call("train", "--resume", "nowhere"), "'nowhere' is not a run directory")
-    refused(call("train", "--resume", "nowhere", "--seed", "3"), "cannot take --training.seed")
-    assert sorted(path for path in folder.iterdir() if path.name not in ("own.py", "__pycache__")) == before
+BAD_INPUT: list[tuple[list[str], tuple[str, ...]]] = [
+    (["--config", "nowhere.yaml"], ("'nowhere.yaml' does not exist",)),
+    ([*FILE, "--algorithm.learning_rat=1"], ("did you mean 'learning_rate'?",)),
+    ([*FILE, "--utility.name=one_waypoint_liner"], ("one_waypoint_linear",)),
+    ([*FILE, "--utility.name=own:wrong"], ("own:wrong", "gives shape (4,)")),
+    ([*FILE, "--environment.id=CartPole-v1"], ("CartPole-v1", "cannot be made")),
+    ([*FILE, "surplus"], ("'surplus' is not of the form",)),
+    ([*FILE, "--output", "own.py/run"], ("Not a directory: 'own.py/run'",)),
+    ([*FILE, "--output", "."], ("is not empty",)),
+    (["--resume", "nowhere"], ("'nowhere' is not a run directory",)),
+    (["--resume", "nowhere", "--seed", "3"], ("cannot take --training.seed",)),
+    ([*LEARNS_A_FRONT, CROSSING], ("algorithm 'pcn' drives one vehicle; the environment has 2",)),
+    ([*LEARNS_A_FRONT, "--evaluation.reference_point=[1.0]"], ("needs 4 numbers",)),
+    ([*LEARNS_A_FRONT, "--algorithm.objective_scales=[1.0]"], ("objective_scales = [1.0] needs 4 numbers",)),
+    (["--config", "peers/pcn"], ("'morl_baselines.pcn' is another library's; mo-deepdrive peers runs it",)),
+]
+
+
+@pytest.mark.parametrize(("arguments", "messages"), BAD_INPUT)
+def test_bad_input_is_refused_before_anything_starts(
+    driving: Path, call: Call, arguments: list[str], messages: tuple[str, ...]
+) -> None:
+    (driving.parent / "own.py").write_text("def wrong(returns):\n    return returns\n")
+    (driving.parent / "front.yaml").write_text(FRONT)
+    before = sorted(driving.parent.iterdir())
+    refused(call("train", *arguments), *messages)
+    assert sorted(path for path in driving.parent.iterdir() if path.name != "__pycache__") == before
 
 
 @pytest.mark.parametrize(
@@ -203,21 +206,6 @@ def test_a_run_of_a_front_leaves_everything_in_its_directory(finished_front: Pat
     assert numbers["success"] == 0.0
 
 
-def test_the_last_of_the_logged_fronts_is_the_front_of_the_run(finished_front: Path) -> None:
-    with (finished_front / "fronts.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    front = Front.read(finished_front)
-    columns = [f"discounted_return/{name}" for name in front.objectives]
-    step = str(status(finished_front)["step"])
-    last = [[float(row[name]) for name in columns] for row in rows if row["step"] == step]
-    np.testing.assert_array_equal(last, front.discounted)
-    metrics = read_metrics(finished_front / "metrics.csv")
-    evaluated = np.isfinite(metrics["eval/front/cardinality"])
-    assert evaluated.sum() >= 5
-    for step, count in zip(metrics["step"][evaluated], metrics["eval/front/cardinality"][evaluated], strict=True):
-        assert [row["policy"] for row in rows if float(row["step"]) == step] == [str(k) for k in range(int(count))]
-
-
 def stop_at(monkeypatch: pytest.MonkeyPatch, step: int, happens: Callable[[], None]) -> None:
     """Call ``happens`` when the first front past ``step`` has been written."""
     write = FrontsFile.write_front
@@ -235,17 +223,15 @@ def crash() -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-@pytest.mark.parametrize("text", [FRONT, SEA_FRONT], ids=["driving", "deep-sea-treasure"])
 def test_an_interrupted_and_resumed_run_of_a_front_is_the_same_run(
-    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, text: str
+    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("algorithms.reporting.videos.write_video_grid", lambda *arguments, **options: None)
     monkeypatch.setattr("algorithms.reporting.explorer.plots.draw_front", lambda *arguments, **options: None)
-    (tmp_path / "front.yaml").write_text(text)
+    (tmp_path / "front.yaml").write_text(SEA_FRONT)
     run, whole = tmp_path / "run", tmp_path / "whole"
     first = ["--config", "front.yaml", "--output", run]
-    total = 6000 if text is FRONT else 2000
-    steps = [0]
+    total, steps = 2000, [0]
     for arguments, part, happens, expected in (
         (first, 0.2, lambda: signal.raise_signal(signal.SIGINT), 130),
         (["--resume", run], 0.4, crash, 1),
@@ -263,29 +249,7 @@ def test_an_interrupted_and_resumed_run_of_a_front_is_the_same_run(
     assert code == 0, out + error
     assert call("train", "--config", "front.yaml", "--output", whole)[0] == 0
 
-    def rows(path: Path) -> list[dict[str, str]]:
-        with (path / "metrics.csv").open(newline="") as file:
-            return [{**row, "time/steps_per_second": ""} for row in csv.DictReader(file)]
-
-    assert rows(run) == rows(whole)
-    for name in ("fronts.csv", "front.csv", "evaluation.json"):
-        assert (run / name).read_bytes() == (whole / name).read_bytes(), name
-    tensors, again = (load_file(each / "checkpoint.safetensors") for each in (whole, run))
-    assert tensors.keys() == again.keys()
-    for name, array in tensors.items():
-        np.testing.assert_array_equal(array, again[name], err_msg=name)
-
-
-def test_fronts_that_cannot_be_learnt_are_refused_before_anything_starts(tmp_path: Path, call: Call) -> None:
-    (tmp_path / "front.yaml").write_text(FRONT)
-    config = ["--config", "front.yaml"]
-    crossing = "--environment={id: mo-deepdrive-intersection-v0, arguments: {fixed_destination: false}}"
-    refused(call("train", *config, crossing), "algorithm 'pcn' drives one vehicle; the environment has 2")
-    refused(call("train", *config, "--evaluation.reference_point=[1.0]"), "needs 4 numbers")
-    refused(call("train", *config, "--algorithm.objective_scales=[1.0]"), "objective_scales = [1.0] needs 4 numbers")
-    peer = REPOSITORY / "configs" / "peers" / "pcn.yaml"
-    refused(call("train", "--config", peer), "'morl_baselines.pcn' is another library's; mo-deepdrive peers runs it")
-    assert [path.name for path in tmp_path.iterdir()] == ["front.yaml"]
+    assert_same_run(run, whole, ("fronts.csv", "front.csv", "evaluation.json"))
 
 
 def test_a_run_of_a_sweep_is_not_trained_longer(finished: Path, tmp_path: Path, call: Call) -> None:
