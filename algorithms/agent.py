@@ -71,16 +71,7 @@ LogFront = Callable[[int, Front], None]
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """How an agent is evaluated while it trains.
-
-    Attributes:
-        env: a raw environment, used for nothing else.
-        episodes: per evaluation (per policy of a front).
-        seed: of the first episode.
-        gamma: discount of the reported returns.
-        reference_point: (d,) of the hypervolume of a front; None for no hypervolume.
-        reference_front: (k, d) best-known front; None where there is none.
-    """
+    """How an agent is evaluated while it trains; :meth:`Agent.train` describes the fields."""
 
     env: VectorEnv
     episodes: int
@@ -113,8 +104,8 @@ class Agent(ABC):
     - :class:`algorithms.learning.learner.Learner`: networks, and steps of Adam down the gradient of a loss.
     - :mod:`algorithms.learning.networks`, with :class:`algorithms.hyperparameters.NetworkSettings` for a Config.
 
-    Everything random is drawn from ``initial``, ``generator`` or what :meth:`update_generator` makes, so that a run can
-    be repeated and resumed bit for bit.
+    Everything random is drawn from ``initial``, ``generator`` or a generator with the seed :meth:`seed_of`, so that a
+    run can be repeated and resumed bit for bit.
 
     Args:
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
@@ -130,18 +121,15 @@ class Agent(ABC):
     Attributes:
         name: of the algorithm, in checkpoints; that of the class where it is not set.
         known_utility: whether the agent learns for a known utility, or a front for every utility.
-        trains_with_partners: whether its constructor takes ``partners``, which drive vehicles that do not learn.
-        trains_with_guides: whether it takes ``guides``, which begin episodes of vehicles that learn.
-        shares_policies: whether it takes ``share_policy``, with which one policy drives all vehicles.
+        trains_with_partners, trains_with_guides, shares_policies: whether its constructor takes ``partners``,
+            ``guides`` and ``share_policy``, as that of :class:`algorithms.actor_critic.ActorCritic`.
         trains_on_devices: whether it can train on a GPU, and several seeds side by side.
         compiled_saves: seconds by which a compiled gradient step is shorter.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read.
-        config: the hyperparameters.
         env: the training environment in the trainers' shapes.
         learners: what learns by gradient steps, each an :class:`algorithms.learning.learner.Learner`.
         scales: (d,) nominal size of each objective's return.
         utilities: one per vehicle; empty where none is known.
-        device: of the networks.
         seed, seeds: the only seed or the first one, and all S of them.
         failed: why seeds ended before the others, by their indices.
         step: environment steps that each seed has taken, over all its parallel environments.
@@ -149,7 +137,6 @@ class Agent(ABC):
         episodes: sums over those that ended since training metrics were last logged.
         initial: generator of the initial weights.
         generator: generator of the exploring actions, seeded anew before every update of :meth:`train`.
-        env_seed: of the first reset of the training environment.
 
     Raises:
         ValueError: for unknown or invalid hyperparameters, spaces or utilities.
@@ -206,7 +193,7 @@ class Agent(ABC):
         self.failed: dict[int, str] = {}
         unchecked = [each.unchecked() for each in self.utilities]
         self.episodes = EpisodeSums(len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device)
-        self._seed_actions()
+        self.generator.manual_seed(self.seed_of(ACTIONS))
 
     def _check_utilities(self) -> None:
         """Refuse utilities that cannot be called for all seeds at once."""
@@ -235,7 +222,7 @@ class Agent(ABC):
 
     @property
     def env_seed(self) -> int:
-        """That of the only seed."""
+        """Of the first reset of the only seed's training environment."""
         return self.env_seeds[0]
 
     def of_seed(self, index: int) -> Any:
@@ -243,20 +230,13 @@ class Agent(ABC):
         assert index == 0
         return self
 
-    def update_generator(self, stream: int) -> torch.Generator:
-        """The random numbers of an update: a function of the run's seed, a stream and the number of updates so far.
-
-        Nothing of them has to be saved. Stream 0 has the exploring actions.
-        """
-        return torch.Generator().manual_seed(self.seed_of(stream))
-
     def seed_of(self, stream: int, index: int = 0) -> int:
-        """What :meth:`update_generator` is seeded with, of the seed with this index."""
+        """The seed of an update's random numbers: a function of a seed of the run, a stream and the updates so far.
+
+        Nothing of the numbers has to be saved. Stream 0 has the exploring actions.
+        """
         entropy = [self.seeds[index], stream, self.updates]
         return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0]) >> 1
-
-    def _seed_actions(self) -> None:
-        self.generator.manual_seed(self.seed_of(ACTIONS))
 
     @property
     def resident(self) -> bool:
@@ -314,10 +294,6 @@ class Agent(ABC):
         A run without any can be trained longer. Of an algorithm that does not define it none is known to be constant.
         """
         return [f"update(progress) of {self.name}"]
-
-    def get_config(self) -> dict[str, Any]:
-        """The resolved hyperparameters, for logs."""
-        return {"algorithm": self.name, "seed": self.seed, **self.config.model_dump()}
 
     # ---------------------------------------------------------------------------------------- what an algorithm defines
 
@@ -453,7 +429,7 @@ class Agent(ABC):
         while self.step < total_timesteps:
             before = self.step
             with self._located(f"in the update after step {before:,}"):
-                self._seed_actions()
+                self.generator.manual_seed(self.seed_of(ACTIONS))
                 losses = self.update(before / total_timesteps)
             if self.step <= before:
                 raise RuntimeError(f"{type(self).__name__}.update must add the environment steps that it takes to step")
@@ -649,21 +625,21 @@ class FrontAgent(Agent):
     An algorithm defines what :class:`Agent` says except :meth:`act`, and
 
     - :meth:`conditions` and :attr:`condition_names`: what its policies are conditioned on, such as commands or weights.
-    - :meth:`policies`: what acts under conditions.
+    - :meth:`policies`: what acts under conditions, such as a :class:`PolicyOfFront`.
 
-    With V vehicles a policy drives all of them, and its front has their V d objectives.
+    With V vehicles a policy drives all of them, and its front has their V d objectives: those of each vehicle in turn.
     """
 
     known_utility = False
 
     @property
     def front_objectives(self) -> tuple[str, ...]:
-        """Names of the V d objectives of a front: those of each vehicle in turn."""
+        """Names of the V d objectives of a front."""
         return joint_objectives(self.env.objectives, self.env.vehicles)
 
     @property
     def front_scales(self) -> NDArray[np.float64]:
-        """(V d,) :attr:`scales` of each vehicle in turn."""
+        """(V d,) their :attr:`scales`."""
         return np.tile(np.asarray(self.scales, dtype=np.float64), self.env.vehicles)
 
     @property
@@ -738,17 +714,18 @@ class FrontAgent(Agent):
         return {evaluation_prefix(FRONT) + name: value for name, value in found.items()}, front
 
 
-class PolicyOfFront(ABC):
-    """An agent that learns a front, under conditions: base of what :meth:`FrontAgent.policies` returns.
-
-    It is a policy in the sense of :class:`mo_deepdrive.evaluation.policy.Policy`; a subclass has the conditions and
-    defines :meth:`act`.
+@dataclass(frozen=True)
+class PolicyOfFront:
+    """An agent that learns a front, under conditions: a policy (:class:`mo_deepdrive.evaluation.policy.Policy`).
 
     Attributes:
-        agent: whose networks act.
+        agent: whose networks act, by ``agent.act_under(conditions, observations, accrued_reward, generator)``.
+        conditions: (N, ...), one per environment, or (1, ...) for all.
     """
 
-    agent: FrontAgent
+    agent: Any
+    conditions: NDArray[np.float32]
+    utilities: ClassVar[tuple[Utility, ...]] = ()
 
     @property
     def env(self) -> EnvAdapter:
@@ -765,13 +742,9 @@ class PolicyOfFront(ABC):
         """Device of the networks."""
         return self.agent.device
 
-    @property
-    def utilities(self) -> tuple[Utility, ...]:
-        """None is known."""
-        return ()
-
-    @abstractmethod
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
+        actions: NDArray[Any] = self.agent.act_under(self.conditions, observations, accrued_reward, generator)
+        return actions

@@ -74,7 +74,6 @@ O. Klimov, "Proximal policy optimization algorithms", arXiv:1707.06347, 2017.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -283,22 +282,16 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
     # ------------------------------------------------------------------------------------------------------- the front
 
     @torch.inference_mode()
-    def choose_actions(
+    def act_under(
         self,
-        observations: NDArray[np.float32],
         preferences: NDArray[np.float32],
+        observations: NDArray[np.float32],
         accrued_reward: AccruedReward,
         generator: torch.Generator | None,
     ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o) under preferences (N, V, m); greedy without generator.
-
-        Args:
-            observations: (N, V, o).
-            preferences: (N, V, m).
-            accrued_reward: of the running episodes.
-            generator: samples actions; None acts greedily.
-        """
-        preference = torch.from_numpy(preferences).to(self.device), self.ideal[0]
+        """Actions (N, V) or (N, V, k) for observations (N, V, o) under preferences (N, V, m) or (1, V, m)."""
+        rows = np.broadcast_to(preferences, (len(observations), *preferences.shape[1:])).copy()
+        preference = torch.from_numpy(rows).to(self.device), self.ideal[0]
         return self._act(observations, accrued_reward, preference, generator)
 
     @property
@@ -313,7 +306,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         rows = self.preferences.draw(count * vehicles, np.random.default_rng(0))
         return rows.reshape(count, -1)
 
-    def policies(self, conditions: NDArray[np.float32]) -> PreferencePolicy:
+    def policies(self, conditions: NDArray[np.float32]) -> PolicyOfFront:
         """What acts under preferences of every vehicle, (N, V m) or (N, V, m), or under the same (1, ...) everywhere.
 
         Raises:
@@ -328,7 +321,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
             )
         preferences = rows.reshape(len(rows), vehicles, -1)
         self.preferences.check(preferences)
-        return PreferencePolicy(self, preferences)
+        return PolicyOfFront(self, preferences)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
@@ -372,23 +365,3 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         """Act as the agent of :meth:`get_policy` or :meth:`~algorithms.agent.Agent.get_state`."""
         super().set_policy(state)
         self.ideal[0] = state["ideal"]
-
-
-@dataclass(frozen=True)
-class PreferencePolicy(PolicyOfFront):
-    """The network under fixed preferences.
-
-    Attributes:
-        agent: whose networks act.
-        preferences: (N, V, m), one row per environment, or (1, V, m) for all.
-    """
-
-    agent: ConditionedMOPPO
-    preferences: NDArray[np.float32]
-
-    def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
-        rows = np.broadcast_to(self.preferences, (len(observations), *self.preferences.shape[1:])).copy()
-        return self.agent.choose_actions(observations, rows, accrued_reward, generator)

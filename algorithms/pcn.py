@@ -34,7 +34,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -167,7 +166,7 @@ class PCN(FrontAgent):
         self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
         self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
         # Draws commands, random actions and batches.
-        self.draws = self.update_generator(DRAWS)
+        self.draws = torch.Generator().manual_seed(self.seed_of(DRAWS))
         self._collected = 0  # episodes
         # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
@@ -184,7 +183,7 @@ class PCN(FrontAgent):
     def begin(self) -> None:
         """Fill the buffer with episodes of random actions."""
         while self._collected < self.config.warmup_episodes:
-            self.draws = self.update_generator(DRAWS)
+            self.draws.manual_seed(self.seed_of(DRAWS))
             self._collect(None)
         if self._standardises:
             self._standardise()
@@ -203,10 +202,11 @@ class PCN(FrontAgent):
 
         The command error is that of all episodes, also of those that exploration ended with random actions.
         """
-        config, self.draws = self.config, self.update_generator(DRAWS)
+        config = self.config
+        self.draws.manual_seed(self.seed_of(DRAWS))
         learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
-        policy = self._sample_commands()
-        attained = self._collect(policy)
+        commands = self._sample_commands()
+        attained = self._collect(commands)
         rate = torch.tensor(learning_rate)
         steps = [self.learner.minimise(self.loss, self._batch(), [], rate) for _ in range(config.gradient_steps)]
         losses = {name: float(torch.cat([step[name] for step in steps]).mean()) for name in steps[0]}
@@ -215,7 +215,7 @@ class PCN(FrontAgent):
         return {
             **losses,
             metrics.LEARNING_RATE: learning_rate,
-            metrics.COMMAND_ERROR: float((np.abs(attained - policy.desired) / self.scales).mean()),
+            metrics.COMMAND_ERROR: float((np.abs(attained - commands[:, :-1]) / self.scales).mean()),
             metrics.NON_DOMINATED: float(len(self.buffer.best())),
         }
 
@@ -240,8 +240,8 @@ class PCN(FrontAgent):
         updates = total_timesteps / (self.env.num_envs * self.config.horizon_scale)
         return int(updates * self.config.gradient_steps)
 
-    def _sample_commands(self) -> CommandPolicy:
-        """One command per environment, by eq. 3."""
+    def _sample_commands(self) -> NDArray[np.float32]:
+        """One command (N, d + 1) per environment, by eq. 3."""
         config, n = self.config, self.env.num_envs
         best = self.buffer.best()
         returns = self.buffer.returns[best]
@@ -251,22 +251,22 @@ class PCN(FrontAgent):
         desired = returns[chosen].astype(np.float32)
         desired[np.arange(n), objective] += noise * returns.std(axis=0)[objective]
         horizon = np.maximum(self.buffer.lengths[best][chosen] - config.horizon_reduction, 1)
-        return CommandPolicy(self, desired, horizon.astype(np.float32))
+        return np.column_stack([desired, horizon.astype(np.float32)])
 
-    def _collect(self, policy: CommandPolicy | None) -> NDArray[np.float32]:
-        """Add one episode per environment to the buffer, of ``policy`` or random; returns their discounted returns."""
+    def _collect(self, commands: NDArray[np.float32] | None) -> NDArray[np.float32]:
+        """Add one episode per environment, under commands or random, to the buffer; their discounted returns (N, d)."""
         env, n, d = self.env, self.env.num_envs, len(self.scales)
         accrued_reward = AccruedReward.begin(n, 1, d)
-        random_from = np.full(n, np.inf) if policy is None else self._random_from(policy)
+        random_from = np.full(n, np.inf) if commands is None else self._random_from(commands[:, -1])
         observations = env.reset(self.env_seed + n * self.updates)
         over = np.zeros(n, dtype=np.bool_)
         steps: list[tuple[NDArray[Any], ...]] = []
         for _ in env.decisions():
             previous = steps[-1][1][:, None] if steps else None
-            if policy is None:
+            if commands is None:
                 actions = self._random_actions(previous)
             else:
-                actions = policy.act(observations, accrued_reward, self.generator)
+                actions = self.act_under(commands, observations, accrued_reward, self.generator)
                 random = (random_from <= len(steps)) & ~over
                 if random.any():
                     actions[random] = self._random_actions(previous)[random]
@@ -299,12 +299,12 @@ class PCN(FrontAgent):
         self.episodes.add(torch.ones(sums.shape[:-1], dtype=torch.bool), sums)
         return discounted
 
-    def _random_from(self, policy: CommandPolicy) -> NDArray[np.float64]:
+    def _random_from(self, horizon: NDArray[np.float32]) -> NDArray[np.float64]:
         """(N,) the decision from which on actions are random; infinite where they follow the command to the end."""
         if not self.config.exploration:
-            return np.full(self.env.num_envs, np.inf)
-        chosen, when = torch.rand(2, self.env.num_envs, generator=self.draws, dtype=torch.float64).numpy()
-        return np.where(chosen < self.config.exploration, np.floor(when * policy.horizon), np.inf)
+            return np.full(len(horizon), np.inf)
+        chosen, when = torch.rand(2, len(horizon), generator=self.draws, dtype=torch.float64).numpy()
+        return np.where(chosen < self.config.exploration, np.floor(when * horizon), np.inf)
 
     def _random_actions(self, previous: NDArray[Any] | None) -> NDArray[Any]:
         """Random actions (N, 1) or (N, 1, k), some of which repeat the ``previous`` ones."""
@@ -328,6 +328,30 @@ class PCN(FrontAgent):
 
     # ---------------------------------------------------------------------------------------------------------- acting
 
+    def act_under(
+        self,
+        commands: NDArray[np.float32],
+        observations: NDArray[np.float32],
+        accrued_reward: AccruedReward,
+        generator: torch.Generator | None,
+    ) -> NDArray[Any]:
+        """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None.
+
+        Args:
+            commands: (N, d + 1) the return and the decisions that the whole episode was to take, or (1, d + 1).
+            observations: of N environments.
+            accrued_reward: of the running episodes.
+            generator: samples actions.
+        """
+        asked = commands[:, :-1]
+        # Equation 4, applied t times, and then the clip.
+        discounts = accrued_reward.discounts.clip(min=SMALLEST_DISCOUNT)
+        desired = (asked - accrued_reward.value[:, 0]) / discounts
+        horizon = np.maximum(commands[:, -1] - accrued_reward.decisions[:, 0], 1.0)
+        low, high = self.bounds
+        desired = np.minimum(np.maximum(desired, np.minimum(low, asked)), np.maximum(high, asked))
+        return self.choose_actions(observations[:, 0], desired, horizon, generator)[:, None]
+
     def choose_actions(
         self,
         observations: NDArray[np.float32],
@@ -335,14 +359,7 @@ class PCN(FrontAgent):
         horizon: NDArray[np.float32],
         generator: torch.Generator | None,
     ) -> NDArray[Any]:
-        """Actions (N,) or (N, k) under the commands ``desired`` (N, d) and ``horizon`` (N,).
-
-        Args:
-            observations: (N, o).
-            desired: discounted return that is still to be collected.
-            horizon: decisions in which to collect it.
-            generator: samples actions; None acts greedily.
-        """
+        """Actions (N,) or (N, k) for observations (N, o), to get ``desired`` (N, d) in ``horizon`` (N,) decisions."""
         outputs = self.network.respond(*self._scaled(observations, desired, horizon))
         check_outputs(torch.from_numpy(outputs))
         if self.env.continuous:
@@ -358,51 +375,13 @@ class PCN(FrontAgent):
         uniform = 1.0 - torch.rand((len(outputs), 1), generator=generator, device=self.device).cpu().numpy()
         return np.asarray((cumulative < uniform * cumulative[:, -1:]).sum(axis=1))
 
-    def command(self, desired: ArrayLike, horizon: ArrayLike) -> CommandPolicy:
-        """The policy that follows the commands ``desired`` (N, d) and ``horizon`` (N,), one per environment.
-
-        Raises:
-            ValueError: if a command has the wrong shape, or asks for returns far outside those of the buffer.
-        """
-        low, high = self.bounds
-        returns = np.atleast_2d(np.asarray(desired, dtype=np.float32))
-        left = np.atleast_1d(np.asarray(horizon, dtype=np.float32))
-        if returns.shape != (len(left), len(self.scales)):
-            raise ValueError(
-                f"desired return of shape {returns.shape} and horizon of shape {left.shape}: "
-                f"expected (n, {len(self.scales)}) and (n,)"
-            )
-        if not (left >= 1.0).all():
-            raise ValueError(f"horizon = {left.min():g} must be at least 1 decision")
-        for i, objective in enumerate(self.env.objectives):
-            least, most = low[i] - self.scales[i], high[i] + self.scales[i]
-            outside = returns[~((returns[:, i] >= least) & (returns[:, i] <= most)), i]
-            if len(outside):
-                raise ValueError(
-                    f"desired return of {objective} = {outside[0]:g} is outside the range of past episodes; "
-                    f"it must be between {least:g} and {most:g}"
-                )
-        return CommandPolicy(self, returns, left)
-
-    def policy(self, condition: ArrayLike) -> CommandPolicy:
-        """The policy of one row (d + 1,) of a front's ``conditions``, for any number of environments.
-
-        Raises:
-            ValueError: as :meth:`command`.
-        """
-        *desired, horizon = np.asarray(condition, dtype=np.float32).tolist()
-        return self.command([desired], [horizon])
-
     def eval(self, obs: NDArray[Any], desired_return: ArrayLike, desired_horizon: float) -> Any:
-        """The greedy action for one observation.
+        """The greedy action, as the environment takes it, for one observation as it gives it.
 
         Args:
-            obs: as one environment gives it.
+            obs: the observation.
             desired_return: (d,) discounted return that is still to be collected.
             desired_horizon: decisions in which to collect it.
-
-        Returns:
-            An action as the environment takes it.
         """
         observations = self.env.policy_observations(np.asarray(obs)[None])[:, 0].astype(np.float32)
         desired = np.reshape(np.asarray(desired_return, dtype=np.float32), (1, -1))
@@ -410,16 +389,6 @@ class PCN(FrontAgent):
         return self.env.environment_actions(self.choose_actions(observations, desired, horizon, None)[:, None])[0]
 
     # ------------------------------------------------------------------------------------------------------- the front
-
-    def commands(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Commands (K, d) and (K,) of the front: returns and lengths of the buffer's non-dominated episodes.
-
-        Raises:
-            ValueError: if the buffer is empty and no policy was loaded.
-        """
-        returns, lengths = self._best_episodes()
-        chosen = farthest_point_subset(returns, self.config.max_policies, self.scales)
-        return returns[chosen].astype(np.float32), lengths[chosen].astype(np.float32)
 
     def _best_episodes(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Discounted returns (K, d) and lengths (K,) of the non-dominated episodes: the buffer's, else the loaded."""
@@ -433,16 +402,37 @@ class PCN(FrontAgent):
         return (*self.env.objectives, HORIZON)
 
     def conditions(self) -> NDArray[np.float32]:
-        """(K, d + 1) :meth:`commands`."""
-        return np.column_stack(self.commands())
-
-    def policies(self, conditions: NDArray[np.float32]) -> CommandPolicy:
-        """The policy that follows commands (N, d + 1), one per environment.
+        """(K, d + 1) commands: returns and lengths of the buffer's non-dominated episodes.
 
         Raises:
-            ValueError: as :meth:`command`.
+            ValueError: if the buffer is empty and no policy was loaded.
         """
-        return self.command(conditions[:, :-1], conditions[:, -1])
+        returns, lengths = self._best_episodes()
+        chosen = farthest_point_subset(returns, self.config.max_policies, self.scales)
+        return np.column_stack([returns[chosen], lengths[chosen]]).astype(np.float32)
+
+    def policies(self, conditions: ArrayLike) -> PolicyOfFront:
+        """The policy that follows commands (N, d + 1), one per environment, or the same (1, d + 1) in all.
+
+        Raises:
+            ValueError: if a command has the wrong shape, or asks for returns far outside those of the buffer.
+        """
+        commands = np.asarray(conditions, dtype=np.float32)
+        if commands.ndim != 2 or commands.shape[1] != len(self.scales) + 1:
+            names = ", ".join(self.condition_names)
+            raise ValueError(f"commands of shape {commands.shape} must be (n, {len(self.scales) + 1}): {names}")
+        if not (commands[:, -1] >= 1.0).all():
+            raise ValueError(f"horizon = {commands[:, -1].min():g} must be at least 1 decision")
+        for desired, objective, scale, low, high in zip(
+            commands.T, self.env.objectives, self.scales, *self.bounds, strict=False
+        ):
+            outside = desired[~((desired >= low - scale) & (desired <= high + scale))]
+            if len(outside):
+                raise ValueError(
+                    f"desired return of {objective} = {outside[0]:g} is outside the range of past episodes; "
+                    f"it must be between {low - scale:g} and {high + scale:g}"
+                )
+        return PolicyOfFront(self, commands)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
@@ -505,30 +495,3 @@ class PCN(FrontAgent):
         if self._standardises:
             self.inputs = state["inputs"].numpy()
         self.buffer.set_state(strip_prefix(state, "store."))
-
-
-@dataclass(frozen=True)
-class CommandPolicy(PolicyOfFront):
-    """PCN under one command per environment.
-
-    Attributes:
-        agent: whose network acts.
-        desired: (N, d) discounted return of the whole episode.
-        horizon: (N,) decisions in which to collect it.
-    """
-
-    agent: PCN
-    desired: NDArray[np.float32]
-    horizon: NDArray[np.float32]
-
-    def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None."""
-        # Equation 4, applied t times, and then the clip.
-        discounts = accrued_reward.discounts.clip(min=SMALLEST_DISCOUNT)
-        desired = (self.desired - accrued_reward.value[:, 0]) / discounts
-        horizon = np.maximum(self.horizon - accrued_reward.decisions[:, 0], 1.0)
-        low, high = self.agent.bounds
-        desired = np.minimum(np.maximum(desired, np.minimum(low, self.desired)), np.maximum(high, self.desired))
-        return self.agent.choose_actions(observations[:, 0], desired, horizon, generator)[:, None]

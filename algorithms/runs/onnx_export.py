@@ -275,7 +275,7 @@ class _CommandGraph(_Graph):
         agent, command = self.agent, given[COMMAND]
         low, high = (torch.from_numpy(bound) for bound in agent.bounds)
         wanted = command[:, :-1]
-        # As CommandPolicy: equation 4, applied t times, and then the clip.
+        # As PCN.act_under: equation 4, applied t times, and then the clip.
         left = given[DISCOUNT].clamp(min=SMALLEST_DISCOUNT)
         desired = (wanted - given[ACCRUED][:, vehicle]) / left
         desired = desired.maximum(wanted.minimum(low)).minimum(wanted.maximum(high))
