@@ -14,18 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.driving.controls import (
-    CURVATURE_PER_STEER,
-    PREFIX,
-    braking_distance,
-    continuous_actions,
-    discrete_actions,
-)
+from algorithms.driving.controls import PREFIX, Driver, braking_distance, check_rule, forward
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.neighbours import NEIGHBOURS
 from mo_deepdrive.simulation.roads import NEXT_POINT, POINT_AFTER
 from mo_deepdrive.simulation.state import STANDSTILL_GAP
-from mo_deepdrive.world.actions import CONTINUOUS, action_table
 from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 
@@ -56,8 +49,6 @@ OFFSET_GAIN = 0.042  # curvature (1/m) per m of error
 MAX_CURVATURE = 0.16  # 1/m
 
 LOOK_AHEAD = np.arange(0.0, 27.0, 2.0)  # m along the lane, where others are ahead
-SLACK = 0.25  # share of the target speed that may be lost before it speeds up again
-CALM = 0.12  # by how much a change of the steering counts, beside what it is off
 REACH = 0.5  # m from the middle of somebody's front or rear to what is first in the way
 STANDING = 3.3  # m/s, the least speed by which the time to the entry is counted
 TURNS_OFF = 0.5  # rad from the direction of the circle, outwards, from which on somebody is leaving it
@@ -87,10 +78,7 @@ class RoundaboutRule:
     headway: float = 0.9
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            least = 0.0 if name == "gap" else 0.1
-            if not (math.isfinite(value) and value >= least):
-                raise ValueError(f"{name} = {value!r} of a rule must be a finite number of at least {least:g}")
+        check_rule(self)
 
 
 def _tables() -> Floats:
@@ -138,8 +126,8 @@ class Place:
 
     @property
     def forward(self) -> Floats:
-        """(N, 2) the direction of the heading."""
-        return np.stack([-np.sin(self.heading), np.cos(self.heading)], axis=-1)
+        """(N, 2)."""
+        return forward(self.heading)
 
 
 def locate(seen: Floats) -> Place:
@@ -214,11 +202,6 @@ class Others:
     prior: NDArray[np.bool_]
     present: NDArray[np.bool_]
 
-    @property
-    def forward(self) -> Floats:
-        """(N, 5, 2) the direction of the heading."""
-        return np.stack([-np.sin(self.heading), np.cos(self.heading)], axis=-1)
-
 
 def locate_others(seen: Floats, place: Place) -> Others:
     """Where the nearest others of vehicles are, from observations (N, size)."""
@@ -242,7 +225,7 @@ def room_ahead(place: Place, others: Others) -> Floats:
     stations = place.along[:, None] + LOOK_AHEAD
     line = lane(rows, stations)
     least = np.full(len(place.along), np.inf)
-    reach = HALF_LENGTH * others.forward
+    reach = HALF_LENGTH * forward(others.heading)
     for point, half in ((others.centre, HALF_LENGTH), (others.centre + reach, REACH), (others.centre - reach, REACH)):
         dx = point[..., 0, None] - line[0][:, None]
         dy = point[..., 1, None] - line[1][:, None]
@@ -267,24 +250,17 @@ def time_to_entry(others: Others) -> Floats:
     return np.asarray(np.where(comes, time, np.inf).min(axis=1))
 
 
-class RoundaboutDriver:
-    """Drives through the roundabout by a rule.
+class RoundaboutDriver(Driver):
+    """Drives any vehicle through the roundabout by a rule; a blind one sees the lane alone, and nobody on it."""
 
-    Args:
-        rule: its gap and its speeds.
-        action_type: "discrete", "discrete-16" or "continuous".
-        blind: whether it sees the lane alone, and nobody on it.
-    """
-
-    vehicle = None  # it drives any
+    slack, calm = 0.25, 0.12
 
     def __init__(self, rule: RoundaboutRule, action_type: str = "discrete", *, blind: bool = False):
-        self.rule = rule
-        self._blind = blind
-        self._table = None if action_type == CONTINUOUS else action_table(action_type)
+        super().__init__(action_type)
+        self.rule, self._blind = rule, blind
 
     def __call__(self, observations: NDArray[Any], *_: Any) -> NDArray[Any]:
-        """Actions (...) or (..., 3), as the environment takes them, for observations (..., size)."""
+        """Actions (...) or (..., 3) for observations (..., size)."""
         size = observations.shape[-1]
         actions = self._actions(np.asarray(observations, dtype=np.float64).reshape(-1, size))
         return actions.reshape(*observations.shape[:-1], *actions.shape[1:])
@@ -307,10 +283,7 @@ class RoundaboutDriver:
             room = np.where(waits, np.minimum(room, line), room)
         slack = np.where(seen[:, COLUMN["brake"]] > 0.0, RELEASE, np.minimum(BRAKE_SLACK, 0.1 + target))
         brakes = (speed > target + slack) & (speed < BRAKE_LIMIT)
-        steer = lane_curvature(place, speed) / CURVATURE_PER_STEER
-        if self._table is None:
-            return continuous_actions(seen, steer, target, brakes, np.maximum(room, 0.0))
-        return discrete_actions(seen, steer, target, brakes, self._table, slack=SLACK, calm=CALM)
+        return self.control(seen, lane_curvature(place, speed), target, brakes, room)
 
 
 # Drivers of three characters, by name.

@@ -23,17 +23,7 @@ if TYPE_CHECKING:
 
 
 class Recorder:
-    """Counts the steps of all training environments and logs statistics of finished episodes, for any library.
-
-    Args:
-        objectives: names of the d components of the reward.
-        utility: logged if it is known.
-        interval: environment steps between calls of ``log``.
-        log: called as ``log(step, metrics)``.
-
-    Attributes:
-        steps: environment steps so far, over all environments.
-    """
+    """Counts the steps of all training environments and logs statistics of finished episodes, for any library."""
 
     def __init__(self, objectives: tuple[str, ...], utility: Utility | None, interval: int, log: Log):
         self.steps = 0
@@ -63,23 +53,14 @@ class Recorder:
 
 
 class RecordedEpisodes(VectorWrapper):  # not generic in Gymnasium 1.2
-    """Our vector environment, for peers that take one; everything but the infos is unchanged.
-
-    Args:
-        adapter: of the environment, with one vehicle.
-        recorder: notified of every step.
-    """
+    """Our vector environment with one vehicle, for peers that take one; everything but the infos is unchanged."""
 
     def __init__(self, adapter: EnvAdapter, recorder: Recorder):
         super().__init__(VectorEpisodeStatistics(adapter.vector_env))
         self._adapter, self._recorder = adapter, recorder
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Take one step in every environment.
-
-        Raises:
-            NotFinite: for a reward that is not finite.
-        """
+        """Take one step in every environment; a reward that is not finite is refused."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         check_vehicles("reward", rewards[:, None], self._adapter.name, self._adapter.objectives)
         found = infos.pop("episode", None)
@@ -94,15 +75,8 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     """An environment with observations, actions and rewards in a form that all peers support.
 
     Observations are float32 vectors divided by ``observation_scales``; actions are integers from 0, or floats in
-    [-1, 1]; vector rewards are float32 and divided by ``reward_scales``. The dynamics are unchanged.
-
-    Args:
-        env: a single environment with vector rewards.
-        adapter: for the same environment; converts observations and actions.
-        observation_scales: (o,).
-        reward_scales: (d,).
-        seed: of the first episode and of the action space.
-        recorder: notified of every step; None to record nothing.
+    [-1, 1]; vector rewards are float32 and divided by ``reward_scales``. The dynamics are unchanged. ``seed`` is that
+    of the first episode and of the action space; without a recorder nothing is recorded.
     """
 
     def __init__(
@@ -125,9 +99,6 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             self.action_space = spaces.Box(-1.0, 1.0, (adapter.actions,), dtype=np.float32, seed=seed)
         else:
             self.action_space = spaces.Discrete(adapter.actions, seed=seed)
-        self._returns = np.zeros(len(adapter.objectives))
-        self._length = 0
-        self._decisions = adapter.decisions()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start a new episode; without ``seed``, the first episode uses the constructor's seed."""
@@ -139,12 +110,7 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._observation(raw), info
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], Any, bool, bool, dict[str, Any]]:
-        """Take one step; the vector reward (d,) is in units of ``reward_scales``.
-
-        Raises:
-            NotFinite: for a reward or an observation that is not finite.
-            EndlessEpisode: as :meth:`EnvAdapter.decisions`.
-        """
+        """Take one step; numbers that are not finite and episodes without end are refused."""
         next(self._decisions)
         chosen = self._adapter.environment_actions(np.asarray(action)[None, None])[0]
         raw, reward, terminated, truncated, info = self.env.step(chosen)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -24,6 +24,17 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.evaluation.policy import AccruedReward
     from mo_deepdrive.utilities import Utility
+
+
+# Arguments that are lists in YAML, but have to be arrays for morl-baselines.
+ARRAYS = ("scaling_factor", "max_return", "ref_point", "origin")
+
+
+def _with_arrays(arguments: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: np.asarray(value, dtype=np.float32) if name in ARRAYS and value is not None else value
+        for name, value in arguments.items()
+    }
 
 
 class PeerConfig(Settings):
@@ -56,28 +67,16 @@ class ScalarConfig(PeerConfig):
 
 @dataclass(frozen=True)
 class PeerTask:
-    """What a peer learns, and with which settings.
+    """What a peer learns, and with which settings."""
 
-    Attributes:
-        make_single_env: makes one environment with vector rewards; takes ``render_mode``.
-        env: the parallel environments behind the adapter of our own algorithms.
-        config: of the peer.
-        utility: of unscaled returns; None if the peer learns a front.
-        steps: environment steps to train for; peers that train in rounds may take a few more.
-        seed: of the run.
-        device: of its networks.
-        reference_point: (d,) in unscaled discounted returns, for peers that maximise hypervolume; None if not set.
-        recorder: counts steps and logs.
-    """
-
-    make_single_env: Callable[..., gymnasium.Env[Any, Any]]
-    env: EnvAdapter
+    make_single_env: Callable[..., gymnasium.Env[Any, Any]]  # with vector rewards; takes ``render_mode``
+    env: EnvAdapter  # the parallel environments
     config: PeerConfig
-    utility: Utility | None
-    steps: int
+    utility: Utility | None  # of unscaled returns; None if the peer learns a front
+    steps: int  # of the environments; peers that train in rounds may take a few more
     seed: int
     device: str
-    reference_point: NDArray[np.float64] | None
+    reference_point: NDArray[np.float64] | None  # (d,) in unscaled discounted returns
     recorder: Recorder
 
     @property
@@ -118,11 +117,11 @@ class PeerTask:
     def arguments(self, **defaults: Any) -> dict[str, Any]:
         """Arguments of the constructor: common ones and the adapter's ``defaults``, overridden by the user's."""
         common = {"gamma": self.config.gamma, "seed": self.seed, "device": self.device}
-        return {**common, **defaults, **self.config.arguments}
+        return _with_arrays({**common, **defaults, **self.config.arguments})
 
     def train_arguments(self, **defaults: Any) -> dict[str, Any]:
         """Arguments of the training method: the adapter's ``defaults``, overridden by the user's."""
-        return {**defaults, **self.config.train_arguments}
+        return _with_arrays({**defaults, **self.config.train_arguments})
 
     def tensor(self, array: Any) -> torch.Tensor:
         """``array`` as a float32 tensor on the device."""
@@ -139,19 +138,12 @@ class PeerTask:
 
 @dataclass(frozen=True)
 class PolicyInputs:
-    """The inputs of N policies.
+    """The inputs of N policies, in the peer's units."""
 
-    Attributes:
-        observations: (N, o) in the peer's units.
-        accrued: (N, d) accrued rewards in the peer's units, discounted with :attr:`PeerPolicies.gamma`.
-        decisions: (N,) number of decisions in the episode so far.
-        generator: to sample actions; None for greedy actions.
-    """
-
-    observations: NDArray[np.float32]
-    accrued: NDArray[np.float32]
-    decisions: NDArray[np.int64]
-    generator: torch.Generator | None
+    observations: NDArray[np.float32]  # (N, o)
+    accrued: NDArray[np.float32]  # (N, d) accrued rewards, discounted with :attr:`PeerPolicies.gamma`
+    decisions: NDArray[np.int64]  # (N,) in the episode so far
+    generator: torch.Generator | None  # samples actions; None for greedy ones
 
     def select(self, rows: NDArray[Any]) -> PolicyInputs:
         """The inputs of the policies at ``rows``."""
@@ -169,7 +161,7 @@ def as_array(actions: Any) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class PeerPolicies:
-    """K policies that a peer has learned.
+    """K policies that a peer has learned, and some of them as a :class:`mo_deepdrive.evaluation.policy.Policy`.
 
     Attributes:
         task: that they were trained on.
@@ -177,6 +169,7 @@ class PeerPolicies:
         conditions: (K, m) what identifies each policy, such as weights or a desired return, in unscaled units.
         condition_names: of the m columns.
         gamma: discount of the accrued rewards in their inputs.
+        rows: (N,) index of the policy that acts in each environment, or (1,) for one in all of them.
     """
 
     task: PeerTask
@@ -184,6 +177,7 @@ class PeerPolicies:
     conditions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 0)))
     condition_names: tuple[str, ...] = ()
     gamma: float = 1.0
+    rows: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, dtype=np.intp))
 
     def __len__(self) -> int:
         return len(self.conditions)
@@ -193,6 +187,21 @@ class PeerPolicies:
         """Environment steps that they have learnt from."""
         return self.task.recorder.steps
 
+    @property
+    def utilities(self) -> tuple[Utility, ...]:
+        """The known utility; empty if the peer learned a front."""
+        return () if self.task.utility is None else (self.task.utility,)
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the generators for sampling."""
+        return torch.device(self.task.device)
+
+    @property
+    def env(self) -> EnvAdapter:
+        """The environment behind the adapter of our own algorithms."""
+        return self.task.env
+
     def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
         """The non-dominated policies in greedy episodes, as of :meth:`algorithms.agent.FrontAgent.front`."""
         evaluations = evaluate_each(self.at, len(self), env, episodes=episodes, seed=seed, gamma=gamma)
@@ -200,60 +209,21 @@ class PeerPolicies:
             evaluations, self.conditions, self.condition_names, gamma=gamma, seed=seed
         ).non_dominated()
 
-    def at(self, rows: NDArray[np.intp]) -> PeerPolicy:
-        """A policy for N environments that acts in each as the policy at the corresponding index."""
-        return PeerPolicy(self, rows)
+    def at(self, rows: NDArray[np.intp]) -> PeerPolicies:
+        """With the policies at these indices acting, of which there is one for each environment."""
+        return replace(self, rows=rows)
 
-    def policy(self, condition: ArrayLike) -> PeerPolicy:
+    def policy(self, condition: ArrayLike) -> PeerPolicies:
         """The policy whose condition is nearest to ``condition`` (m,)."""
         gaps = np.linalg.norm(self.conditions - np.asarray(condition), axis=1)
         return self.at(np.array([gaps.argmin()]))
-
-
-@dataclass(frozen=True)
-class PeerPolicy:
-    """Policies of a peer behind the interface of our own (:class:`mo_deepdrive.evaluation.policy.Policy`).
-
-    Attributes:
-        policies: all policies of the peer.
-        rows: (N,) index of the policy for each environment, or (1,) for one policy in all of them.
-    """
-
-    policies: PeerPolicies
-    rows: NDArray[np.intp]
-
-    @property
-    def step(self) -> int:
-        """Environment steps that it has learnt from."""
-        return self.policies.step
-
-    @property
-    def utilities(self) -> tuple[Utility, ...]:
-        """The known utility; empty if the peer learned a front."""
-        utility = self.policies.task.utility
-        return () if utility is None else (utility,)
-
-    @property
-    def gamma(self) -> float:
-        """Discount of the accrued reward in the inputs."""
-        return self.policies.gamma
-
-    @property
-    def device(self) -> torch.device:
-        """The device of the generators for sampling."""
-        return torch.device(self.policies.task.device)
-
-    @property
-    def env(self) -> EnvAdapter:
-        """The environment behind the adapter of our own algorithms."""
-        return self.policies.task.env
 
     @torch.inference_mode()
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy if ``generator`` is None."""
-        task = self.policies.task
+        task = self.task
         inputs = PolicyInputs(
             observations=(observations[:, 0] / task.observation_scales).astype(np.float32),
             accrued=(accrued_reward.value[:, 0] / task.reward_scales).astype(np.float32),
@@ -261,4 +231,4 @@ class PeerPolicy:
             generator=generator,
         )
         rows = np.broadcast_to(self.rows, len(observations))
-        return as_array(self.policies.choose(rows, inputs))[:, None]
+        return as_array(self.choose(rows, inputs))[:, None]
