@@ -28,18 +28,16 @@ import numpy as np
 import torch
 
 from algorithms.agent import ACTIONS, LEARNING, Agent
-from algorithms.hyperparameters import schedules
+from algorithms.hyperparameters import geometric_schedule, linear_schedule, schedules
 from algorithms.learning.actors import make_actor
 from algorithms.learning.advantages import bootstrapped, normalise
-from algorithms.learning.checkpoints import ACCRUED_GAMMA, GUIDES, OBJECTIVE_SCALES, PARTNERS, SHARED, strip_prefix
-from algorithms.learning.collector import Collector
+from algorithms.learning.checkpoints import GUIDES, PARTNERS, strip_prefix
+from algorithms.learning.collector import Collector, DeviceWorlds, EnvWorlds
 from algorithms.learning.compiling import pure
-from algorithms.learning.guides import Guides
+from algorithms.learning.guides import check_guides
 from algorithms.learning.learner import NORM, Learner, Networks
 from algorithms.learning.networks import make_network
-from algorithms.learning.optimiser import geometric_schedule, linear_schedule
 from algorithms.learning.storage import Rollout, Samples
-from algorithms.learning.worlds import DeviceWorlds, EnvWorlds
 from mo_deepdrive.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
 from mo_deepdrive.evaluation.policy import AccruedReward, check_same_task
 from mo_deepdrive.support.faults import NotFinite
@@ -71,7 +69,6 @@ class PolicyLearner(Learner):
         networks: an actor and a critic per seed.
         max_grad_norm: see Learner.
         vehicles: the indices of those with this policy, each of which is to it as if in an environment alone.
-        utility: what they maximise, without checks; None where none is known.
         objectives: d.
 
     Attributes:
@@ -91,28 +88,18 @@ class PolicyLearner(Learner):
         networks: Sequence[Networks],
         max_grad_norm: float,
         vehicles: tuple[int, ...],
-        utility: Utility | None,
         objectives: int,
     ):
         # ``vehicle_0``, or ``vehicles`` of several that share it.
         super().__init__(networks, max_grad_norm, vehicle_name(vehicles[0]) if len(vehicles) == 1 else "vehicles")
-        self.vehicles, self.utility = vehicles, utility
+        self.vehicles = vehicles
         self.expected_return = self.vector.new_zeros(self.seeds, objectives)
         self.episodes = torch.zeros(self.seeds, dtype=torch.int64, device=self.vector.device)
 
-    @property
-    def actor(self) -> Actor:
-        """The policy of the first seed."""
-        actor: Actor = self.networks.actor
-        return actor
+        self.actor: Actor = self.networks.actor  # of the first seed
+        self.critic: torch.nn.Module = self.networks.critic
 
-    @property
-    def critic(self) -> torch.nn.Module:
-        """The critic of the first seed."""
-        critic: torch.nn.Module = self.networks.critic
-        return critic
-
-    def note_episodes(self, values: torch.Tensor, ended: torch.Tensor) -> None:
+    def update_on_episode_end(self, values: torch.Tensor, ended: torch.Tensor) -> None:
         """Update E[R] with the accrued rewards (S, T, N k, d) of the episodes that ended, where a mask says."""
         number = ended.sum((1, 2))
         mean = values.masked_fill(~ended.unsqueeze(-1), 0.0).sum((1, 2)) / number.clamp(min=1).unsqueeze(-1)
@@ -184,8 +171,8 @@ class ActorCritic(Agent):
         self.partners = dict(partners or {})
         if guides and not self.trains_with_guides:
             raise ValueError(f"algorithm {self.name!r} cannot train with guides")
-        self.guides = [Guides(guides, self.accrued_discount)]
-        self.guides += [self.guides[0].copy() for _ in self.seeds[1:]]
+        self.guides = tuple(guides)
+        check_guides(self.guides, self.accrued_discount)
         self._driving = [torch.Generator(self.device) for _ in self.seeds]  # of partners' and guides' random numbers
         self._check_drivers()
         if config.centralised_critic and self.env.vehicles == 1:
@@ -207,7 +194,6 @@ class ActorCritic(Agent):
                 [self.make_networks(generator).to(self.device) for generator in generators],
                 config.max_grad_norm,
                 vehicles,
-                self.utilities[vehicles[0]].unchecked() if self.utilities else None,
                 len(self.env.objectives),
             )
             for vehicles in self.vehicle_groups(share_policy, self.partners)
@@ -224,14 +210,14 @@ class ActorCritic(Agent):
         """Called before networks are made; a subclass may prepare here what they depend on."""
 
     def _check_drivers(self) -> None:
-        for driver in (*self.partners.values(), *(guide.driver for guide in self.guides[0])):
+        for driver in (*self.partners.values(), *(guide.driver for guide in self.guides)):
             check_same_task(driver.members[0].env, self.env)
-        for guide in self.guides[0]:
+        for guide in self.guides:
             if guide.vehicle in self.partners:
                 vehicle = vehicle_name(guide.vehicle)
                 raise ValueError(f"{vehicle} has a guide, but does not learn: partners drive it")
         growth = self.config.cost_growth
-        if growth and self.known_utility and any(guide.driver.observes_accrued_reward for guide in self.guides[0]):
+        if growth and self.known_utility and any(guide.driver.observes_accrued_reward for guide in self.guides):
             raise ValueError(
                 f"cost_growth = {growth} must be 0 with a guide that observes the accrued reward, in "
                 "which costs would be missing; take a guide that does not observe it, such as a rule"
@@ -265,11 +251,7 @@ class ActorCritic(Agent):
     ) -> torch.Tensor:
         """What an actor sees, scaled, (..., input_size): s_t, and R_t and g^t where it observes them.
 
-        Args:
-            observations: (..., o) s_t.
-            accrued: (..., d) accrued reward R_t.
-            discounts: (...) discount g^t that belongs to it.
-            preference: under which it acts, where there are any.
+        ``preference`` is under what it acts, where there are any.
         """
         del preference
         parts = [observations / self.observation_scales]
@@ -278,11 +260,6 @@ class ActorCritic(Agent):
         if self.observes_discount:
             parts.append(discounts.unsqueeze(-1))
         return torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]
-
-    @property
-    def output_size(self) -> int:
-        """Number of outputs of an actor's network."""
-        return self.env.actions * (2 if self.env.continuous and self.config.state_dependent_std else 1)
 
     @property
     def state_size(self) -> int:
@@ -324,11 +301,7 @@ class ActorCritic(Agent):
         )
 
     def diagnose(self, learner: PolicyLearner, seed: int) -> None:
-        """Find out why a loss of the seed with this index is not finite, by calling with checks what may be the cause.
-
-        Raises:
-            NotFinite: with the cause, if it is found.
-        """
+        """Raise a NotFinite that says why a loss of a seed is not finite, by checked calls of what may be the cause."""
 
     # ---------------------------------------------------------------------------------------------------------- acting
 
@@ -345,7 +318,8 @@ class ActorCritic(Agent):
     @property
     def schedules(self) -> list[str]:
         """Those of learning rate, entropy and costs, and guides, which withdraw."""
-        return [*schedules(self.config), *self.guides[0].schedules]
+        until = {vehicle_name(guide.vehicle): guide.settings.until for guide in self.guides}
+        return [*schedules(self.config), *(f"training.guides.{name}.until = {share}" for name, share in until.items())]
 
     @property
     def observes_accrued_reward(self) -> bool:
@@ -376,15 +350,12 @@ class ActorCritic(Agent):
         return chosen[0][:, None] if len(chosen) == 1 else np.stack([chosen[v] for v in sorted(chosen)], axis=1)
 
     def eval(self, obs: NDArray[Any], accrued_reward: NDArray[Any] | None = None, discount: float = 1.0) -> Any:
-        """The greedy action for one observation, as in morl-baselines.
+        """The greedy action for one observation, as in morl-baselines; one per vehicle with several.
 
         Args:
             obs: as one environment gives it; (V, o) with several vehicles.
             accrued_reward: (d,) or (V, d) discounted sum of the episode's rewards so far; zeros if None.
             discount: gamma^t.
-
-        Returns:
-            An action as the environment takes it; one per vehicle with several.
         """
         so_far = AccruedReward.begin(1, self.env.vehicles, len(self.env.objectives))
         if accrued_reward is not None:
@@ -398,6 +369,8 @@ class ActorCritic(Agent):
     def begin(self) -> None:
         """Reset the environments."""
         self.collector.reset()
+        for guide in self.guides:
+            guide.repeat(len(self.seeds))
 
     def update(self, progress: float) -> dict[str, Any]:
         """Collect one rollout; each policy learns from its vehicles' part."""
@@ -407,8 +380,8 @@ class ActorCritic(Agent):
         self._learning_rate.fill_(learning_rate)
         self._entropy_coefficient.fill_(entropy)
         self.grow_costs(progress / config.cost_growth if progress < config.cost_growth else 1.0)
-        for guides in self.guides:
-            guides.begin_rollout(progress)
+        for guide in self.guides:
+            guide.begin_rollout(progress)
         for seed in range(len(self.seeds)):
             self._draw(seed)
         self._run()
@@ -444,7 +417,7 @@ class ActorCritic(Agent):
     def _run(self) -> None:
         """The part of an update that is the same every time; on a GPU one CUDA graph where only learners drive."""
         self._warmed_up += 1
-        if self.device.type == "cpu" or self._warmed_up <= WARM_UP or self.partners or any(self.guides[0]):
+        if self.device.type == "cpu" or self._warmed_up <= WARM_UP or self.partners or self.guides:
             self._collect_and_learn()
             return
         if self._graph is None:
@@ -461,11 +434,11 @@ class ActorCritic(Agent):
         self.before_learning(storage)
         for learner in self.learners:
             values = storage.of_vehicles(storage.ended_values, learner.vehicles)
-            learner.note_episodes(values, storage.of_vehicles(storage.ended, learner.vehicles))
+            learner.update_on_episode_end(values, storage.of_vehicles(storage.ended, learner.vehicles))
             prefix = vehicle_prefix(learner.vehicles[0], self.env.vehicles) if len(learner.vehicles) == 1 else ""
             self._losses |= {prefix + name: loss for name, loss in self.learn_once(learner, storage).items()}
         if self.preferences_now is not None:
-            self.preferences_now.note_episodes(storage.ended_values, storage.ended)
+            self.preferences_now.update_on_episode_end(storage.ended_values, storage.ended)
 
     def before_learning(self, storage: RolloutStorage) -> None:
         """Called between collecting a rollout and learning from it."""
@@ -486,17 +459,13 @@ class ActorCritic(Agent):
 
         Without ``states`` and ``final_states`` those are ``inputs`` and ``final_inputs``.
         """
-        own = {"final_inputs", *(each.name for each in fields(Rollout))}
-        ideal = learner.expected_return if self.preferences_now is None else self.preferences_now.ideal
+        names = {"final_inputs", *(field.name for field in fields(Rollout))}
+        parts = {name: tensor for name, tensor in vars(storage).items() if name in names}
         return {
-            **{
-                each.name: storage.of_vehicles(getattr(storage, each.name), learner.vehicles)
-                for each in fields(storage)
-                if each.name in own
-            },
+            **{name: storage.of_vehicles(tensor, learner.vehicles) for name, tensor in parts.items()},
             **self.states(storage, learner.vehicles),
             "expected_return": learner.expected_return,
-            "ideal": ideal,
+            "ideal": learner.expected_return if self.preferences_now is None else self.preferences_now.ideal,
         }
 
     def _samples(
@@ -504,11 +473,8 @@ class ActorCritic(Agent):
     ) -> dict[str, torch.Tensor]:
         """What one seed learns from its rollout, (T N, ...), by the fields of Samples."""
         seen = {"states": tensors["inputs"], "final_states": tensors["final_inputs"]}
-        names = {each.name for each in fields(Rollout)}
-        rollout = Rollout(
-            **{name: each for name, each in {**seen, **tensors}.items() if name in names}, utility=utility
-        )
-        samples = self.samples(networks, rollout)
+        parts = {name: tensor for name, tensor in {**seen, **tensors}.items() if name != "final_inputs"}
+        samples = self.samples(networks, Rollout(**parts, utility=utility))
         if always:
             samples = samples._replace(weights=None)
         if "states" not in tensors:
@@ -565,16 +531,18 @@ class ActorCritic(Agent):
             else:
                 worlds = EnvWorlds(env, self.env_seed)
             self.preferences_now = self.training_preferences(shape)
+            outputs = env.actions * (2 if env.continuous and config.state_dependent_std else 1)
             self._collector = Collector(
-                self, env, worlds, shape, self.episodes, self.preferences_now, static=self.resident
+                self, env, worlds, shape, outputs, self.episodes, self.preferences_now, static=self.resident
             )
             self._collector.accrued_discounts[:] = torch.from_numpy(
                 np.broadcast_to(np.float32(self.gamma), env.vehicles).copy()
             )
             # Whether all samples count: no vehicle waits for another's end, and no guide drives.
-            always = env.native and env.vehicles == 1 and not any(self.guides[0])
+            always = env.native and env.vehicles == 1 and not self.guides
             for learner in self.learners:
-                learner.prepare = partial(self._samples, learner.utility, always)
+                utility = self.utilities[learner.vehicles[0]].unchecked() if self.utilities else None
+                learner.prepare = partial(self._samples, utility, always)
                 rows = env.num_envs * len(learner.vehicles)
                 noise = (seeds, config.steps, env.num_envs, len(learner.vehicles), learner.actor.noise)
                 learner.noise = torch.zeros(noise, device=self.device)
@@ -600,27 +568,23 @@ class ActorCritic(Agent):
             chosen, outputs = learner.compute(_choose, (seen, learner.noise[:, t]))
             for j, v in enumerate(vehicles):
                 at.actions[:, :, v], at.outputs[:, :, v] = chosen[:, :, j], outputs[:, :, j]
-        if self.partners or any(self.guides[0]):
+        if self.partners or self.guides:
             self._drive(at, now)
 
     def _drive(self, at: RolloutStorage, now: Running) -> None:
         """Let partners and guides drive, for whom observations and actions are arrays."""
-        for seed, (guides, generator) in enumerate(zip(self.guides, self._driving, strict=True)):
+        for seed, generator in enumerate(self._driving):
             observations, past = now.arrays(seed)
             taken = at.actions[seed].cpu().numpy()
             for v, partner in self.partners.items():
                 taken[:, v] = partner.act(observations, past, generator)
-            for guide in guides:
-                led = guide.drive(taken, observations, past, generator)
+            for guide in self.guides:
+                led = guide.drive(taken, observations, past, generator, seed)
                 at.led[seed, :, guide.vehicle] = torch.from_numpy(led).to(self.device)
             at.actions[seed] = torch.from_numpy(taken).to(self.device)
 
     def check(self, seed: int) -> None:
-        """Refuse what the seed with this index has computed, if it is not finite.
-
-        Raises:
-            NotFinite: with its origin.
-        """
+        """Refuse what the seed with this index has computed, if it is not finite, with its origin."""
         storage = self.collector.storage
         self.collector.check(seed)
         finite = storage.outputs[seed].isfinite().all(-1)
@@ -635,10 +599,11 @@ class ActorCritic(Agent):
                 for learner in self.learners:
                     self.diagnose(learner, seed)
                 prefix = name.removesuffix(NORM)
-                mine = {
-                    part: each[seed] for part, each in self._losses.items() if part.startswith(prefix) and part != name
-                }
-                named = ", ".join(f"{part.removeprefix(prefix)} = {float(each):g}" for part, each in mine.items())
+                named = ", ".join(
+                    f"{part.removeprefix(prefix)} = {float(value[seed]):g}"
+                    for part, value in self._losses.items()
+                    if part.startswith(prefix) and part != name
+                )
                 raise NotFinite(f"{name} = {float(loss[seed])} in single precision ({named})")
 
     # ----------------------------------------------------------------------------------------------------------- seeds
@@ -654,15 +619,11 @@ class ActorCritic(Agent):
         if not self.resident:
             return self
         utility = (self.utilities,) if self.known_utility else ()
-        agent = type(self)(
-            self.env.vector_env, *utility, seed=self.seeds[index], config=self.config, **self._driving_options()
-        )
+        drivers: dict[str, Any] = {"partners": self.partners, "guides": self.guides, "share_policy": self.share_policy}
+        agent = type(self)(self.env.vector_env, *utility, seed=self.seeds[index], config=self.config, **drivers)
         agent.step, agent.updates = self.step, self.updates
         agent.set_policy({name: each.cpu() for name, each in self.get_policy(index).items()})
         return agent
-
-    def _driving_options(self) -> dict[str, Any]:
-        return {"partners": self.partners, "guides": [*self.guides[0]], "share_policy": self.share_policy}
 
     def fail(self, seed: int, error: Any, when: str) -> None:
         """End a seed, whose networks go on with parameters that do no harm."""
@@ -674,30 +635,22 @@ class ActorCritic(Agent):
 
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
-        drivers = {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()}
-        shared = {SHARED: True} if any(len(learner.vehicles) > 1 for learner in self.learners) else {}
+        shared = any(len(learner.vehicles) > 1 for learner in self.learners)
         return {
             **super().identity(),
             **self.config.identity(continuous=self.env.continuous),
             "centralised_critic": self.config.centralised_critic,
             "inputs": self.input_size,
-            **self._units(),
-            **shared,
-            PARTNERS: drivers,
-            GUIDES: self.guides[0].identity(),
+            # What the policies observe the accrued reward in units of.
+            **({"objective_scales": self.scales.tolist()} if self.observes_accrued else {}),
+            **({"accrued_gamma": self.accrued_discount} if self.observes_accrued_reward else {}),
+            **({"share_policy": True} if shared else {}),
+            PARTNERS: {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()},
+            GUIDES: {vehicle_name(guide.vehicle): guide.identity for guide in self.guides},
         }
 
-    def _units(self) -> dict[str, Any]:
-        """What the policies observe the accrued reward in units of."""
-        units: dict[str, Any] = {}
-        if self.observes_accrued:
-            units[OBJECTIVE_SCALES] = self.scales.tolist()
-        if self.observes_accrued_reward:
-            units[ACCRUED_GAMMA] = self.accrued_discount
-        return units
-
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Learners, guides, worlds and running episodes of the first seed."""
+        """:meth:`get_seed_state` of the first seed."""
         return self.get_seed_state(0)
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
@@ -705,21 +658,23 @@ class ActorCritic(Agent):
         self.set_seed_states([state])
 
     def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
-        """:meth:`get_state` of the seed with this index."""
-        state = {
-            f"{learner.name}.{name}": each
-            for learner in self.learners
-            for name, each in learner.get_state(seed).items()
+        """Learners, guides, worlds and running episodes of the seed with this index."""
+        parts = {learner.name: learner.get_state(seed) for learner in self.learners}
+        parts |= {
+            f"guide_{guide.vehicle}": {"handover": torch.from_numpy(guide.handovers[seed])} for guide in self.guides
         }
-        state |= self.guides[seed].get_state()
-        return state | {f"collector.{name}": each for name, each in self.collector.get_state(seed).items()}
+        parts["collector"] = self.collector.get_state(seed)
+        return {f"{part}.{name}": tensor for part, tensors in parts.items() for name, tensor in tensors.items()}
 
     def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
         """Resume from :meth:`get_seed_state` of all seeds."""
+        for guide in self.guides:
+            guide.repeat(len(states))
         for seed, state in enumerate(states):
             for learner in self.learners:
                 learner.set_state(strip_prefix(state, f"{learner.name}."), seed)
-            self.guides[seed].set_state(state)
+            for guide in self.guides:
+                guide.handovers[seed][:] = state[f"guide_{guide.vehicle}.handover"].numpy()
         self.collector.set_state([strip_prefix(state, "collector.") for state in states], self.step)
 
     def get_policy(self, seed: int = 0) -> dict[str, torch.Tensor]:

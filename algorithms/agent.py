@@ -169,7 +169,12 @@ class Agent(ABC):
         config: Settings | None = None,
         **hyperparameters: Any,
     ):
-        self.config = self._config_of(config, hyperparameters)
+        if config is not None and hyperparameters:
+            raise ValueError(f"{', '.join(hyperparameters)}: give either config or single hyperparameters")
+        self.config = config or parse(self.Config, hyperparameters, f"hyperparameters of {self.name}")
+        if not isinstance(self.config, self.Config):
+            found, needed = type(config).__qualname__, self.Config.__qualname__
+            raise ValueError(f"config of class {found} must be an instance of {needed}")
         if self.known_utility and utility is None:
             raise ValueError(f"utility is missing: algorithm {self.name!r} learns for a known utility")
         self.env = EnvAdapter(env)
@@ -242,18 +247,6 @@ class Agent(ABC):
     def resident(self) -> bool:
         """Whether the worlds are on the device, as those of several seeds are."""
         return len(self.seeds) > 1 or self.device.type != "cpu"
-
-    @classmethod
-    def _config_of(cls, config: Settings | None, hyperparameters: dict[str, Any]) -> Settings:
-        if config is None:
-            return parse(cls.Config, hyperparameters, f"hyperparameters of {cls.name}")
-        if not isinstance(config, cls.Config):
-            raise ValueError(
-                f"config of class {type(config).__qualname__} must be an instance of {cls.Config.__qualname__}"
-            )
-        if hyperparameters:
-            raise ValueError(f"{', '.join(hyperparameters)}: give either config or single hyperparameters")
-        return config
 
     def vehicle_groups(self, share_policy: bool, partners: Container[int] = ()) -> list[tuple[int, ...]]:
         """The vehicles of each policy that learns: one each, or all that no partner drives.
@@ -439,9 +432,8 @@ class Agent(ABC):
                 self._check(losses, f"in the update after step {before:,}")
             if due:
                 rows, now = self._training_metrics(losses), perf_counter()
-                for seed, log_row in enumerate(logs):
-                    if seed not in self.failed:
-                        log_row(self.step, {**rows[seed], STEPS_PER_SECOND: (self.step - first) / (now - started)})
+                for seed, row in rows.items() if logs else ():
+                    logs[seed](self.step, {**row, STEPS_PER_SECOND: (self.step - first) / (now - started)})
             if self.step // interval > before // interval or last:
                 paused = perf_counter()
                 self._log_evaluations(plan, logs, log_fronts)
@@ -457,11 +449,7 @@ class Agent(ABC):
         return 0
 
     def _choose_compiled(self, total_timesteps: int) -> None:
-        """Decide whether gradient steps are compiled.
-
-        Raises:
-            ValueError: if they are to be, and there is no compiler.
-        """
+        """Decide whether gradient steps are compiled."""
         device, compiled = self.device.type, self.compiled
         if compiled is True and not has_compiler(device):
             needed = "a C++ compiler such as g++" if device == "cpu" else "Triton"
@@ -478,29 +466,20 @@ class Agent(ABC):
     ) -> None:
         if plan is None or not (logs or log_fronts):
             return
-        for seed in range(len(self.seeds)):
-            if seed in self.failed:
-                continue
-            when = f"in the evaluation at step {self.step:,}"
-            try:
+        for seed in self._running():
+            with self._alone(seed, f"in the evaluation at step {self.step:,}"):
                 metrics, front = self.of_seed(seed).evaluate(plan)
-            except Fault as error:
-                self.fail(seed, error, when)
-                continue
-            if logs:
-                logs[seed](self.step, metrics)
-            if log_fronts and front is not None:
-                log_fronts[seed](self.step, front)
+                if logs:
+                    logs[seed](self.step, metrics)
+                if log_fronts and front is not None:
+                    log_fronts[seed](self.step, front)
 
     def _check(self, losses: Mapping[str, Any], when: str) -> None:
         """Find the seeds of which a loss is not finite, or whose worlds or networks have failed."""
-        for seed in range(len(self.seeds)):
-            if seed not in self.failed:
-                try:
-                    self.check(seed)
-                    check_numbers(_of_seed(losses, seed))
-                except Fault as error:
-                    self.fail(seed, error, when)
+        for seed in self._running():
+            with self._alone(seed, when):
+                self.check(seed)
+                check_numbers(_of_seed(losses, seed))
 
     def check(self, seed: int) -> None:
         """Refuse what the seed with this index has computed since the last call, if it is not finite.
@@ -522,6 +501,18 @@ class Agent(ABC):
         if len(self.failed) == len(self.seeds):
             raise fault from error
 
+    def _running(self) -> list[int]:
+        """The indices of the seeds that have not failed."""
+        return [seed for seed in range(len(self.seeds)) if seed not in self.failed]
+
+    @contextmanager
+    def _alone(self, seed: int, when: str) -> Iterator[None]:
+        """Let a fault end this seed alone."""
+        try:
+            yield
+        except Fault as error:
+            self.fail(seed, error, when)
+
     @contextmanager
     def _located(self, when: str) -> Iterator[None]:
         """Say in a fault when it happened."""
@@ -530,20 +521,18 @@ class Agent(ABC):
         except Fault as error:
             raise type(error)(f"{when}: {error}") from error
 
-    def _training_metrics(self, losses: Mapping[str, Any]) -> list[dict[str, float]]:
-        """Of every seed: means over the episodes that ended since the last call, and the losses."""
-        rows = []
-        for seed, vehicles in enumerate(self.episodes.take()):
-            row: dict[str, float] = {}
-            for v, means in enumerate(vehicles):
-                prefix = TRAIN + vehicle_prefix(v, self.env.vehicles)
-                row |= {prefix + name: value for name, value in means.items()}
-            if seed not in self.failed:
-                try:
-                    check_numbers(row)
-                except Fault as error:
-                    self.fail(seed, error, f"in the episodes up to step {self.step:,}")
-            rows.append({**row, **_of_seed(losses, seed)})
+    def _training_metrics(self, losses: Mapping[str, Any]) -> dict[int, dict[str, float]]:
+        """By seed that has not failed: means over the episodes that ended since the last call, and the losses."""
+        rows, episodes = {}, self.episodes.take()
+        for seed in self._running():
+            with self._alone(seed, f"in the episodes up to step {self.step:,}"):
+                means = {
+                    TRAIN + vehicle_prefix(v, self.env.vehicles) + name: value
+                    for v, of_vehicle in enumerate(episodes[seed])
+                    for name, value in of_vehicle.items()
+                }
+                check_numbers(means)
+                rows[seed] = {**means, **_of_seed(losses, seed)}
         return rows
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
@@ -579,11 +568,9 @@ class Agent(ABC):
         self.set_state(states[0])
 
     def load(self, *paths: str | Path, policy_only: bool = False) -> None:
-        """Resume from :meth:`save`; no code is run from the files.
+        """Resume from the checkpoint of every seed, of :meth:`save`; no code is run from the files.
 
-        Args:
-            *paths: the checkpoint of every seed.
-            policy_only: load the policy alone, to act in any number of environments; :meth:`save_policy` is enough.
+        With ``policy_only`` load the policy alone, to act in any number of environments; :meth:`save_policy` is enough.
 
         Raises:
             ValueError: if a file is missing or broken, belongs to another algorithm, environment or network, has
@@ -656,7 +643,7 @@ class FrontAgent(Agent):
         """What acts in N environments under ``conditions`` (N, m), or in all of them under one condition (1, m)."""
 
     def policy(self, condition: ArrayLike) -> Policy:
-        """The policy of one row (m,) of a front's ``conditions``, for any number of environments."""
+        """That of one row (m,) of a front's ``conditions``, for any number of environments."""
         return self.policies(np.asarray(condition, dtype=np.float32)[None])
 
     def act(
@@ -669,15 +656,7 @@ class FrontAgent(Agent):
     def evaluate_policies(
         self, conditions: ArrayLike, env: VectorEnv, *, episodes: int, seed: int, gamma: float
     ) -> list[Evaluation]:
-        """Evaluate the greedy policy under each of ``conditions`` (K, m), all on the same seeds.
-
-        Args:
-            conditions: rows of a front's ``conditions``.
-            env: a raw environment; not the one that trains.
-            episodes: per policy.
-            seed: of the first episode.
-            gamma: discount of the reported returns.
-        """
+        """Evaluate the greedy policy under each of ``conditions`` (K, m), all on the same seeds, as :meth:`front`."""
         rows = np.asarray(conditions, dtype=np.float32)
         return evaluate_each(
             lambda chosen: self.policies(rows[chosen]), len(rows), env, episodes=episodes, seed=seed, gamma=gamma
@@ -701,17 +680,13 @@ class FrontAgent(Agent):
     def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
         """The front and its indicators."""
         front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
-        found = measure_front(
-            front,
-            reference_point=plan.reference_point,
-            reference_front=plan.reference_front,
-            scales=self.env.joint_scales,
-        )
+        points = {"reference_point": plan.reference_point, "reference_front": plan.reference_front}
+        metrics = measure_front(front, **points, scales=self.env.joint_scales)
         vehicles = self.env.vehicles
         for v, best in enumerate(front.returns.max(axis=0).reshape(vehicles, -1)):
             names = (vehicle_prefix(v, vehicles) + return_of(name) for name in self.env.objectives)
-            found |= dict(zip(names, best.tolist(), strict=True))
-        return {evaluation_prefix(FRONT) + name: value for name, value in found.items()}, front
+            metrics |= dict(zip(names, best.tolist(), strict=True))
+        return {evaluation_prefix(FRONT) + name: value for name, value in metrics.items()}, front
 
 
 @dataclass(frozen=True)
@@ -723,7 +698,7 @@ class PolicyOfFront:
         conditions: (N, ...), one per environment, or (1, ...) for all.
     """
 
-    agent: Any
+    agent: FrontAgent
     conditions: NDArray[np.float32]
     utilities: ClassVar[tuple[Utility, ...]] = ()
 
@@ -746,5 +721,6 @@ class PolicyOfFront:
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
-        actions: NDArray[Any] = self.agent.act_under(self.conditions, observations, accrued_reward, generator)
+        agent: Any = self.agent
+        actions: NDArray[Any] = agent.act_under(self.conditions, observations, accrued_reward, generator)
         return actions

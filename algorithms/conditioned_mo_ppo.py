@@ -84,7 +84,7 @@ from algorithms.actor_critic import ActorCritic
 from algorithms.agent import DRAWS, FrontAgent, PolicyOfFront
 from algorithms.hyperparameters import Count, Fraction, NonNegative, PositiveFraction, ProximalSettings
 from algorithms.learning.advantages import generalised_advantages
-from algorithms.learning.checkpoints import PARTNERS, PRICE, RHO
+from algorithms.learning.checkpoints import PARTNERS
 from algorithms.learning.losses import Loss, mean, policy_change
 from algorithms.learning.preferences import (
     CHEBYSHEV,
@@ -104,7 +104,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from algorithms.actor_critic import PolicyLearner
-    from algorithms.learning.guides import Guide
     from algorithms.learning.learner import Networks
     from algorithms.learning.storage import Rollout, RolloutStorage, Samples
     from mo_deepdrive.evaluation.policy import AccruedReward
@@ -115,9 +114,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
 
     Args:
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
-        guides: what begins episodes.
-        share_policy: one policy, learnt from what all vehicles do, instead of one for each.
-        **options: ``seed``, ``device``, ``compiled`` and the hyperparameters, as of
+        **options: ``guides``, ``share_policy``, ``seed``, ``device``, ``compiled`` and the hyperparameters, as of
             :class:`algorithms.actor_critic.ActorCritic`.
 
     Attributes:
@@ -156,8 +153,8 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         centralised_critic: Literal[False] = False
         """False: the critic sees what the actor sees."""
 
-    def __init__(self, env: VectorEnv, *, guides: Sequence[Guide] = (), share_policy: bool = False, **options: Any):
-        super().__init__(env, guides=guides, share_policy=share_policy, **options)
+    def __init__(self, env: VectorEnv, **options: Any):
+        super().__init__(env, **options)
         if self.env.cost_sign != "maximise":
             raise ValueError(f"cost_sign = {self.env.cost_sign!r}: algorithm {self.name!r} needs 'maximise'")
 
@@ -335,8 +332,8 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
             "preferences": list(self.preferences.names),
             "objective_scales": self.scales.tolist(),
             "budgets": dict(config.budgets),
-            **({RHO: config.rho} if CHEBYSHEV in self.preferences.used else {}),
-            **({PRICE: config.price} if COMFORT_BUDGET in self.preferences.used else {}),
+            **({"rho": config.rho} if CHEBYSHEV in self.preferences.used else {}),
+            **({"price": config.price} if COMFORT_BUDGET in self.preferences.used else {}),
             "gamma": self.accrued_discount,
         }
 

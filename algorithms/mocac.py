@@ -69,26 +69,15 @@ WIDE = 10.0  # bound of particles, in nominal scales
 
 
 class MOCACSamples(NamedTuple):
-    """M samples of one policy.
-
-    Attributes:
-        inputs: (M, i) what the actor saw.
-        states: (M, c) what the critic saw.
-        actions: (M,) or (M, k).
-        advantages: (M,) A_t.
-        shifts: (M, d) the sums of rewards of eq. 5.
-        discounts: (M,) g^{e-t}; 0 where the episode terminates at e.
-        following: (M, K) outputs for Z'(S_e).
-        weights: (M,) 1 where the vehicle acted, 0 elsewhere; None if it acted in all.
-    """
+    """M samples of one policy; the other fields are those of :class:`algorithms.learning.storage.Samples`."""
 
     inputs: torch.Tensor
     states: torch.Tensor
     actions: torch.Tensor
     advantages: torch.Tensor
-    shifts: torch.Tensor
-    discounts: torch.Tensor
-    following: torch.Tensor
+    shifts: torch.Tensor  # (M, d) the sums of rewards of eq. 5
+    discounts: torch.Tensor  # (M,) g^{e-t}; 0 where the episode terminates at e
+    following: torch.Tensor  # (M, K) outputs for Z'(S_e)
     weights: torch.Tensor | None = None
 
 

@@ -50,6 +50,7 @@ from algorithms.hyperparameters import (
     Positive,
     PositiveFraction,
     Scales,
+    linear_schedule,
     schedules,
 )
 from algorithms.learning.actors import check_outputs
@@ -58,7 +59,6 @@ from algorithms.learning.episode_buffer import Episode, EpisodeBuffer, returns_t
 from algorithms.learning.learner import NORM, Learner, Networks
 from algorithms.learning.losses import Loss
 from algorithms.learning.networks import CommandNetwork
-from algorithms.learning.optimiser import linear_schedule
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from mo_deepdrive.evaluation.policy import SMALLEST_DISCOUNT, AccruedReward
@@ -243,14 +243,13 @@ class PCN(FrontAgent):
     def _sample_commands(self) -> NDArray[np.float32]:
         """One command (N, d + 1) per environment, by eq. 3."""
         config, n = self.config, self.env.num_envs
-        best = self.buffer.best()
-        returns = self.buffer.returns[best]
-        chosen = torch.randint(len(best), (n,), generator=self.draws).numpy()
+        returns, lengths = self._best_episodes()
+        chosen = torch.randint(len(returns), (n,), generator=self.draws).numpy()
         objective = torch.randint(returns.shape[1], (n,), generator=self.draws).numpy()
         noise = config.return_noise * torch.rand(n, generator=self.draws).numpy()
         desired = returns[chosen].astype(np.float32)
         desired[np.arange(n), objective] += noise * returns.std(axis=0)[objective]
-        horizon = np.maximum(self.buffer.lengths[best][chosen] - config.horizon_reduction, 1)
+        horizon = np.maximum(lengths[chosen] - config.horizon_reduction, 1)
         return np.column_stack([desired, horizon.astype(np.float32)])
 
     def _collect(self, commands: NDArray[np.float32] | None) -> NDArray[np.float32]:
@@ -394,7 +393,8 @@ class PCN(FrontAgent):
         """Discounted returns (K, d) and lengths (K,) of the non-dominated episodes: the buffer's, else the loaded."""
         if self._attained is not None and not len(self.buffer):
             return self._attained
-        return self.buffer.attained()
+        best = self.buffer.best()
+        return self.buffer.returns[best], self.buffer.lengths[best]
 
     @property
     def condition_names(self) -> tuple[str, ...]:

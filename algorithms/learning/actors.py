@@ -28,14 +28,7 @@ LOG_STD_GAIN = 0.3
 
 
 def check_outputs(outputs: torch.Tensor) -> None:
-    """Refuse outputs of a policy's network from which no action can be chosen.
-
-    Args:
-        outputs: (N, ...) of N environments.
-
-    Raises:
-        NotFinite: naming the environment.
-    """
+    """Refuse outputs (N, ...) of a policy's network that are not finite, naming the environment."""
     wrong = ~outputs.isfinite()
     if wrong.any():
         environment = int(wrong.nonzero()[0, 0])
@@ -44,26 +37,11 @@ def check_outputs(outputs: torch.Tensor) -> None:
         )
 
 
-def softmax_log_prob_and_entropy(logits: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Log p_a and the entropy of p = softmax(z), each (...), for logits z (..., n) and actions a (...)."""
-    log_p = logits.log_softmax(-1)
-    return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), -(log_p.exp() * log_p).sum(-1)
-
-
-def gaussian_log_density_and_entropy(
-    mean: torch.Tensor, log_std: torch.Tensor, actions: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Log N(a; m, sigma) and the entropy, each (...), for m and a (..., k) and log sigma (..., k) or (k,)."""
-    z = (actions - mean) / log_std.exp()
-    log_density = (-0.5 * z.square() - log_std - 0.5 * LOG_TWO_PI).sum(-1)
-    return log_density, (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1).expand_as(log_density)
-
-
 class Actor(nn.Module, ABC):
     """A policy; calling it gives the log-probability of actions and its entropy.
 
     Args:
-        body: network from (..., inputs) to the parameters of the distribution.
+        body: network from (..., inputs) to the parameters (..., n) of the distribution, its outputs.
         noise: how many random numbers :meth:`choose` takes for an action.
     """
 
@@ -80,15 +58,15 @@ class Actor(nn.Module, ABC):
 
     @abstractmethod
     def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
-        """Actions (...) or (..., k) for outputs (..., n) of the body and random numbers (..., noise)."""
+        """Actions (...) or (..., k) for outputs and random numbers (..., noise)."""
 
     @abstractmethod
     def best(self, outputs: torch.Tensor) -> torch.Tensor:
-        """The most probable actions (...) or (..., k) for outputs (..., n) of the body."""
+        """The most probable actions (...) or (..., k)."""
 
     @abstractmethod
     def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Log-probability of ``actions`` and entropy, each (...), for outputs (..., n) of the body."""
+        """Log-probability of ``actions`` and entropy, each (...)."""
 
     def act(self, x: torch.Tensor, generator: torch.Generator | None) -> torch.Tensor:
         """One action per row of x (N, ..., inputs): the most probable one without a generator.
@@ -105,16 +83,12 @@ class Actor(nn.Module, ABC):
         return self.choose(outputs, noise)
 
     def forward(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Log-probability of ``actions`` and entropy of the policy, each (...)."""
+        """:meth:`evaluate` for inputs x (..., inputs)."""
         return self.evaluate(self.body(x), actions)
 
 
 class CategoricalActor(Actor):
-    """Softmax policy over n discrete actions; actions are int64 tensors of shape (...).
-
-    Args:
-        body: network from (..., inputs) to n logits.
-    """
+    """Softmax policy over n discrete actions, whose logits are the outputs; actions are int64 tensors (...)."""
 
     def __init__(self, body: nn.Module):
         super().__init__(body, noise=1)
@@ -133,8 +107,9 @@ class CategoricalActor(Actor):
         return outputs.argmax(-1)
 
     def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """As :func:`softmax_log_prob_and_entropy`."""
-        return softmax_log_prob_and_entropy(outputs, actions)
+        """Log p_a, and the entropy of p = softmax(z)."""
+        log_p = outputs.log_softmax(-1)
+        return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), -(log_p.exp() * log_p).sum(-1)
 
 
 class _Gaussian(Actor):
@@ -161,17 +136,15 @@ class _Gaussian(Actor):
         return self.mean_and_log_std(outputs)[0]
 
     def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """As :func:`gaussian_log_density_and_entropy`."""
-        return gaussian_log_density_and_entropy(*self.mean_and_log_std(outputs), actions)
+        """Log N(a; m, sigma), and its entropy."""
+        mean, log_std = self.mean_and_log_std(outputs)
+        z = (actions - mean) / log_std.exp()
+        log_density = (-0.5 * z.square() - log_std - 0.5 * LOG_TWO_PI).sum(-1)
+        return log_density, (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1).expand_as(log_density)
 
 
 class GaussianActor(_Gaussian):
-    """Gaussian policy with one log standard deviation per axis.
-
-    Args:
-        body: network from (..., inputs) to the means of the actions.
-        actions: k.
-    """
+    """Gaussian policy over k axes: the outputs are the means, and each axis has one log standard deviation."""
 
     def __init__(self, body: nn.Module, actions: int):
         super().__init__(body, noise=actions)
@@ -183,13 +156,9 @@ class GaussianActor(_Gaussian):
 
 
 class StateGaussianActor(_Gaussian):
-    """Gaussian policy whose standard deviation, too, depends on the state.
+    """Gaussian policy over k axes whose standard deviation, too, depends on the state.
 
     What explores in one state, or under one preference, can be certain in another.
-
-    Args:
-        body: network from (..., inputs) to k means, then k numbers of which the deviations are made.
-        actions: k.
     """
 
     def __init__(self, body: nn.Module, actions: int):
@@ -206,13 +175,11 @@ def make_actor(
 ) -> Actor:
     """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many.
 
-    With ``config.state_dependent_std`` the network has two outputs per axis.
-
     Raises:
         ValueError: as :func:`algorithms.learning.networks.make_network`.
     """
-    outputs = 2 * actions if continuous and config.state_dependent_std else actions
-    body = make_network(config, inputs, outputs, generator, output_gain=0.01)
+    of_state = continuous and config.state_dependent_std
+    body = make_network(config, inputs, 2 * actions if of_state else actions, generator, output_gain=0.01)
     if not continuous:
         return CategoricalActor(body)
-    return StateGaussianActor(body, actions) if config.state_dependent_std else GaussianActor(body, actions)
+    return StateGaussianActor(body, actions) if of_state else GaussianActor(body, actions)

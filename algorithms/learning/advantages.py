@@ -35,11 +35,8 @@ def bootstrapped(
 ) -> torch.Tensor:
     """v(S_{t+1}) (T, ..., K): 0 after termination, the value of the true final state after truncation.
 
-    Args:
-        following: (T, ..., K) v of the states in which decisions 1 to T were taken.
-        final_values: (T, ..., K) v of the states after each step; read where ``truncated``.
-        terminated: (T, ...).
-        truncated: (T, ...).
+    ``following`` (T, ..., K) is v of the states in which decisions 1 to T were taken, and ``final_values`` that of the
+    states after each step, which is read where ``truncated`` (T, ...).
     """
     values = torch.where(truncated.unsqueeze(-1), final_values, following)
     return values.masked_fill(terminated.unsqueeze(-1), 0.0)
@@ -62,11 +59,7 @@ def utility_gradient(utility: Utility, expected_return: torch.Tensor) -> torch.T
 
 
 def check_utility_gradient(utility: Utility, expected_return: torch.Tensor) -> None:
-    """Refuse a utility whose gradient at the expected return (d,) is not finite, as that of a root at 0.
-
-    Raises:
-        NotFinite: naming both.
-    """
+    """Refuse a utility whose gradient at the expected return (d,) is not finite, as that of a root at 0."""
     gradient = utility_gradient(utility, expected_return)
     if not gradient.isfinite().all():
         at = dict(zip(utility.objectives, expected_return.tolist(), strict=True))

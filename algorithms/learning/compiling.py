@@ -30,15 +30,7 @@ def has_compiler(device: str) -> bool:
 
 @contextmanager
 def pure(what: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
-    """Refuse that tensors are changed in place.
-
-    Args:
-        what: is calculated.
-        tensors: by name.
-
-    Raises:
-        ValueError: naming the tensor.
-    """
+    """Refuse that tensors are changed in place where something is calculated."""
     versions = [each._version for each in tensors.values()]
     yield
     for (name, each), version in zip(tensors.items(), versions, strict=True):
@@ -54,9 +46,8 @@ class Compiled:
     It is traced with all that autograd does, of which the compiler then sees nothing but operations. What is no tensor,
     and tensors that are no arguments, stay what they were when it was traced; tensors in its results are new.
 
-    Args:
-        function: gives a tree of tensors, and may change its arguments in place.
-        enabled: whether it is compiled; else it is called as it is. "auto" calls it as it is, too, if it cannot be.
+    The function may change its arguments in place. It is called as it is unless ``enabled``, and with "auto" also if it
+    cannot be compiled.
     """
 
     def __init__(self, function: Callable[..., Any], *, enabled: bool | Literal["auto"]):
@@ -65,11 +56,7 @@ class Compiled:
 
     @torch.no_grad()
     def __call__(self, *arguments: Any) -> Any:
-        """The function's result.
-
-        Raises:
-            ValueError: if it cannot be compiled.
-        """
+        """The function's result."""
         if not self._enabled:
             return self._function(*arguments)
         leaves, form = pytree.tree_flatten(arguments)

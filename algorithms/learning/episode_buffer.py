@@ -18,17 +18,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode of T decisions.
+    """One episode of T decisions."""
 
-    Attributes:
-        observations: (T, o) before each action.
-        actions: (T,) or (T, k).
-        returns: (T, d) discounted returns-to-go; the first is the return of the episode.
-    """
-
-    observations: NDArray[np.float32]
-    actions: NDArray[Any]
-    returns: NDArray[np.float32]
+    observations: NDArray[np.float32]  # (T, o) before each action
+    actions: NDArray[Any]  # (T,) or (T, k)
+    returns: NDArray[np.float32]  # (T, d) discounted returns-to-go; the first is the return of the episode
 
     def __len__(self) -> int:
         return len(self.returns)
@@ -49,11 +43,6 @@ class EpisodeBuffer:
     is doubled where the crowding distance is at most ``crowding``, and slightly larger for all but the first of equal
     returns. When there are more than ``capacity`` episodes, those with the lowest scores are removed; when more than
     ``capacity`` are non-dominated, a farthest-point subset of them is kept.
-
-    Args:
-        capacity: episodes kept.
-        scales: (d,) nominal size of each objective's return.
-        crowding: crowding distance up to which episodes count as too similar.
     """
 
     REPEATED = 1e-5  # units of ``scales``
@@ -103,23 +92,10 @@ class EpisodeBuffer:
         return -gaps
 
     def best(self) -> NDArray[np.intp]:
-        """Indices of the episodes with non-dominated returns.
-
-        Raises:
-            ValueError: if the buffer is empty.
-        """
+        """Indices of the episodes with non-dominated returns."""
         if not self.episodes:
             raise ValueError("the buffer holds no episode yet: train first, or load a checkpoint")
         return np.flatnonzero(non_dominated(self.returns))
-
-    def attained(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """(K, d) discounted returns and (K,) decisions of the episodes with non-dominated returns.
-
-        Raises:
-            ValueError: if the buffer is empty.
-        """
-        best = self.best()
-        return self.returns[best], self.lengths[best]
 
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(d,) lowest and highest return-to-go."""

@@ -51,13 +51,12 @@ class Learner:
     parameters are views of one matrix, so that a step of Adam is one operation.
 
     Args:
-        networks: of each seed, alike but for their parameters, on the device. Those of the first seed are moved into
-            the matrix, and remain its networks.
+        networks: of each seed, alike but for their parameters, on the device.
         max_grad_norm: to which the norm of a seed's gradient is clipped; infinite for no limit.
         name: in checkpoints.
 
     Attributes:
-        networks: of the first seed; for the others they lend their structure.
+        networks: of the first seed, in the matrix; for the others they lend their structure.
         vector: (S, P) the parameters.
         count: (S, 1) steps of Adam; the rest of its state is ``mean`` and ``mean_square``, as ``vector``.
         compiled, computes_compiled: whether gradient steps, and what :meth:`compute` computes, go through
@@ -108,8 +107,7 @@ class Learner:
     def compute(self, function: Callable[..., Any], arguments: Any, *shared: Any) -> Any:
         """:meth:`call` with the parameters as they are, without a gradient."""
         if self.seeds == 1 and not self.computes_compiled:  # they are those of the networks
-            found = function(self.networks, tree_map(_only, arguments), *shared)
-            return tree_map(_with_axis, found)
+            return tree_map(_with_axis, function(self.networks, tree_map(_only, arguments), *shared))
         return self._function(self.call, function, self.computes_compiled)(self.vector, arguments, *shared)
 
     def _function(
@@ -128,15 +126,11 @@ class Learner:
             vector: (S, P), as :attr:`vector`.
             arguments: a tree of tensors (S, ...), of which every seed gets its part.
             *shared: tensors that all seeds get.
-
-        Raises:
-            ValueError: at its first call, if there are several seeds and ``torch.func.vmap`` cannot call it.
         """
         parameters = self._views(vector)
         if self.seeds == 1:
-            own = tree_map(_only, (parameters, arguments))
-            found = functional_call(self.networks, own[0], (function, own[1], *shared))
-            return tree_map(_with_axis, found)
+            own, part = tree_map(_only, (parameters, arguments))
+            return tree_map(_with_axis, functional_call(self.networks, own, (function, part, *shared)))
         every = vmap(lambda own, part: functional_call(self.networks, own, (function, part, *shared)))
         try:
             found = every(parameters, arguments)
@@ -221,7 +215,7 @@ class Learner:
         """Weights and the optimiser's state of the seed with this index, as named tensors."""
         size = sum(self._sizes)
         state = dict(self._views(self.vector[seed]))
-        state |= {f"{name}": each for name, each in self.networks.named_buffers()}
+        state |= dict(self.networks.named_buffers())
         adam = {"step": self.count[seed, 0], "exp_avg": self.mean[seed], "exp_avg_sq": self.mean_square[seed]}
         return state | {f"optimiser.{name}": each[:size] if each.dim() else each for name, each in adam.items()}
 
@@ -263,11 +257,6 @@ def _linear(layer: nn.Linear, most_parts: int, x: torch.Tensor) -> torch.Tensor:
 
     The gradient dL/dW = sum_m g_m x_m^T is then a sum of products that a GPU calculates at the same time; as a single
     product of two long and narrow matrices it would leave most of the GPU idle.
-
-    Args:
-        layer: with W and b.
-        most_parts: at most so many.
-        x: (..., inputs).
     """
     rows = len(x) if x.dim() == 2 else 0
     parts = min(rows // ROWS, most_parts, rows & -rows)  # the last one is the greatest power of two that divides rows

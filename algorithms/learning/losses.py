@@ -34,12 +34,9 @@ def mean(values: torch.Tensor, weights: torch.Tensor | None) -> torch.Tensor:
 
 
 def policy_change(log_ratio: torch.Tensor, clip: float, weights: torch.Tensor | None) -> dict[str, torch.Tensor]:
-    """The fraction of clipped samples, and E[rho - 1 - log rho], an estimate of KL(pi_old || pi), in a gradient step.
+    """The fraction of samples that are clipped to epsilon, and E[rho - 1 - log rho] for log rho (M,).
 
-    Args:
-        log_ratio: (M,) log rho of samples of pi_old.
-        clip: epsilon.
-        weights: of the samples.
+    The latter is an estimate of KL(pi_old || pi) in a gradient step.
     """
     log_ratio = log_ratio.detach()
     ratio = log_ratio.clamp(max=LARGEST_LOG_RATIO).exp()

@@ -114,14 +114,8 @@ class CommandNetwork(nn.Module):
     Observation and command each pass a linear layer and a sigmoid; their product passes a multilayer perceptron
     (Reymond et al. 2022, figure 2).
 
-    Args:
-        inputs: o, width of an observation.
-        commands: width of a command.
-        hidden: width of the embeddings, then of the layers after them.
-        outputs: width of the result.
-        generator: draws the initial weights.
-        standardised: whether inputs have mean 0 and standard deviation 1. The embeddings before the sigmoid then begin
-            with a variance near 1, else with a smaller one.
+    ``hidden`` are the widths of the embeddings, then of the layers after them. With ``standardised`` inputs, of mean 0
+    and standard deviation 1, the embeddings before the sigmoid begin with a variance near 1, else with a smaller one.
     """
 
     FEW_ROWS = 64

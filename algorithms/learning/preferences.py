@@ -343,7 +343,7 @@ class TrainingPreferences:
         changes = (lengths == 0) | self._switches[:, t]
         return self.current.copy_(torch.where(changes.unsqueeze(-1), self._drawn[:, t], self.current))
 
-    def note_episodes(self, values: torch.Tensor, ended: torch.Tensor) -> None:
+    def update_on_episode_end(self, values: torch.Tensor, ended: torch.Tensor) -> None:
         """Raise z to the best accrued rewards (S, T, N, V, d) of the episodes that ended, where a mask says."""
         best = values.masked_fill(~ended.unsqueeze(-1), -torch.inf).amax((1, 2, 3))
         any_ended = ended.flatten(1).any(-1)

@@ -36,11 +36,7 @@ class ReturnDistribution(ABC):
 
     @abstractmethod
     def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The returns that have mass, (M, n, d) or (1, n, d) where all rows share them, and their masses (M, n).
-
-        Args:
-            outputs: (M, outputs) of the network.
-        """
+        """The returns that have mass, (M, n, d) or (1, n, d) where all rows share them, and their masses (M, n)."""
 
     @abstractmethod
     def distance(
@@ -76,13 +72,7 @@ class CategoricalGrid(ReturnDistribution):
     The joint form of Bellemare, Dabney and Munos (2017). The loss is the cross entropy between the target, projected
     onto the grid by :func:`project`, and the prediction.
 
-    Args:
-        minimum, maximum: (d,) first and last atom of each objective.
-        atoms: A.
-        device: of the tensors.
-
-    Raises:
-        ValueError: if the grid has more than 4096 cells, or an objective's atoms do not increase.
+    ``minimum`` and ``maximum`` (d,) are the first and the last atom of each objective.
     """
 
     def __init__(self, minimum: Sequence[float], maximum: Sequence[float], atoms: int, device: torch.device):
@@ -145,9 +135,6 @@ class Particles(ReturnDistribution):
         number: K.
         scales: (d,) nominal size of each objective's return, by which distances are measured.
         minimum, maximum: (d,) bounds to which targets are clipped.
-
-    Raises:
-        ValueError: if the bounds of an objective do not increase.
     """
 
     def __init__(self, number: int, scales: torch.Tensor, minimum: Sequence[float], maximum: Sequence[float]):
@@ -179,9 +166,7 @@ def energy_score(particles: torch.Tensor, targets: torch.Tensor) -> torch.Tensor
     ``|z| = sqrt(z . z + 0.01^2)``, which has a gradient at 0, it is a maximum mean discrepancy with a multiquadric
     kernel, as in Zhang et al. (2021).
 
-    Args:
-        particles: (M, K, d) X, equally likely.
-        targets: (M, J, d) Y, equally likely, without a gradient.
+    X are the particles (M, K, d), and Y the targets (M, J, d), without a gradient.
     """
 
     def distance(others: torch.Tensor) -> torch.Tensor:

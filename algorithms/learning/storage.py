@@ -19,38 +19,24 @@ if TYPE_CHECKING:
 class RolloutStorage:
     """T steps of N environments with V vehicles, of S seeds; every rollout overwrites the last.
 
-    Attributes:
-        inputs: (S, T + 1, N, V, i) what actors see before each step and after the last, scaled.
-        final_inputs: (S, T, N, V, i) what they would see after each step; where an episode ended, in its last state.
-        actions: (S, T, N, V) or (S, T, N, V, k).
-        rewards: (S, T, N, V, d), multiplied by the collector's shares.
-        accrued: (S, T + 1, N, V, d) accrued reward R_t = sum_{i<t} g^i r_i of the running episode.
-        discounts: (S, T + 1, N, V) g^t of the running episode, with the discount g of the accrued reward.
-        terminated, truncated: (S, T, N, V) whether the vehicle's episode ended; both only in the step in which it did.
-        acted: (S, T, N, V); samples in which a vehicle, or its policy, did not act carry no information.
-        preferences: (S, T, N, V, m) under which the vehicles acted; m = 0 where there are none.
-        ended: (S, T, N, V) whether an episode ended.
-        ended_values: (S, T, N, V, d) accrued rewards after each step.
-        ended_sums: (S, T, N, V, 2 + d) after each step: whether the goal was reached, decisions, undiscounted returns.
-        led: (S, T, N, V) whether a guide drove in place of the policy.
-        outputs: (S, T, N, V, n) of the policy's network.
+    All are (S, T, N, V, ...), but the first axis of time has T + 1 where that is said.
     """
 
-    inputs: torch.Tensor
-    final_inputs: torch.Tensor
-    actions: torch.Tensor
-    rewards: torch.Tensor
-    accrued: torch.Tensor
-    discounts: torch.Tensor
-    terminated: torch.Tensor
+    inputs: torch.Tensor  # (..., i), T + 1: what actors see before each step and after the last, scaled
+    final_inputs: torch.Tensor  # (..., i) what they would see after each step; after an episode, in its last state
+    actions: torch.Tensor  # (...) or (..., k)
+    rewards: torch.Tensor  # (..., d), multiplied by the collector's shares
+    accrued: torch.Tensor  # (..., d), T + 1: accrued reward R_t = sum_{i<t} g^i r_i of the running episode
+    discounts: torch.Tensor  # T + 1: g^t of the running episode, with the discount g of the accrued reward
+    terminated: torch.Tensor  # whether the vehicle's episode ended; it and the next only in the step in which it did
     truncated: torch.Tensor
-    acted: torch.Tensor
-    preferences: torch.Tensor
-    ended: torch.Tensor
-    ended_values: torch.Tensor
-    ended_sums: torch.Tensor
-    led: torch.Tensor
-    outputs: torch.Tensor
+    acted: torch.Tensor  # samples in which a vehicle, or its policy, did not act carry no information
+    preferences: torch.Tensor  # (..., m) under which the vehicles acted; m = 0 where there are none
+    ended: torch.Tensor  # whether an episode ended
+    ended_values: torch.Tensor  # (..., d) accrued rewards after each step
+    ended_sums: torch.Tensor  # (..., 2 + d) after each step: whether the goal was reached, decisions, plain returns
+    led: torch.Tensor  # whether a guide drove in place of the policy
+    outputs: torch.Tensor  # (..., n) of the policy's network
 
     def at(self, t: int) -> RolloutStorage:
         """Views of step t, (S, N, V, ...)."""
@@ -68,39 +54,23 @@ class RolloutStorage:
 
 @dataclass
 class Rollout:
-    """What one policy did and met in T steps of N environments, of one seed.
+    """What one policy did and met in T steps of N environments, of one seed; fields as of :class:`RolloutStorage`."""
 
-    Attributes:
-        inputs: (T + 1, N, i) what the actor saw: S_0 to S_T.
-        states: (T + 1, N, c) what the critic sees in them.
-        final_states: (T, N, c) what the critic sees of the true states after each step; read where ``truncated``.
-        actions: (T, N) or (T, N, k).
-        rewards: (T, N, d).
-        accrued: (T + 1, N, d) R_t.
-        discounts: (T + 1, N) g^t.
-        terminated, truncated, acted: (T, N).
-        preferences: (T, N, m) under which the policy acted; m = 0 where there are none.
-        outputs: (T, N, n) of the actor's network when it acted.
-        expected_return: (d,) E[R], running mean of the accrued rewards of episodes.
-        ideal: (d,) the best accrued rewards of any episode.
-        utility: u of its vehicles; None where none is known.
-    """
-
-    inputs: torch.Tensor
-    states: torch.Tensor
-    final_states: torch.Tensor
-    actions: torch.Tensor
-    rewards: torch.Tensor
-    accrued: torch.Tensor
-    discounts: torch.Tensor
-    terminated: torch.Tensor
+    inputs: torch.Tensor  # (T + 1, N, i) what the actor saw: S_0 to S_T
+    states: torch.Tensor  # (T + 1, N, c) what the critic sees in them
+    final_states: torch.Tensor  # (T, N, c) what it sees of the true states after each step; read where ``truncated``
+    actions: torch.Tensor  # (T, N) or (T, N, k)
+    rewards: torch.Tensor  # (T, N, d)
+    accrued: torch.Tensor  # (T + 1, N, d) R_t
+    discounts: torch.Tensor  # (T + 1, N) g^t
+    terminated: torch.Tensor  # (T, N)
     truncated: torch.Tensor
     acted: torch.Tensor
-    preferences: torch.Tensor
-    outputs: torch.Tensor
-    expected_return: torch.Tensor
-    ideal: torch.Tensor
-    utility: Any = None
+    preferences: torch.Tensor  # (T, N, m) under which the policy acted
+    outputs: torch.Tensor  # (T, N, n) of the actor's network when it acted
+    expected_return: torch.Tensor  # (d,) E[R], running mean of the accrued rewards of episodes
+    ideal: torch.Tensor  # (d,) the best accrued rewards of any episode
+    utility: Any = None  # u of its vehicles; None where none is known
 
     @property
     def ended(self) -> torch.Tensor:
@@ -114,25 +84,15 @@ class Rollout:
 
 
 class Samples(NamedTuple):
-    """M samples of one policy, as it learns from them.
+    """M samples of one policy, as it learns from them."""
 
-    Attributes:
-        inputs: (M, i) what the actor saw.
-        states: (M, c) what the critic saw; None for what the actor saw, until a loss is calculated.
-        actions: (M,) or (M, k).
-        advantages: (M,) A_t.
-        targets: (M, K) y_t, in the units of the critic's outputs.
-        log_prob: (M,) log-probability of the actions under the policy pi_old that collected them; None if not needed.
-        weights: (M,) 1 where the vehicle acted, 0 elsewhere; None if it acted in all.
-    """
-
-    inputs: torch.Tensor
-    states: Any
-    actions: torch.Tensor
-    advantages: torch.Tensor
-    targets: torch.Tensor
-    log_prob: torch.Tensor | None = None
-    weights: torch.Tensor | None = None
+    inputs: torch.Tensor  # (M, i) what the actor saw
+    states: Any  # (M, c) what the critic saw; None for what the actor saw, until a loss is calculated
+    actions: torch.Tensor  # (M,) or (M, k)
+    advantages: torch.Tensor  # (M,) A_t
+    targets: torch.Tensor  # (M, K) y_t, in the units of the critic's outputs
+    log_prob: torch.Tensor | None = None  # (M,) of the actions under pi_old, which collected them; None if not needed
+    weights: torch.Tensor | None = None  # (M,) 1 where the vehicle acted, 0 elsewhere; None if it acted in all
 
 
 class EpisodeSums:

@@ -80,8 +80,8 @@ class Peer:
 BOTH = (DISCRETE, CONTINUOUS)
 
 
-def _morl(path: str, *arguments: Any, **options: Any) -> Peer:
-    return Peer(f"morl_baselines.{path}", *arguments, package="morl-baselines", **options)
+def _morl(path: str, adapter: Any, actions: tuple[str, ...], **options: Any) -> Peer:
+    return Peer(f"morl_baselines.{path}", adapter, actions, "morl-baselines", **options)
 
 
 _weighted = partial(_morl, Config=WeightedConfig)
