@@ -24,7 +24,6 @@ from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 if TYPE_CHECKING:
     import torch
 
-    from algorithms.actor_critic import PolicyLearner
     from algorithms.learning.learner import Networks
     from algorithms.learning.storage import Rollout, Samples
 
@@ -33,6 +32,7 @@ class A2C(ActorCritic):
     """Advantage actor-critic on scalarised rewards, one independent policy per vehicle."""
 
     name = "a2c"
+    judged = "rewards"
     compares_policies = False
 
     class Config(ActorCriticSettings):
@@ -59,8 +59,3 @@ class A2C(ActorCritic):
         entropy = mean(entropies, samples.weights)
         total = policy_loss + self.config.value_coefficient * value_loss - entropy_coefficient * entropy
         return Loss(total, {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy})
-
-    def diagnose(self, learner: PolicyLearner, seed: int) -> None:
-        """Call the utility with a check."""
-        for v in learner.vehicles:
-            self.utilities[v](self.collector.storage.rewards[seed, :, :, v])

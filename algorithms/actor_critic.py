@@ -137,6 +137,7 @@ class ActorCritic(Agent):
 
     Attributes:
         samples_class: what :meth:`samples` gives and :meth:`loss` takes.
+        judged: what the utility is of, "rewards" or "ended_values".
         compares_policies: whether the loss needs the log-probability under the policy that collected the rollout.
         observes_accrued, observes_discount: whether actors see R_t and g^t.
         learners: one per vehicle that learns, in the order of the vehicles; or a single one.
@@ -152,6 +153,7 @@ class ActorCritic(Agent):
     trains_with_guides = True
     shares_policies = True
     trains_on_devices = True
+    judged: ClassVar[str] = "ended_values"
     compares_policies: ClassVar[bool] = True
     observes_accrued: bool = False
     observes_discount: bool = False
@@ -302,6 +304,8 @@ class ActorCritic(Agent):
 
     def diagnose(self, learner: PolicyLearner, seed: int) -> None:
         """Raise a NotFinite that says why a loss of a seed is not finite, by checked calls of what may be the cause."""
+        for v in learner.vehicles if self.utilities else ():
+            self.utilities[v](getattr(self.collector.storage, self.judged)[seed, :, :, v])
 
     # ---------------------------------------------------------------------------------------------------------- acting
 

@@ -124,8 +124,7 @@ class MOA2C(ActorCritic):
         return Loss(total, {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy})
 
     def diagnose(self, learner: PolicyLearner, seed: int) -> None:
-        """Call the utility, and its gradient where that is used, with a check."""
-        for v in learner.vehicles:
-            self.utilities[v](self.collector.storage.ended_values[seed, :, :, v])
+        """Call the utility's gradient, too, where that is used."""
+        super().diagnose(learner, seed)
         if self.config.advantage == "utility_gradient":
             check_utility_gradient(self.utilities[learner.vehicles[0]], learner.expected_return[seed])

@@ -124,10 +124,8 @@ NAME = re.compile(rf"{PREFIX}({'|'.join(KINDS)})_(\d+(?:\.\d+)?)")
 def make_rule(name: str, action_type: str) -> Driver:
     """The scripted driver of a name.
 
-    Args:
-        name: ``rule:gap_3`` turns left and waits for a gap of 3 s, ``rule:straight_6`` drives straight on at 6 m/s, and
-            ``rule:yields_6`` does so and brakes for a vehicle in front of it; any numbers.
-        action_type: "discrete", "discrete-16" or "continuous".
+    ``rule:gap_3`` turns left and waits for a gap of 3 s, ``rule:straight_6`` drives straight on at 6 m/s, and
+    ``rule:yields_6`` does so and brakes for a vehicle in front of it; any numbers.
     """
     found = NAME.fullmatch(name)
     if found is None:

@@ -42,21 +42,13 @@ MAX_CURVATURE = 0.16  # 1/m, a little above that of the arc
 
 @dataclass(frozen=True)
 class GapRule:
-    """What a fixed rule for LeftTurn is made of.
+    """What a fixed rule for LeftTurn is made of."""
 
-    Attributes:
-        gap: it goes once the next oncoming car is this far from the crossing (s); 0 to go at once.
-        approach_speed: on the way to the crossing (m/s).
-        turn_speed: in the crossing (m/s).
-        exit_speed: after it (m/s).
-        stop_distance: from the front of the waiting vehicle to the crossing (m).
-    """
-
-    gap: float
-    approach_speed: float = 2.8
-    turn_speed: float = 6.0
-    exit_speed: float = 8.0
-    stop_distance: float = 0.73
+    gap: float  # it goes once the next oncoming car is this far from the crossing (s); 0 to go at once
+    approach_speed: float = 2.8  # on the way to the crossing (m/s)
+    turn_speed: float = 6.0  # in the crossing (m/s)
+    exit_speed: float = 8.0  # after it (m/s)
+    stop_distance: float = 0.73  # from the front of the waiting vehicle to the crossing (m)
 
     def __post_init__(self) -> None:
         check_rule(self)

@@ -33,11 +33,8 @@ MAKERS = {
 class ScriptedPolicy:
     """A policy (:class:`mo_deepdrive.evaluation.policy.Policy`) of which vehicles follow a script, and others idle.
 
-    Args:
-        env: where it drives.
-        vehicle: the index of the vehicle that is driven; None for all.
-        driver: gives the actions (...) or (..., k), as the environment takes them, for the observations (N, o) of that
-            vehicle, or (N, V, o) of all; without one all idle.
+    The driver gives the actions (...) or (..., k), as the environment takes them, for the observations (N, o) of a
+    vehicle, or (N, V, o) of all where that is None; without one all idle.
     """
 
     observes_accrued_reward = False

@@ -61,21 +61,13 @@ STOP_GAIN = 1.4  # 1/s, of the speed before the line over the distance to it
 
 @dataclass(frozen=True)
 class RoundaboutRule:
-    """What a fixed rule for the roundabout is made of.
+    """What a fixed rule for the roundabout is made of."""
 
-    Attributes:
-        gap: it enters if nobody with right of way is this close to the end of the entry (s); 0 gives way to nobody.
-        approach_speed: on the way to the roundabout (m/s).
-        inside_speed: inside (m/s).
-        exit_speed: after it (m/s).
-        headway: to the one ahead (s).
-    """
-
-    gap: float = 3.0
-    approach_speed: float = 4.2
+    gap: float = 3.0  # it enters if nobody with right of way is this close to the end of the entry (s)
+    approach_speed: float = 4.2  # on the way to the roundabout (m/s)
     inside_speed: float = 4.0
     exit_speed: float = 4.5
-    headway: float = 0.9
+    headway: float = 0.9  # to the one ahead (s)
 
     def __post_init__(self) -> None:
         check_rule(self)
@@ -110,19 +102,12 @@ def lane(route: NDArray[np.intp], along: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Place:
-    """Where N vehicles are, in the coordinates of the routes from the first arm.
+    """Where N vehicles are, in the coordinates of the routes from the first arm."""
 
-    Attributes:
-        route: (N,) indices of routes.
-        along: (N,) from the start of the route to the projection of the front (m).
-        front: (N, 2) (m).
-        heading: (N,) (rad).
-    """
-
-    route: NDArray[np.intp]
-    along: Floats
-    front: Floats
-    heading: Floats
+    route: NDArray[np.intp]  # (N,) indices of routes
+    along: Floats  # (N,) from the start of the route to the projection of the front (m)
+    front: Floats  # (N, 2) (m)
+    heading: Floats  # (N,) (rad)
 
     @property
     def forward(self) -> Floats:
@@ -186,21 +171,13 @@ def lane_curvature(place: Place, speed: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Others:
-    """The nearest others of N vehicles, in the coordinates of :class:`Place`.
+    """The nearest others of N vehicles, in the coordinates of :class:`Place`."""
 
-    Attributes:
-        centre: (N, 5, 2) (m).
-        heading: (N, 5) (rad).
-        speed: (N, 5) (m/s).
-        prior: (N, 5) whether they have right of way over the vehicle.
-        present: (N, 5).
-    """
-
-    centre: Floats
-    heading: Floats
-    speed: Floats
-    prior: NDArray[np.bool_]
-    present: NDArray[np.bool_]
+    centre: Floats  # (N, 5, 2) (m)
+    heading: Floats  # (N, 5) (rad)
+    speed: Floats  # (N, 5) (m/s)
+    prior: NDArray[np.bool_]  # (N, 5) whether they have right of way over the vehicle
+    present: NDArray[np.bool_]  # (N, 5)
 
 
 def locate_others(seen: Floats, place: Place) -> Others:
@@ -306,10 +283,8 @@ def drawn_rule(number: int) -> RoundaboutRule:
 def make_rule(name: str, action_type: str) -> RoundaboutDriver:
     """The scripted driver of a name, which drives any vehicle.
 
-    Args:
-        name: ``rule:hurried``, ``rule:balanced`` or ``rule:careful``; ``rule:enters_3`` is the balanced one with a gap
-            of 3 s, any number; ``rule:drawn_7`` is the rule that is drawn for the number 7.
-        action_type: "discrete", "discrete-16" or "continuous".
+    ``rule:hurried``, ``rule:balanced`` or ``rule:careful``; ``rule:enters_3`` is the balanced one with a gap of 3 s, or
+    another one; ``rule:drawn_7`` is the rule that is drawn for the number 7.
     """
     found = NAME.fullmatch(name)
     if found is None or (found[1] == "drawn" and not found[2].isdigit()):

@@ -33,12 +33,10 @@ STEERS, ACCELERATIONS = (-1.0, -0.3, 0.0, 0.3, 1.0), (0.25, 0.5, 1.0)  # of cont
 
 
 class Timed:
-    """Goes after a fixed time, whatever comes.
+    """Goes after a fixed time ``wait`` (s), whatever comes.
 
-    Args:
-        wait: seconds before it goes.
-        decision: seconds per decision.
-        drives: gives actions for observations (N, o) or (N, V, o) and whether to go, else it waits.
+    ``drives`` gives actions for observations (N, o) or (N, V, o) and whether to go, else it waits; ``decision`` is the
+    time (s) of one.
     """
 
     def __init__(self, wait: float, decision: float, drives: Callable[[NDArray[Any], bool], NDArray[Any]]):

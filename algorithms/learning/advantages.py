@@ -19,9 +19,6 @@ def generalised_advantages(deltas: torch.Tensor, ended: torch.Tensor, decay: flo
         deltas: (T, ...) temporal differences, without a gradient.
         ended: (T, ...) whether the episode ends at t, by termination or truncation; the last axis may be 1.
         decay: gamma * lambda, or lambda where the differences are discounted already.
-
-    Returns:
-        (T, ...) advantages.
     """
     decays = decay * (~ended).to(deltas.dtype)
     advantages = [deltas[-1]]

@@ -44,10 +44,8 @@ class Compiled:
     """A function of trees of tensors, compiled at its first call with arguments of these shapes.
 
     It is traced with all that autograd does, of which the compiler then sees nothing but operations. What is no tensor,
-    and tensors that are no arguments, stay what they were when it was traced; tensors in its results are new.
-
-    The function may change its arguments in place. It is called as it is unless ``enabled``, and with "auto" also if it
-    cannot be compiled.
+    and tensors that are no arguments, stay what they were when it was traced; tensors in its results are new, and its
+    arguments may be changed in place. It is called as it is unless ``enabled``, or with "auto" if compiling fails.
     """
 
     def __init__(self, function: Callable[..., Any], *, enabled: bool | Literal["auto"]):

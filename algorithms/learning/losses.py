@@ -15,15 +15,10 @@ LARGEST_LOG_RATIO = 80.0  # whose exponential is finite in single precision
 
 
 class Loss(NamedTuple):
-    """A loss of one seed.
+    """A loss of one seed."""
 
-    Attributes:
-        total: scalar, what is minimised.
-        parts: scalars by the names of metrics, for logs.
-    """
-
-    total: torch.Tensor
-    parts: dict[str, torch.Tensor]
+    total: torch.Tensor  # scalar, what is minimised
+    parts: dict[str, torch.Tensor]  # scalars by the names of metrics, for logs
 
 
 def mean(values: torch.Tensor, weights: torch.Tensor | None) -> torch.Tensor:

@@ -64,18 +64,10 @@ class Preferences:
     A preference is a row (m,) of numbers: an indicator of each family of the mixture if there are several, d weights
     unless all are budgets, and a budget for each budgeted objective. What a family does not use is 0.
 
-    Args:
-        config: families and what they are drawn from.
-        objectives: names of the d objectives.
-        scales: (d,) s.
-
     Attributes:
         names: of the m components.
         weight_columns, budget_columns: of a row.
         factors, divisors: (m,) by which networks see the components multiplied and divided.
-
-    Raises:
-        ValueError: if a budget or an emphasis is for an unknown objective.
     """
 
     def __init__(self, config: PreferenceSettings, objectives: Sequence[str], scales: NDArray[np.float32]):
@@ -117,13 +109,7 @@ class Preferences:
                 setattr(self, name, each.to(device))
 
     def rows(self, family: torch.Tensor, weights: torch.Tensor, budgets: torch.Tensor) -> torch.Tensor:
-        """Preferences (..., m) of families, weights and budgets.
-
-        Args:
-            family: (...) positions in :attr:`used`.
-            weights: (..., d) for linear and Chebyshev families.
-            budgets: (..., b) for comfort budgets, as shares of the largest.
-        """
+        """Preferences (..., m) of families (...), which are positions in ``used``, weights, and shares of budgets."""
         positions = torch.arange(len(self.used), device=family.device)
         indicators = (family.unsqueeze(-1) == positions).to(weights.dtype)
         has_budgets = indicators[..., -1:] if self.used[-1] == COMFORT_BUDGET else torch.zeros_like(indicators[..., :1])
@@ -132,13 +118,7 @@ class Preferences:
         return torch.cat([*parts, budgets * self.largest * has_budgets], dim=-1)
 
     def draw(self, count: int, rng: np.random.Generator, *, emphasis: bool = True) -> NDArray[np.float32]:
-        """(count, m) preferences from the distribution of training.
-
-        Args:
-            count: number of preferences.
-            rng: draws them.
-            emphasis: whether that of the config applies; without it all objectives are alike.
-        """
+        """(count, m) preferences from the distribution of training; without ``emphasis`` all objectives are alike."""
         rows = np.zeros((count, len(self.names)), dtype=np.float32)
         family = rng.choice(len(FAMILIES), size=count, p=self.shares)
         if len(self.used) > 1:
@@ -198,11 +178,7 @@ class Preferences:
         return row
 
     def check(self, rows: NDArray[np.float32]) -> None:
-        """Refuse rows (..., m) that no :meth:`draw` gives.
-
-        Raises:
-            ValueError: with the first of them.
-        """
+        """Refuse rows (..., m) that no :meth:`draw` gives."""
         weights, budgets = rows[..., self.weight_columns], rows[..., self.budget_columns]
         families = rows[..., : len(self.used)] if len(self.used) > 1 else np.ones((*rows.shape[:-1], 1))
         budgeted = (families[..., -1] == 1.0) & (self.used[-1] == COMFORT_BUDGET)
@@ -258,14 +234,7 @@ class Preferences:
     def features(
         self, preferences: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, ideal: torch.Tensor
     ) -> torch.Tensor:
-        """(p, c_t) of eq. 6, scaled: (..., width).
-
-        Args:
-            preferences: (..., m).
-            accrued: (..., d) R_t.
-            discounts: (...) gamma^t.
-            ideal: (..., d) z.
-        """
+        """(p, c_t) of eq. 6, scaled: (..., width), from R_t (..., d), gamma^t (...) and z (..., d)."""
         left = discounts.unsqueeze(-1).clamp(min=SMALLEST_DISCOUNT)
         parts = [preferences * self.factors / self.divisors]
         if CHEBYSHEV in self.used:
@@ -289,7 +258,6 @@ class TrainingPreferences:
         device: of the tensors.
 
     Attributes:
-        width: m.
         current: (S, N, V, m) of the running episodes.
         ideal: (S, d) z, the best accrued rewards of any episode; 0 before one has ended.
         seen_any: (S,) whether one has.
@@ -334,12 +302,7 @@ class TrainingPreferences:
         self._switches = uniform[..., 1] < self._switching
 
     def follow(self, t: int, lengths: torch.Tensor) -> torch.Tensor:
-        """The preferences (S, N, V, m) of decision t of a rollout; new where episodes begin, and by chance.
-
-        Args:
-            t: the decision.
-            lengths: (S, N, V) decisions of running episodes.
-        """
+        """The preferences (S, N, V, m) of decision t of a rollout; new where ``lengths`` are 0, and by chance."""
         changes = (lengths == 0) | self._switches[:, t]
         return self.current.copy_(torch.where(changes.unsqueeze(-1), self._drawn[:, t], self.current))
 

@@ -98,11 +98,7 @@ class Samples(NamedTuple):
 class EpisodeSums:
     """Sums over the episodes that ended since they were last taken, of each vehicle of S seeds.
 
-    Args:
-        seeds, vehicles: S and V.
-        objectives: names of the d objectives.
-        utilities: one per vehicle, unchecked; empty where none is known.
-        device: of the sums.
+    ``utilities`` are one per vehicle, unchecked; none where none is known.
 
     Attributes:
         totals: (S, V, 4 + d) their number, utilities, arrivals, decisions and undiscounted returns.

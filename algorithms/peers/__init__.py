@@ -1,6 +1,6 @@
 """Peers: algorithms of other libraries, trained and evaluated on any MO-Gymnasium environment like our own.
 
-:data:`PEERS` lists them. The adapter of a peer trains it on :class:`algorithms.peers.peer_env.PeerEnv` and returns
+:data:`PEERS` lists them. The adapter of a peer trains it on :class:`algorithms.peers.peer_task.PeerEnv` and returns
 :class:`algorithms.peers.peer_task.PeerPolicies`; :mod:`algorithms.peers.running` makes it a run like those of our own
 algorithms. The libraries are only imported when a peer is trained: ``pip install "mo-deepdrive[peers]"``.
 """

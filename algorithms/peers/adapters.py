@@ -1,7 +1,7 @@
 """Adapters: how algorithms of morl-baselines and Stable-Baselines3 are trained, and how the resulting policies act.
 
 Every adapter trains an algorithm with the library's own training loop and defaults on
-:class:`algorithms.peers.peer_env.PeerEnv`; comments explain exceptions.
+:class:`algorithms.peers.peer_task.PeerEnv`; comments explain exceptions.
 """
 
 from __future__ import annotations
@@ -14,8 +14,15 @@ import gymnasium
 import numpy as np
 import torch
 
-from algorithms.peers.peer_env import RecordedEpisodes
-from algorithms.peers.peer_task import PeerPolicies, PeerTask, PolicyInputs, ScalarConfig, WeightedConfig, as_array
+from algorithms.peers.peer_task import (
+    PeerPolicies,
+    PeerTask,
+    PolicyInputs,
+    RecordedEpisodes,
+    ScalarConfig,
+    WeightedConfig,
+    as_array,
+)
 from mo_deepdrive.evaluation.pareto import evenly_spaced_weights, non_dominated
 from mo_deepdrive.wrappers import UtilityReward, VectorScaledObservation, VectorUtilityReward
 

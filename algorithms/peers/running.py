@@ -14,8 +14,7 @@ import torch
 
 from algorithms.learning.threads import set_threads
 from algorithms.peers import PEERS
-from algorithms.peers.peer_env import Recorder
-from algorithms.peers.peer_task import PeerTask
+from algorithms.peers.peer_task import PeerTask, Recorder
 from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.run_records import final_metrics
 from algorithms.runs.agent_report import VIDEO_FILE, report_agent, show_results

@@ -21,7 +21,7 @@ from safetensors.torch import load_file
 from scipy.stats import binomtest
 
 from algorithms import PCN
-from algorithms.learning.episode_buffer import Episode
+from algorithms.pcn import Episode
 from algorithms.runs.build import build
 from algorithms.runs.config import load_experiment
 from mo_deepdrive.evaluation.env_adapter import make_env
