@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from algorithms.agent import ACTIONS, LEARNING, Agent
 from algorithms.hyperparameters import geometric_schedule, linear_schedule, schedules
@@ -79,9 +80,9 @@ class PolicyLearner(Learner):
         episodes: (S,) their number.
     """
 
-    noise: torch.Tensor
-    order: torch.Tensor
-    prepare: Callable[..., dict[str, torch.Tensor]]
+    noise: Tensor
+    order: Tensor
+    prepare: Callable[..., dict[str, Tensor]]
 
     def __init__(
         self,
@@ -99,7 +100,7 @@ class PolicyLearner(Learner):
         self.actor: Actor = self.networks.actor  # of the first seed
         self.critic: torch.nn.Module = self.networks.critic
 
-    def update_on_episode_end(self, values: torch.Tensor, ended: torch.Tensor) -> None:
+    def update_on_episode_end(self, values: Tensor, ended: Tensor) -> None:
         """Update E[R] with the accrued rewards (S, T, N k, d) of the episodes that ended, where a mask says."""
         number = ended.sum((1, 2))
         mean = values.masked_fill(~ended.unsqueeze(-1), 0.0).sum((1, 2)) / number.clamp(min=1).unsqueeze(-1)
@@ -107,7 +108,7 @@ class PolicyLearner(Learner):
         self.expected_return.copy_(keep * self.expected_return + (1.0 - keep) * mean)
         self.episodes.add_(number)
 
-    def get_state(self, seed: int = 0) -> dict[str, torch.Tensor]:
+    def get_state(self, seed: int = 0) -> dict[str, Tensor]:
         """Networks, optimiser and E[R]."""
         return {
             **super().get_state(seed),
@@ -115,7 +116,7 @@ class PolicyLearner(Learner):
             "episodes": self.episodes[seed],
         }
 
-    def set_state(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
+    def set_state(self, state: Mapping[str, Tensor], seed: int = 0) -> None:
         """Resume from :meth:`get_state`."""
         super().set_state(state, seed)
         self.expected_return[seed], self.episodes[seed] = state["expected_return"], state["episodes"]
@@ -205,7 +206,7 @@ class ActorCritic(Agent):
         self._learning_rate, self._entropy_coefficient = torch.zeros(2, device=self.device)
         self._graph: Any = None
         self._warmed_up = 0  # updates in this process
-        self._losses: dict[str, torch.Tensor] = {}
+        self._losses: dict[str, Tensor] = {}
         self._problems: dict[int, str] = {}  # of the worlds, by the index of the seed
 
     def prepare(self) -> None:
@@ -228,9 +229,7 @@ class ActorCritic(Agent):
     # -------------------------------------------------------------------------------------------- what an algorithm is
 
     @abstractmethod
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """A_t (T, N) and the critic's targets y_t (T, N, K), a pure function of tensors, for one seed.
 
         Args:
@@ -240,7 +239,7 @@ class ActorCritic(Agent):
         """
 
     @abstractmethod
-    def loss(self, networks: Networks, samples: Any, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Any, entropy_coefficient: Tensor) -> Loss:
         """The loss of one seed's samples, a pure function of tensors; ``networks`` has an actor and a critic."""
 
     @property
@@ -248,9 +247,7 @@ class ActorCritic(Agent):
         """Width of what an actor sees."""
         return self.env.observation_size + len(self.env.objectives) * self.observes_accrued + self.observes_discount
 
-    def inputs(
-        self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, preference: Any = None
-    ) -> torch.Tensor:
+    def inputs(self, observations: Tensor, accrued: Tensor, discounts: Tensor, preference: Any = None) -> Tensor:
         """What an actor sees, scaled, (..., input_size): s_t, and R_t and g^t where it observes them.
 
         ``preference`` is under what it acts, where there are any.
@@ -269,7 +266,7 @@ class ActorCritic(Agent):
         others = (self.env.vehicles - 1) * self.env.observation_size if self.config.centralised_critic else 0
         return self.input_size + others
 
-    def states(self, storage: RolloutStorage, vehicles: tuple[int, ...]) -> dict[str, torch.Tensor]:
+    def states(self, storage: RolloutStorage, vehicles: tuple[int, ...]) -> dict[str, Tensor]:
         """What the critic of some vehicles sees, where that is not what the actor sees.
 
         Returns:
@@ -279,7 +276,7 @@ class ActorCritic(Agent):
         if not self.config.centralised_critic:
             return {}
 
-        def seen(inputs: torch.Tensor) -> torch.Tensor:
+        def seen(inputs: Tensor) -> Tensor:
             observed = inputs[..., : self.env.observation_size]
             others = [
                 torch.cat([observed[:, :, :, v] for v in range(self.env.vehicles) if v != vehicle], dim=-1)
@@ -290,7 +287,7 @@ class ActorCritic(Agent):
         return {"states": seen(storage.inputs), "final_states": seen(storage.final_inputs)}
 
     @property
-    def value_scales(self) -> torch.Tensor:
+    def value_scales(self) -> Tensor:
         """(K,) by which the critic's outputs are multiplied."""
         return torch.full((1,), self.config.value_scale, device=self.device)
 
@@ -447,7 +444,7 @@ class ActorCritic(Agent):
     def before_learning(self, storage: RolloutStorage) -> None:
         """Called between collecting a rollout and learning from it."""
 
-    def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+    def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, Tensor]:
         """Epochs of minibatch steps on a rollout; the means over them of the parts of the loss, (S,)."""
         rollout = self.rollout_of(learner, storage)
         with pure("an advantage", rollout):
@@ -458,7 +455,7 @@ class ActorCritic(Agent):
         ]
         return {name: torch.stack([step[name] for step in steps]).mean(0) for name in steps[0]}
 
-    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, Tensor]:
         """The fields of :class:`Rollout` of a policy, with the axis of seeds.
 
         Without ``states`` and ``final_states`` those are ``inputs`` and ``final_inputs``.
@@ -473,8 +470,8 @@ class ActorCritic(Agent):
         }
 
     def _samples(
-        self, utility: Utility | None, always: bool, networks: Networks, tensors: dict[str, torch.Tensor]
-    ) -> dict[str, torch.Tensor]:
+        self, utility: Utility | None, always: bool, networks: Networks, tensors: dict[str, Tensor]
+    ) -> dict[str, Tensor]:
         """What one seed learns from its rollout, (T N, ...), by the fields of Samples."""
         seen = {"states": tensors["inputs"], "final_states": tensors["final_inputs"]}
         parts = {name: tensor for name, tensor in {**seen, **tensors}.items() if name != "final_inputs"}
@@ -500,7 +497,7 @@ class ActorCritic(Agent):
             rollout.inputs[:-1], rollout.states[:-1], rollout.actions, advantages, targets, log_prob, weights
         )
 
-    def next_values(self, networks: Networks, rollout: Rollout, values: torch.Tensor) -> torch.Tensor:
+    def next_values(self, networks: Networks, rollout: Rollout, values: Tensor) -> Tensor:
         """v(S_{t+1}) (T, N, K) from v (T + 1, N, K) of S_0 to S_T and of the true final states."""
         final = values[1:]
         if self.collector.static:
@@ -510,10 +507,10 @@ class ActorCritic(Agent):
             final[rollout.truncated] = self.value_scales * networks.critic(rollout.final_states[rollout.truncated])
         return bootstrapped(values[1:], final, rollout.terminated, rollout.truncated)
 
-    def _loss(self, networks: Networks, tensors: dict[str, torch.Tensor], entropy_coefficient: torch.Tensor) -> Loss:
+    def _loss(self, networks: Networks, tensors: dict[str, Tensor], entropy_coefficient: Tensor) -> Loss:
         return self.loss(networks, self.samples_class(**{"states": tensors["inputs"], **tensors}), entropy_coefficient)
 
-    def _minibatches(self, order: torch.Tensor) -> Iterator[list[torch.Tensor]]:
+    def _minibatches(self, order: Tensor) -> Iterator[list[Tensor]]:
         """The samples of every gradient step: [(S, m)] indices, or [] for all."""
         for epoch in order.unbind(1):
             parts = min(self.config.minibatches, epoch.shape[-1])
@@ -653,24 +650,30 @@ class ActorCritic(Agent):
             GUIDES: {vehicle_name(guide.vehicle): guide.identity for guide in self.guides},
         }
 
-    def get_state(self) -> dict[str, torch.Tensor]:
+    @property
+    def running(self) -> dict[str, Tensor]:
+        """Tensors (S, ...) by name that continue from one rollout to the next, beside those of learners and worlds."""
+        return {}
+
+    def get_state(self) -> dict[str, Tensor]:
         """:meth:`get_seed_state` of the first seed."""
         return self.get_seed_state(0)
 
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+    def set_state(self, state: dict[str, Tensor]) -> None:
         """Resume from :meth:`get_state`."""
         self.set_seed_states([state])
 
-    def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
+    def get_seed_state(self, seed: int) -> dict[str, Tensor]:
         """Learners, guides, worlds and running episodes of the seed with this index."""
         parts = {learner.name: learner.get_state(seed) for learner in self.learners}
         parts |= {
             f"guide_{guide.vehicle}": {"handover": torch.from_numpy(guide.handovers[seed])} for guide in self.guides
         }
         parts["collector"] = self.collector.get_state(seed)
-        return {f"{part}.{name}": tensor for part, tensors in parts.items() for name, tensor in tensors.items()}
+        state = {f"{part}.{name}": tensor for part, tensors in parts.items() for name, tensor in tensors.items()}
+        return state | {name: tensor[seed] for name, tensor in self.running.items()}
 
-    def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
+    def set_seed_states(self, states: Sequence[dict[str, Tensor]]) -> None:
         """Resume from :meth:`get_seed_state` of all seeds."""
         for guide in self.guides:
             guide.repeat(len(states))
@@ -679,9 +682,11 @@ class ActorCritic(Agent):
                 learner.set_state(strip_prefix(state, f"{learner.name}."), seed)
             for guide in self.guides:
                 guide.handovers[seed][:] = state[f"guide_{guide.vehicle}.handover"].numpy()
+            for name, tensor in self.running.items():
+                tensor[seed] = state[name]
         self.collector.set_state([strip_prefix(state, "collector.") for state in states], self.step)
 
-    def get_policy(self, seed: int = 0) -> dict[str, torch.Tensor]:
+    def get_policy(self, seed: int = 0) -> dict[str, Tensor]:
         """The actors' weights."""
         return {
             f"{learner.name}.{name}": each
@@ -689,13 +694,13 @@ class ActorCritic(Agent):
             for name, each in learner.get_weights("actor", seed).items()
         }
 
-    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+    def set_policy(self, state: dict[str, Tensor]) -> None:
         """Take the actors' weights."""
         for learner in self.learners:
             learner.set_weights(strip_prefix(state, f"{learner.name}."))
 
 
-def _choose(networks: Networks, seen: tuple[torch.Tensor, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+def _choose(networks: Networks, seen: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
     """Actions (N, V) or (N, V, k) for inputs (N, V, i) and random numbers, and the outputs (N, V, n) of the network."""
     actor: Actor = networks.actor
     outputs = actor.body(seen[0])

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from algorithms.hyperparameters import a_twentieth
 from algorithms.learning.checkpoints import (
@@ -314,21 +315,21 @@ class Agent(ABC):
         """
 
     @abstractmethod
-    def get_state(self) -> dict[str, torch.Tensor]:
+    def get_state(self) -> dict[str, Tensor]:
         """What determines the rest of the run, as named tensors: networks, optimisers, running episodes.
 
         Every number must be finite.
         """
 
     @abstractmethod
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+    def set_state(self, state: dict[str, Tensor]) -> None:
         """Resume from :meth:`get_state`; ``step`` and ``updates`` are set already."""
 
-    def get_policy(self) -> dict[str, torch.Tensor]:
+    def get_policy(self) -> dict[str, Tensor]:
         """What acting needs: a part of :meth:`get_state`, or a summary of it."""
         return self.get_state()
 
-    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+    def set_policy(self, state: dict[str, Tensor]) -> None:
         """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
         self.set_state(state)
 
@@ -466,7 +467,7 @@ class Agent(ABC):
     ) -> None:
         if plan is None or not (logs or log_fronts):
             return
-        for seed in self._running():
+        for seed in self._alive():
             with self._alone(seed, f"in the evaluation at step {self.step:,}"):
                 metrics, front = self.of_seed(seed).evaluate(plan)
                 if logs:
@@ -476,7 +477,7 @@ class Agent(ABC):
 
     def _check(self, losses: Mapping[str, Any], when: str) -> None:
         """Find the seeds of which a loss is not finite, or whose worlds or networks have failed."""
-        for seed in self._running():
+        for seed in self._alive():
             with self._alone(seed, when):
                 self.check(seed)
                 check_numbers(_of_seed(losses, seed))
@@ -501,7 +502,7 @@ class Agent(ABC):
         if len(self.failed) == len(self.seeds):
             raise fault from error
 
-    def _running(self) -> list[int]:
+    def _alive(self) -> list[int]:
         """The indices of the seeds that have not failed."""
         return [seed for seed in range(len(self.seeds)) if seed not in self.failed]
 
@@ -524,7 +525,7 @@ class Agent(ABC):
     def _training_metrics(self, losses: Mapping[str, Any]) -> dict[int, dict[str, float]]:
         """By seed that has not failed: means over the episodes that ended since the last call, and the losses."""
         rows, episodes = {}, self.episodes.take()
-        for seed in self._running():
+        for seed in self._alive():
             with self._alone(seed, f"in the episodes up to step {self.step:,}"):
                 means = {
                     TRAIN + vehicle_prefix(v, self.env.vehicles) + name: value
@@ -558,12 +559,12 @@ class Agent(ABC):
     def _counts(self, seed: int = 0) -> dict[str, int]:
         return {STEP: self.step, UPDATES: self.updates, SEED: self.seeds[seed]}
 
-    def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
+    def get_seed_state(self, seed: int) -> dict[str, Tensor]:
         """:meth:`get_state` of the seed with this index."""
         del seed  # the only one
         return self.get_state()
 
-    def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
+    def set_seed_states(self, states: Sequence[dict[str, Tensor]]) -> None:
         """Resume from :meth:`get_seed_state` of all seeds."""
         self.set_state(states[0])
 
@@ -601,7 +602,7 @@ class Agent(ABC):
 def _of_seed(losses: Mapping[str, Any], seed: int) -> dict[str, float]:
     """The numbers of one seed."""
     return {
-        name: float(value[seed]) if isinstance(value, torch.Tensor) and value.dim() else float(value)
+        name: float(value[seed]) if isinstance(value, Tensor) and value.dim() else float(value)
         for name, value in losses.items()
     }
 

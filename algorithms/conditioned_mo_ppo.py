@@ -79,6 +79,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import torch
 from pydantic import Field
+from torch import Tensor
 
 from algorithms.actor_critic import ActorCritic
 from algorithms.agent import DRAWS, FrontAgent, PolicyOfFront
@@ -98,8 +99,6 @@ from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS, ve
 from mo_deepdrive.evaluation.policy import SMALLEST_DISCOUNT
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
@@ -112,10 +111,7 @@ if TYPE_CHECKING:
 class ConditionedMOPPO(FrontAgent, ActorCritic):
     """MO-PPO conditioned on preferences: every vehicle has one of its own, and a policy, or all share one.
 
-    Args:
-        env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
-        **options: ``guides``, ``share_policy``, ``seed``, ``device``, ``compiled`` and the hyperparameters, as of
-            :class:`algorithms.actor_critic.ActorCritic`.
+    The arguments are those of :class:`algorithms.actor_critic.ActorCritic` without ``utility`` and ``partners``.
 
     Attributes:
         preferences: what a condition means; ``agent.policy(agent.preferences.condition("linear", {"distance": 1}))``
@@ -123,8 +119,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         ideal: (S, d) z.
 
     Raises:
-        ValueError: for unknown or invalid hyperparameters or spaces, an environment that emits magnitudes, or guides
-            that cannot drive here.
+        ValueError: as there, and for an environment that emits magnitudes.
     """
 
     name = "conditioned_mo_ppo"
@@ -174,28 +169,19 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         """Width of S_t of eq. 6."""
         return self.env.observation_size + self.preferences.width
 
-    def inputs(
-        self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, preference: Any = None
-    ) -> torch.Tensor:
-        """S_t of eq. 6, scaled: (..., input_size).
-
-        Args:
-            observations: (..., o) s_t.
-            accrued: (..., d) R_t.
-            discounts: (...) gamma^t.
-            preference: p (..., m), and z (..., d).
-        """
+    def inputs(self, observations: Tensor, accrued: Tensor, discounts: Tensor, preference: Any = None) -> Tensor:
+        """S_t of eq. 6, scaled: (..., input_size), under a preference: p (..., m), and z (..., d)."""
         rows, ideal = preference
         features = self.preferences.features(rows, accrued, discounts, ideal)
         return torch.cat([observations / self.observation_scales, features], dim=-1)
 
     @property
-    def value_scales(self) -> torch.Tensor:
+    def value_scales(self) -> Tensor:
         """(K,) ones: X_t is in units of the scales already."""
         size = self.has_objectives * len(self.env.objectives) + self.has_increases
         return torch.ones(size, device=self.device)
 
-    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, Tensor]:
         """What a policy did; where its preference changed within an episode, that of before ends there, truncated."""
         rollout = super().rollout_of(learner, storage)
         preferences = rollout["preferences"]
@@ -203,16 +189,14 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         switched[:, :-1] = (preferences[:, 1:] != preferences[:, :-1]).any(-1)
         return {**rollout, "truncated": rollout["truncated"] | (switched & ~rollout["terminated"])}
 
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """B_t (T, N) and Y_t (T, N, K) of eqs. 7 and 8, from V(S_t) and V(S_{t+1}) (T, N, K)."""
         gamma, ended = self.config.gamma, rollout.ended.unsqueeze(-1)
         deltas = self.components(rollout) + gamma * next_values - values  # eq. 7
         advantages = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)  # eq. 8
         return (self.component_weights(rollout.preferences) * advantages).sum(-1), advantages + values
 
-    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: Tensor) -> Loss:
         """L of eq. 9."""
         config, weights = self.config, samples.weights
         log_prob, entropies = networks.actor(samples.inputs, samples.actions)
@@ -226,17 +210,14 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         parts = {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
         return Loss(total, {**parts, **policy_change(log_ratio, config.clip, weights)})
 
-    def components(self, rollout: Rollout) -> torch.Tensor:
+    def components(self, rollout: Rollout) -> Tensor:
         """X_t (T, N, K)."""
         preferences, parts = rollout.preferences, []
         if self.has_objectives:
             parts.append(rollout.rewards / self.preferences.scales.to(rollout.rewards))
         if self.has_increases:
-            u, z, discounts = (
-                self.preferences.utility,
-                rollout.ideal,
-                rollout.discounts[:-1].clamp(min=SMALLEST_DISCOUNT),
-            )
+            u, z = self.preferences.utility, rollout.ideal
+            discounts = rollout.discounts[:-1].clamp(min=SMALLEST_DISCOUNT)
             # Equation 5, in double precision because gamma^t becomes small.
             before = rollout.accrued[:-1].double()
             after = before + discounts.unsqueeze(-1) * rollout.rewards
@@ -244,7 +225,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
             parts.append(increases.to(rollout.rewards.dtype).unsqueeze(-1))
         return torch.cat(parts, dim=-1)
 
-    def component_weights(self, preferences: torch.Tensor) -> torch.Tensor:
+    def component_weights(self, preferences: Tensor) -> Tensor:
         """k(p) (..., K) of preferences (..., m)."""
         linear = self.preferences.is_family(preferences, LINEAR).unsqueeze(-1)
         parts = []
@@ -337,28 +318,17 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
             "gamma": self.accrued_discount,
         }
 
-    def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
-        """Learners, environments, the preferences of running episodes and the ideal point."""
+    @property
+    def running(self) -> dict[str, Tensor]:
+        """The preferences of running episodes and the ideal point."""
         training = self.training
-        return {
-            **super().get_seed_state(seed),
-            "preferences": training.current[seed],
-            "seen_any": training.seen_any[seed],
-            "ideal": self.ideal[seed],
-        }
+        return {"preferences": training.current, "seen_any": training.seen_any, "ideal": self.ideal}
 
-    def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
-        """Resume from :meth:`get_seed_state` of all seeds."""
-        super().set_seed_states(states)
-        for seed, state in enumerate(states):
-            self.training.current[seed], self.training.seen_any[seed] = state["preferences"], state["seen_any"]
-            self.ideal[seed] = state["ideal"]
-
-    def get_policy(self, seed: int = 0) -> dict[str, torch.Tensor]:
+    def get_policy(self, seed: int = 0) -> dict[str, Tensor]:
         """The actors' weights and the ideal point, on which they depend."""
         return {**super().get_policy(seed), "ideal": self.ideal[seed]}
 
-    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+    def set_policy(self, state: dict[str, Tensor]) -> None:
         """Act as the agent of :meth:`get_policy` or :meth:`~algorithms.agent.Agent.get_state`."""
         super().set_policy(state)
         self.ideal[0] = state["ideal"]

@@ -50,6 +50,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
 from pydantic import model_validator
+from torch import Tensor
 
 from algorithms.actor_critic import ActorCritic
 from algorithms.hyperparameters import ActorCriticSettings, Count, PositiveFraction
@@ -77,14 +78,14 @@ SMOOTHING = 0.01  # of distances between scaled returns, at 0
 class MOCACSamples(NamedTuple):
     """M samples of one policy; the other fields are those of :class:`algorithms.learning.storage.Samples`."""
 
-    inputs: torch.Tensor
-    states: torch.Tensor
-    actions: torch.Tensor
-    advantages: torch.Tensor
-    shifts: torch.Tensor  # (M, d) the sums of rewards of eq. 5
-    discounts: torch.Tensor  # (M,) g^{e-t}; 0 where the episode terminates at e
-    following: torch.Tensor  # (M, K) outputs for Z'(S_e)
-    weights: torch.Tensor | None = None
+    inputs: Tensor
+    states: Tensor
+    actions: Tensor
+    advantages: Tensor
+    shifts: Tensor  # (M, d) the sums of rewards of eq. 5
+    discounts: Tensor  # (M,) g^{e-t}; 0 where the episode terminates at e
+    following: Tensor  # (M, K) outputs for Z'(S_e)
+    weights: Tensor | None = None
 
 
 class MOCAC(ActorCritic):
@@ -149,7 +150,7 @@ class MOCAC(ActorCritic):
         )
 
     @property
-    def value_scales(self) -> torch.Tensor:
+    def value_scales(self) -> Tensor:
         """(K,) one for every output of the critic, which has no unit."""
         return torch.ones(self.distribution.outputs, device=self.device)
 
@@ -160,7 +161,7 @@ class MOCAC(ActorCritic):
 
     # ------------------------------------------------------------------------------------------------------ the update
 
-    def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+    def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, Tensor]:
         """One gradient step of eq. 6 on a rollout, then one of the weights of Z'; the parts of the loss."""
         losses = super().learn_once(learner, storage)
         slow = learner.parameters("target_critic")
@@ -192,14 +193,12 @@ class MOCAC(ActorCritic):
             rollout.inputs[:-1], rollout.states[:-1], rollout.actions, advantages, *targets, weights=weights
         )
 
-    def _expected(
-        self, rollout: Rollout, outputs: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor
-    ) -> torch.Tensor:
+    def _expected(self, rollout: Rollout, outputs: Tensor, accrued: Tensor, discounts: Tensor) -> Tensor:
         """E[u(R + D Z)] (T, N) for outputs (T, N, K) of the critic, R (T, N, d) and D (T, N)."""
         parts = (outputs.flatten(0, 1), accrued.flatten(0, 1), discounts.flatten())
         return self.distribution.expected_utility(rollout.utility, *parts).view_as(discounts)
 
-    def targets(self, rollout: Rollout, following: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def targets(self, rollout: Rollout, following: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Equation 5: the sum of rewards (T, N, d), g^{e-t} (T, N), 0 after termination, and Z'(S_e) (T, N, K).
 
         ``following`` (T, N, K) are outputs for Z' behind the steps in which an episode is truncated, and the last.
@@ -212,13 +211,11 @@ class MOCAC(ActorCritic):
             sources.append(torch.where(on[t].unsqueeze(-1), sources[-1], following[t]))
         return torch.stack(shifts[::-1]), torch.stack(discounts[::-1]), torch.stack(sources[::-1])
 
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """A_t (T, N) of eq. 4 from V(S_t) and V(S_{t+1}) (T, N), and V(S_{t+1}): the critic's targets are of eq. 5."""
         return generalised_advantages(next_values - values, rollout.ended, self.config.gae_lambda), next_values
 
-    def loss(self, networks: Networks, samples: MOCACSamples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: MOCACSamples, entropy_coefficient: Tensor) -> Loss:
         """L of eq. 6."""
         log_prob, entropies = networks.actor(samples.inputs, samples.actions)
         distances = self.distribution.distance(
@@ -253,21 +250,17 @@ class ReturnDistribution(ABC):
     outputs: int  # width of the network's output
 
     @abstractmethod
-    def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def support(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """The returns that have mass, (M, n, d) or (1, n, d) where all rows share them, and their masses (M, n)."""
 
     @abstractmethod
-    def distance(
-        self, outputs: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor, following: torch.Tensor
-    ) -> torch.Tensor:
+    def distance(self, outputs: Tensor, shifts: Tensor, discounts: Tensor, following: Tensor) -> Tensor:
         """D(target, prediction) (M,) of the predictions ``outputs`` (M, outputs).
 
         The target is the distribution of shift (M, d) + discount (M,) Z, of which ``following`` are the outputs.
         """
 
-    def expected_utility(
-        self, utility: Utility, outputs: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor
-    ) -> torch.Tensor:
+    def expected_utility(self, utility: Utility, outputs: Tensor, accrued: Tensor, discounts: Tensor) -> Tensor:
         """E[u(R + D Z)] (M,), from the outputs (M, outputs) for Z, R (M, d) and D (M,)."""
         returns, masses = self.support(outputs)
         rows = max(1, MAX_RETURNS // returns[0].numel())
@@ -302,19 +295,17 @@ class CategoricalGrid(ReturnDistribution):
         points = torch.stack(torch.meshgrid(*columns, indexing="ij"), dim=-1)
         self.points = points.reshape(1, self.outputs, self.objectives).to(device)
 
-    def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def support(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """The grid's points (1, A^d, d), and softmax of the logits."""
         return self.points, outputs.softmax(-1)
 
-    def distance(
-        self, outputs: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor, following: torch.Tensor
-    ) -> torch.Tensor:
+    def distance(self, outputs: Tensor, shifts: Tensor, discounts: Tensor, following: Tensor) -> Tensor:
         """-m . log p for the projected targets m."""
         targets = project(following.softmax(-1), shifts, discounts, self.values)
         return -(targets * outputs.log_softmax(-1)).sum(-1)
 
 
-def project(masses: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+def project(masses: Tensor, shifts: Tensor, discounts: Tensor, values: Tensor) -> Tensor:
     """The distribution of shift + discount Z, with Z on a grid, back onto that grid: (M, A^d).
 
     Every atom is clipped to the grid, and its mass shared among the 2^d corners of its cell by multilinear
@@ -342,27 +333,25 @@ class Particles(ReturnDistribution):
     Distances are measured in units of ``scales`` (d,), and targets are clipped to the bounds (d,).
     """
 
-    def __init__(self, number: int, scales: torch.Tensor, minimum: Sequence[float], maximum: Sequence[float]):
+    def __init__(self, number: int, scales: Tensor, minimum: Sequence[float], maximum: Sequence[float]):
         _check_bounds(minimum, maximum)
         self.number, self.scales = number, scales
         self.minimum, self.maximum = (scales.new_tensor(bound) / scales for bound in (minimum, maximum))
         self.outputs = number * len(scales)
 
-    def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def support(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """The particles (M, K, d), each of mass 1 / K."""
         particles = outputs.unflatten(-1, (self.number, -1))
         return self.scales * particles, torch.full_like(particles[..., 0], 1.0 / self.number)
 
-    def distance(
-        self, outputs: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor, following: torch.Tensor
-    ) -> torch.Tensor:
+    def distance(self, outputs: Tensor, shifts: Tensor, discounts: Tensor, following: Tensor) -> Tensor:
         """:func:`energy_score` between returns divided by their scales."""
         moved = discounts[:, None, None] * following.unflatten(-1, (self.number, -1))
         targets = ((shifts / self.scales).unsqueeze(1) + moved).clamp(self.minimum, self.maximum)
         return energy_score(outputs.unflatten(-1, (self.number, -1)), targets)
 
 
-def energy_score(particles: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+def energy_score(particles: Tensor, targets: Tensor) -> Tensor:
     """``2 E|X - Y| - E|X - X'|`` (M,).
 
     This is the energy distance between particles and targets but for ``E|Y - Y'|``, which does not depend on the
@@ -374,7 +363,7 @@ def energy_score(particles: torch.Tensor, targets: torch.Tensor) -> torch.Tensor
     X are the particles (M, K, d), and Y the targets (M, J, d), without a gradient.
     """
 
-    def distance(others: torch.Tensor) -> torch.Tensor:
+    def distance(others: Tensor) -> Tensor:
         # |x - y|^2 = |x|^2 + |y|^2 - 2 x . y, so that nothing is (M, K, J, d).
         squares = particles.square().sum(-1).unsqueeze(-1) + others.square().sum(-1).unsqueeze(-2)
         squares = torch.baddbmm(squares, particles, others.transpose(1, 2), alpha=-2.0)

@@ -40,7 +40,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import torch
 from pydantic import Field
-from torch import nn
+from torch import Tensor, nn
 
 from algorithms.agent import DRAWS, FrontAgent, PolicyOfFront
 from algorithms.hyperparameters import (
@@ -120,17 +120,11 @@ class PCNConfig(Settings):
 class PCN(FrontAgent):
     """Pareto Conditioned Networks.
 
-    Args:
-        env: a vector environment with vector rewards and one vehicle, from
-            `mo_deepdrive.evaluation.env_adapter.make_env`.
-        **options: ``seed``, ``device`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
+    The arguments are those of :class:`algorithms.agent.Agent` without ``utility``, for an environment of one vehicle.
 
     Attributes:
-        bounds: two vectors (d,), the lowest and highest returns-to-go in the buffer.
+        bounds: (2, d) the lowest and highest returns-to-go in the buffer.
         inputs: shift and scale (2, o + d + 1) of observations and commands before they enter the network.
-
-    Raises:
-        ValueError: for unknown or invalid hyperparameters or spaces.
     """
 
     name = "pcn"
@@ -155,18 +149,12 @@ class PCN(FrontAgent):
         self.scales = self.env.chosen_objective_scales(config.objective_scales)
         # Random episodes say little of the returns of good ones: scales that are known are better.
         self._standardises = not (self.env.native or config.objective_scales)
-        self.network = CommandNetwork(
-            self.env.observation_size,
-            d + 1,
-            config.hidden,
-            self.env.actions,
-            self.initial,
-            standardised=self._standardises,
-        )
+        sizes = self.env.observation_size, d + 1, config.hidden, self.env.actions
+        self.network = CommandNetwork(*sizes, self.initial, standardised=self._standardises)
         self.learner = Learner([Networks(network=self.network)], math.inf, self.name)
         self.learners = [self.learner]
         self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
-        self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
+        self.bounds = np.zeros((2, d), dtype=np.float32)
         # Draws commands, random actions and batches.
         self.draws = torch.Generator().manual_seed(self.seed_of(DRAWS))
         self._collected = 0  # episodes
@@ -221,14 +209,14 @@ class PCN(FrontAgent):
             metrics.NON_DOMINATED: float(len(self.buffer.best())),
         }
 
-    def _batch(self) -> dict[str, torch.Tensor]:
+    def _batch(self) -> dict[str, Tensor]:
         """A batch of the buffer (1, n, ...), as :meth:`loss` takes it."""
         observations, actions, returns, left = self.buffer.sample(self.config.batch_size, self.draws)
         seen, asked = self._scaled(observations, returns, left)
         batch = {"observations": seen, "commands": asked, "actions": actions}
         return {name: torch.from_numpy(each).unsqueeze(0) for name, each in batch.items()}
 
-    def loss(self, networks: Networks, samples: dict[str, torch.Tensor]) -> Loss:
+    def loss(self, networks: Networks, samples: dict[str, Tensor]) -> Loss:
         """L of eq. 1 or 2."""
         outputs = networks.network(samples["observations"], samples["commands"])
         if self.env.continuous:
@@ -338,11 +326,7 @@ class PCN(FrontAgent):
     ) -> NDArray[Any]:
         """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None.
 
-        Args:
-            commands: (N, d + 1) the return and the decisions that the whole episode was to take, or (1, d + 1).
-            observations: of N environments.
-            accrued_reward: of the running episodes.
-            generator: samples actions.
+        The commands (N, d + 1), or (1, d + 1) for all, are the return and the decisions of the whole episode.
         """
         asked = commands[:, :-1]
         # Equation 4, applied t times, and then the clip.
@@ -379,10 +363,7 @@ class PCN(FrontAgent):
     def eval(self, obs: NDArray[Any], desired_return: ArrayLike, desired_horizon: float) -> Any:
         """The greedy action, as the environment takes it, for one observation as it gives it.
 
-        Args:
-            obs: the observation.
-            desired_return: (d,) discounted return that is still to be collected.
-            desired_horizon: decisions in which to collect it.
+        The discounted return (d,) is what is still to be collected, in so many decisions.
         """
         observations = self.env.policy_observations(np.asarray(obs)[None])[:, 0].astype(np.float32)
         desired = np.reshape(np.asarray(desired_return, dtype=np.float32), (1, -1))
@@ -447,7 +428,7 @@ class PCN(FrontAgent):
             "gamma": self.accrued_discount,
         }
 
-    def get_state(self) -> dict[str, torch.Tensor]:
+    def get_state(self) -> dict[str, Tensor]:
         """Network, optimiser, buffer and counts."""
         return {
             "counts": torch.tensor([self.updates, self._collected]),
@@ -456,19 +437,19 @@ class PCN(FrontAgent):
             **{f"store.{name}": tensor for name, tensor in self.buffer.get_state().items()},
         }
 
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+    def set_state(self, state: dict[str, Tensor]) -> None:
         """Resume from :meth:`get_state`."""
         self.set_policy(state)
         self.updates, self._collected = state["counts"].tolist()
         self.learner.set_state(state)
 
-    def _policy_tensors(self) -> dict[str, torch.Tensor]:
+    def _policy_tensors(self) -> dict[str, Tensor]:
         """What acting under a command needs."""
         network = self.learner.get_weights("network")
         inputs = {"inputs": torch.from_numpy(self.inputs)} if self._standardises else {}
-        return {"bounds": torch.from_numpy(np.stack(self.bounds)), **inputs, **network}
+        return {"bounds": torch.from_numpy(self.bounds), **inputs, **network}
 
-    def get_policy(self) -> dict[str, torch.Tensor]:
+    def get_policy(self) -> dict[str, Tensor]:
         """The network, and in place of the buffer the returns and lengths that commands are made of."""
         if self._attained is None and not len(self.buffer):
             return self._policy_tensors()
@@ -485,15 +466,14 @@ class PCN(FrontAgent):
         self._best_episodes()
         super().save_policy(path)
 
-    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+    def set_policy(self, state: dict[str, Tensor]) -> None:
         """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
         self._attained = None
         if "attained.returns" in state:
             returns, lengths = state["attained.returns"].numpy(), state["attained.lengths"].numpy()
             self._attained = returns.astype(np.float64), lengths.astype(np.int64)
         self.learner.set_weights(state)
-        low, high = state["bounds"].numpy()
-        self.bounds = low, high
+        self.bounds = state["bounds"].numpy()
         if self._standardises:
             self.inputs = state["inputs"].numpy()
         self.buffer.set_state(strip_prefix(state, "store."))
@@ -583,10 +563,10 @@ class EpisodeBuffer:
             raise ValueError("the buffer holds no episode yet: train first, or load a checkpoint")
         return np.flatnonzero(non_dominated(self.returns))
 
-    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(d,) lowest and highest return-to-go."""
+    def bounds(self) -> NDArray[np.float32]:
+        """(2, d) lowest and highest return-to-go."""
         returns = self._flat()["returns"]
-        return returns.min(axis=0), returns.max(axis=0)
+        return np.stack([returns.min(axis=0), returns.max(axis=0)])
 
     def decisions(self) -> NDArray[np.float32]:
         """(D, o + d + 1) observation, return-to-go and number of decisions left at every time step."""
@@ -617,14 +597,14 @@ class EpisodeBuffer:
             self._arrays |= {"lengths": lengths, "starts": np.cumsum(lengths) - lengths}
         return self._arrays
 
-    def get_state(self) -> dict[str, torch.Tensor]:
+    def get_state(self) -> dict[str, Tensor]:
         """All episodes as a few tensors."""
         if not self.episodes:
             return {}
         names = ("observations", "actions", "returns", "lengths")
         return {name: torch.from_numpy(np.ascontiguousarray(self._flat()[name])) for name in names}
 
-    def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
+    def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Resume from :meth:`get_state`."""
         self.episodes, self._arrays = [], {}
         if state:

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from algorithms.learning.networks import make_network
 from mo_deepdrive.support.faults import NotFinite
@@ -27,7 +27,7 @@ LOWEST_LOG_STD, HIGHEST_LOG_STD = -5.0, 1.0  # where it depends on the state
 LOG_STD_GAIN = 0.3
 
 
-def check_outputs(outputs: torch.Tensor) -> None:
+def check_outputs(outputs: Tensor) -> None:
     """Refuse outputs (N, ...) of a policy's network that are not finite, naming the environment."""
     wrong = ~outputs.isfinite()
     if wrong.any():
@@ -53,28 +53,28 @@ class Actor(nn.Module, ABC):
         self.noise = noise
 
     @abstractmethod
-    def draw(self, noise: torch.Tensor, generator: torch.Generator) -> None:
+    def draw(self, noise: Tensor, generator: torch.Generator) -> None:
         """Fill ``noise`` (..., noise) with the random numbers of :meth:`choose`."""
 
     @abstractmethod
-    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    def choose(self, outputs: Tensor, noise: Tensor) -> Tensor:
         """Actions (...) or (..., k) for outputs and random numbers (..., noise)."""
 
     @abstractmethod
-    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+    def best(self, outputs: Tensor) -> Tensor:
         """The most probable actions (...) or (..., k)."""
 
     @abstractmethod
-    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def evaluate(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Log-probability of ``actions`` and entropy, each (...)."""
 
-    def act(self, x: torch.Tensor, generator: torch.Generator | None) -> torch.Tensor:
+    def act(self, x: Tensor, generator: torch.Generator | None) -> Tensor:
         """One action per row of x (N, ..., inputs): the most probable one without a generator.
 
         Raises:
             NotFinite: naming the environment, for outputs of the network that are not finite.
         """
-        outputs: torch.Tensor = self.body(x)
+        outputs: Tensor = self.body(x)
         check_outputs(outputs)
         if generator is None:
             return self.best(outputs)
@@ -82,7 +82,7 @@ class Actor(nn.Module, ABC):
         self.draw(noise, generator)
         return self.choose(outputs, noise)
 
-    def forward(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def forward(self, x: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """:meth:`evaluate` for inputs x (..., inputs)."""
         return self.evaluate(self.body(x), actions)
 
@@ -93,20 +93,20 @@ class CategoricalActor(Actor):
     def __init__(self, body: nn.Module):
         super().__init__(body, noise=1)
 
-    def draw(self, noise: torch.Tensor, generator: torch.Generator) -> None:
+    def draw(self, noise: Tensor, generator: torch.Generator) -> None:
         """Uniform in [0, 1)."""
         noise.uniform_(generator=generator)
 
-    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    def choose(self, outputs: Tensor, noise: Tensor) -> Tensor:
         """By inversion: the first action whose cumulative probability is above a uniform number."""
         cumulative = outputs.softmax(-1).cumsum(-1)
         return (cumulative[..., :-1] <= noise * cumulative[..., -1:]).sum(-1)
 
-    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+    def best(self, outputs: Tensor) -> Tensor:
         """The action of the largest logit."""
         return outputs.argmax(-1)
 
-    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def evaluate(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Log p_a, and the entropy of p = softmax(z)."""
         log_p = outputs.log_softmax(-1)
         return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), -(log_p.exp() * log_p).sum(-1)
@@ -119,23 +119,23 @@ class _Gaussian(Actor):
     """
 
     @abstractmethod
-    def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def mean_and_log_std(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """Means (..., k) and log standard deviations (..., k) or (k,) that outputs (..., n) stand for."""
 
-    def draw(self, noise: torch.Tensor, generator: torch.Generator) -> None:
+    def draw(self, noise: Tensor, generator: torch.Generator) -> None:
         """Standard normal."""
         noise.normal_(generator=generator)
 
-    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    def choose(self, outputs: Tensor, noise: Tensor) -> Tensor:
         """M + sigma x."""
         mean, log_std = self.mean_and_log_std(outputs)
         return mean + log_std.exp() * noise
 
-    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+    def best(self, outputs: Tensor) -> Tensor:
         """The mean."""
         return self.mean_and_log_std(outputs)[0]
 
-    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def evaluate(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Log N(a; m, sigma), and its entropy."""
         mean, log_std = self.mean_and_log_std(outputs)
         z = (actions - mean) / log_std.exp()
@@ -150,7 +150,7 @@ class GaussianActor(_Gaussian):
         super().__init__(body, noise=actions)
         self.log_std = nn.Parameter(torch.full((actions,), INITIAL_LOG_STD))
 
-    def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def mean_and_log_std(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """The outputs, and a parameter."""
         return outputs, self.log_std
 
@@ -164,7 +164,7 @@ class StateGaussianActor(_Gaussian):
     def __init__(self, body: nn.Module, actions: int):
         super().__init__(body, noise=actions)
 
-    def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def mean_and_log_std(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """Both halves of the outputs (..., 2 k)."""
         mean, log_std = outputs.split(self.noise, dim=-1)
         return mean, (LOG_STD_GAIN * log_std + INITIAL_LOG_STD).clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from mo_deepdrive.support.faults import NotFinite
 
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
-def generalised_advantages(deltas: torch.Tensor, ended: torch.Tensor, decay: float) -> torch.Tensor:
+def generalised_advantages(deltas: Tensor, ended: Tensor, decay: float) -> Tensor:
     """A_t = delta_t + decay A_{t+1}, or delta_t where the episode ends at t (Schulman et al. 2016, eq. 16).
 
     Args:
@@ -27,9 +28,7 @@ def generalised_advantages(deltas: torch.Tensor, ended: torch.Tensor, decay: flo
     return torch.stack(advantages[::-1])
 
 
-def bootstrapped(
-    following: torch.Tensor, final_values: torch.Tensor, terminated: torch.Tensor, truncated: torch.Tensor
-) -> torch.Tensor:
+def bootstrapped(following: Tensor, final_values: Tensor, terminated: Tensor, truncated: Tensor) -> Tensor:
     """v(S_{t+1}) (T, ..., K): 0 after termination, the value of the true final state after truncation.
 
     ``following`` (T, ..., K) is v of the states in which decisions 1 to T were taken, and ``final_values`` that of the
@@ -39,7 +38,7 @@ def bootstrapped(
     return values.masked_fill(terminated.unsqueeze(-1), 0.0)
 
 
-def normalise(advantages: torch.Tensor, weights: torch.Tensor | None) -> torch.Tensor:
+def normalise(advantages: Tensor, weights: Tensor | None) -> Tensor:
     """``advantages`` with mean 0 and standard deviation 1 under ``weights`` of their shape; None weighs all alike."""
     if weights is None:
         return (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
@@ -49,13 +48,13 @@ def normalise(advantages: torch.Tensor, weights: torch.Tensor | None) -> torch.T
     return (advantages - mean) / (deviation + 1e-8)
 
 
-def utility_gradient(utility: Utility, expected_return: torch.Tensor) -> torch.Tensor:
+def utility_gradient(utility: Utility, expected_return: Tensor) -> Tensor:
     """Gradient of the utility at the expected return (d,): the weights (d,) of the objectives under SER."""
-    gradient: torch.Tensor = torch.func.grad(utility.unchecked())(expected_return)
+    gradient: Tensor = torch.func.grad(utility.unchecked())(expected_return)
     return gradient
 
 
-def check_utility_gradient(utility: Utility, expected_return: torch.Tensor) -> None:
+def check_utility_gradient(utility: Utility, expected_return: Tensor) -> None:
     """Refuse a utility whose gradient at the expected return (d,) is not finite, as that of a root at 0."""
     gradient = utility_gradient(utility, expected_return)
     if not gradient.isfinite().all():

@@ -15,7 +15,7 @@ from mo_deepdrive.support.faults import NotFinite
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import torch
+    from torch import Tensor
 
 FORMAT = 1
 POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the policy alone
@@ -26,12 +26,12 @@ STEP, UPDATES, SEED = "step", "updates", "seed"
 RESIDENT = "resident"  # entry: whether the worlds were on the device
 
 
-def strip_prefix(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+def strip_prefix(state: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     """The entries whose names start with ``prefix``, without it."""
     return {name.removeprefix(prefix): tensor for name, tensor in state.items() if name.startswith(prefix)}
 
 
-def write_checkpoint(path: str | Path, tensors: Mapping[str, torch.Tensor], identity: Mapping[str, Any]) -> None:
+def write_checkpoint(path: str | Path, tensors: Mapping[str, Tensor], identity: Mapping[str, Any]) -> None:
     """Write named tensors and the identity of their agent, atomically; none if a number is not finite."""
     if wrong := _not_finite(tensors):
         raise NotFinite(f"a checkpoint would have {wrong}; every number must be finite")
@@ -42,7 +42,7 @@ def write_checkpoint(path: str | Path, tensors: Mapping[str, torch.Tensor], iden
 
 def read_checkpoint(
     path: str | Path, identity: Mapping[str, Any], may_differ: tuple[str, ...] = (), *, whole: bool = False
-) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The tensors of a checkpoint and the identity of the agent that wrote it.
 
     Args:
@@ -72,12 +72,12 @@ def read_checkpoint(
 
 def check_tensors(
     path: str | Path,
-    tensors: Mapping[str, torch.Tensor],
-    expected: Mapping[str, torch.Tensor],
+    tensors: Mapping[str, Tensor],
+    expected: Mapping[str, Tensor],
     varying: tuple[str, ...] = (),
     *,
     whole: bool,
-) -> dict[str, torch.Tensor]:
+) -> dict[str, Tensor]:
     """The tensors of a checkpoint that are expected, whose shapes and types must be, or whose names vary.
 
     Args:
@@ -110,7 +110,7 @@ def check_tensors(
     return known
 
 
-def _not_finite(tensors: Mapping[str, torch.Tensor]) -> str:
+def _not_finite(tensors: Mapping[str, Tensor]) -> str:
     """The first tensor that is not finite, with the first such number; nothing if all are."""
     for name, tensor in tensors.items():
         if tensor.is_floating_point() and not tensor.isfinite().all():

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from algorithms.learning.checkpoints import strip_prefix
 from algorithms.learning.storage import EpisodeSums, RolloutStorage
@@ -32,13 +33,13 @@ WORLDS = "worlds."  # prefix of their part of a state
 class WorldStep(NamedTuple):
     """One step of all worlds, (S, N, V, ...), overwritten by the next."""
 
-    observations: torch.Tensor  # (..., o) for the next action; where an episode ended, the first of the next one
-    final: torch.Tensor  # (..., o) after the step; where an episode ended, its last
-    rewards: torch.Tensor  # (..., d)
-    terminated: torch.Tensor  # whether the vehicle's episode ended in this step
-    truncated: torch.Tensor
-    acted: torch.Tensor  # False where the vehicle had finished already
-    succeeded: torch.Tensor  # whether an episode that ended in this step reached its goal
+    observations: Tensor  # (..., o) for the next action; where an episode ended, the first of the next one
+    final: Tensor  # (..., o) after the step; where an episode ended, its last
+    rewards: Tensor  # (..., d)
+    terminated: Tensor  # whether the vehicle's episode ended in this step
+    truncated: Tensor
+    acted: Tensor  # False where the vehicle had finished already
+    succeeded: Tensor  # whether an episode that ended in this step reached its goal
 
 
 class EnvWorlds:
@@ -47,11 +48,11 @@ class EnvWorlds:
     def __init__(self, env: EnvAdapter, seed: int):
         self._env, self._seed = env, seed
 
-    def reset(self) -> torch.Tensor:
+    def reset(self) -> Tensor:
         """Begin the first episodes; observations (1, N, V, o)."""
         return torch.from_numpy(self._env.reset(self._seed)).unsqueeze(0)
 
-    def step(self, actions: torch.Tensor) -> WorldStep:
+    def step(self, actions: Tensor) -> WorldStep:
         """Act: indices (1, N, V), or (1, N, V, k) with each axis in [-1, 1], to which it is clipped."""
         step = self._env.step(actions[0].numpy())
         taken = (step.observations, step.final, step.rewards, step.terminated, step.truncated, step.acted)
@@ -61,12 +62,12 @@ class EnvWorlds:
         """Nothing: a step refuses what it cannot do."""
         return {}
 
-    def get_state(self, seed: int) -> dict[str, torch.Tensor]:
+    def get_state(self, seed: int) -> dict[str, Tensor]:
         """What continues, as named tensors; empty for other libraries' environments, which cannot be saved."""
         del seed
         return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in self._env.get_state().items()}
 
-    def set_state(self, states: Sequence[Mapping[str, torch.Tensor]], step: int) -> torch.Tensor | None:
+    def set_state(self, states: Sequence[Mapping[str, Tensor]], step: int) -> Tensor | None:
         """Resume after ``step`` steps; observations (1, N, V, o) if new episodes had to begin, else None."""
         if not self._env.native:
             # They begin new episodes, with different seeds.
@@ -84,13 +85,13 @@ class DeviceWorlds:
         self._seeds, self._num_envs = list(seeds), num_envs
         self._worlds = TensorWorlds(config, len(seeds) * num_envs, device)
 
-    def reset(self) -> torch.Tensor:
+    def reset(self) -> Tensor:
         """Begin the first episodes; observations (S, N, V, o)."""
         count = len(self._seeds)
         self._worlds.begin(np.repeat(self._seeds, self._num_envs), np.tile(np.arange(self._num_envs), count))
         return self._by_seed(self._worlds.observations)
 
-    def step(self, actions: torch.Tensor) -> WorldStep:
+    def step(self, actions: Tensor) -> WorldStep:
         """Act: indices (S, N, V), or (S, N, V, k) with each axis in [-1, 1], to which it is clipped."""
         worlds = self._worlds
         worlds.step(actions.flatten(0, 1))
@@ -109,16 +110,16 @@ class DeviceWorlds:
             return {fault // 4 // self._num_envs: str(error)}
         return {}
 
-    def _by_seed(self, tensor: torch.Tensor) -> torch.Tensor:
+    def _by_seed(self, tensor: Tensor) -> Tensor:
         return tensor.view(len(self._seeds), self._num_envs, *tensor.shape[1:])
 
-    def get_state(self, seed: int) -> dict[str, torch.Tensor]:
+    def get_state(self, seed: int) -> dict[str, Tensor]:
         """What continues of the worlds of the seed with this index, as named tensors of bytes."""
         first, last = seed * self._num_envs, (seed + 1) * self._num_envs
         arrays = {"state": self._worlds.read_states(), "streams": self._worlds.read_streams()}
         return {name: torch.from_numpy(each[first:last, ..., None].view(np.uint8)) for name, each in arrays.items()}
 
-    def set_state(self, states: Sequence[Mapping[str, torch.Tensor]], step: int) -> torch.Tensor | None:
+    def set_state(self, states: Sequence[Mapping[str, Tensor]], step: int) -> Tensor | None:
         """Resume from the states of all seeds."""
         del step
         state, streams = (np.concatenate([each[name].numpy() for each in states]) for name in ("state", "streams"))
@@ -130,11 +131,11 @@ class DeviceWorlds:
 class Running(NamedTuple):
     """The running episodes of S seeds, (S, N, V, ...); the collector changes them in place."""
 
-    observations: torch.Tensor  # (..., o)
-    accrued: torch.Tensor  # (..., d) R_t
-    discounts: torch.Tensor  # g^t
-    returns: torch.Tensor  # (..., d) undiscounted
-    lengths: torch.Tensor  # decisions
+    observations: Tensor  # (..., o)
+    accrued: Tensor  # (..., d) R_t
+    discounts: Tensor  # g^t
+    returns: Tensor  # (..., d) undiscounted
+    lengths: Tensor  # decisions
 
     def arrays(self, seed: int) -> tuple[NDArray[np.float32], AccruedReward]:
         """Observations (N, V, o) and the past of a seed, for drivers that take arrays."""
@@ -182,7 +183,7 @@ class Collector:
         self.sums, self.preferences, self.static = sums, preferences, static
         device = sums.totals.device
 
-        def zeros(*sizes: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        def zeros(*sizes: int, dtype: torch.dtype = torch.float32) -> Tensor:
             return torch.zeros(sizes, dtype=dtype, device=device)
 
         step, longer, flags = (seeds, steps, num_envs, v), (seeds, steps + 1, num_envs, v), {"dtype": torch.bool}
@@ -286,12 +287,12 @@ class Collector:
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
-    def get_state(self, seed: int) -> dict[str, torch.Tensor]:
+    def get_state(self, seed: int) -> dict[str, Tensor]:
         """What continues from one rollout to the next of the seed with this index, the worlds included."""
         state = {name: tensor[seed] for name, tensor in self.now._asdict().items()}
         return state | {f"{WORLDS}{name}": each for name, each in self.worlds.get_state(seed).items()}
 
-    def set_state(self, states: Sequence[Mapping[str, torch.Tensor]], step: int) -> None:
+    def set_state(self, states: Sequence[Mapping[str, Tensor]], step: int) -> None:
         """Resume from the states of all seeds after ``step`` steps of each."""
         for seed, state in enumerate(states):
             for name, tensor in self.now._asdict().items():

@@ -9,6 +9,7 @@ from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
+from torch import Tensor
 from torch.utils import _pytree as pytree
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def has_compiler(device: str) -> bool:
 
 
 @contextmanager
-def pure(what: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
+def pure(what: str, tensors: Mapping[str, Tensor]) -> Iterator[None]:
     """Refuse that tensors are changed in place where something is calculated."""
     versions = [each._version for each in tensors.values()]
     yield
@@ -70,7 +71,7 @@ class Compiled:
         compiled, form = self._compiled[key]
         return pytree.tree_unflatten(compiled(*leaves), form)
 
-    def _compile(self, leaves: list[torch.Tensor], form: pytree.TreeSpec) -> tuple[Callable[..., Any], pytree.TreeSpec]:
+    def _compile(self, leaves: list[Tensor], form: pytree.TreeSpec) -> tuple[Callable[..., Any], pytree.TreeSpec]:
         # Not earlier: it takes a second.
         from torch._dynamo import lookup_backend
         from torch._subclasses.fake_tensor import FakeTensorMode
@@ -79,7 +80,7 @@ class Compiled:
 
         forms: list[pytree.TreeSpec] = []
 
-        def flat(*leaves: torch.Tensor) -> list[Any]:
+        def flat(*leaves: Tensor) -> list[Any]:
             found, form_of_found = pytree.tree_flatten(self._function(*pytree.tree_unflatten(leaves, form)))
             forms.append(form_of_found)
             return found
@@ -109,6 +110,6 @@ def origin(error: Exception) -> str:
     )
 
 
-def _copy(tensor: torch.Tensor) -> torch.Tensor:
+def _copy(tensor: Tensor) -> Tensor:
     """A tensor of the same strides, for operations depend on them."""
     return torch.empty_strided(tensor.shape, tensor.stride(), dtype=tensor.dtype, device=tensor.device).copy_(tensor)

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.func import functional_call, vmap
 from torch.utils._pytree import tree_map
 
@@ -89,18 +89,18 @@ class Learner:
         self._mapped: set[Any] = set()  # functions that have been called for several seeds
 
     @property
-    def state(self) -> tuple[torch.Tensor, ...]:
+    def state(self) -> tuple[Tensor, ...]:
         """What a gradient step changes: parameters, the means of Adam, and its numbers of steps."""
         return self.vector, self.mean, self.mean_square, self.count
 
-    def _views(self, vector: torch.Tensor) -> dict[str, torch.Tensor]:
+    def _views(self, vector: Tensor) -> dict[str, Tensor]:
         """The parameters by name, (...) of a vector (P,) or (S, ...) of a matrix."""
         parts = vector[..., : sum(self._sizes)].split(self._sizes, dim=-1)
         return {
             name: part.unflatten(-1, shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)
         }
 
-    def parameters(self, network: str) -> dict[str, torch.Tensor]:
+    def parameters(self, network: str) -> dict[str, Tensor]:
         """Those of one network of all seeds by name, (S, ...), as views."""
         return {name: each for name, each in self._views(self.vector).items() if name.startswith(f"{network}.")}
 
@@ -118,7 +118,7 @@ class Learner:
             self._functions[key] = Compiled(partial(method, function), enabled=compiled)
         return self._functions[key]
 
-    def call(self, function: Callable[..., Any], vector: torch.Tensor, arguments: Any, *shared: Any) -> Any:
+    def call(self, function: Callable[..., Any], vector: Tensor, arguments: Any, *shared: Any) -> Any:
         """What ``function(networks, arguments, *shared)`` gives for every seed, a tree of tensors (S, ...).
 
         Args:
@@ -147,11 +147,11 @@ class Learner:
     def minimise(
         self,
         loss: Callable[..., Loss],
-        samples: Mapping[str, torch.Tensor],
-        rows: Sequence[torch.Tensor],
-        learning_rate: torch.Tensor,
-        *shared: torch.Tensor,
-    ) -> dict[str, torch.Tensor]:
+        samples: Mapping[str, Tensor],
+        rows: Sequence[Tensor],
+        learning_rate: Tensor,
+        *shared: Tensor,
+    ) -> dict[str, Tensor]:
         """One step of every seed down the gradient of its loss, whose norm is clipped.
 
         A seed whose gradient is 0, or not finite, stays where it is.
@@ -170,18 +170,18 @@ class Learner:
             ValueError: for a loss that changes its samples in place, or cannot be calculated for several seeds at once.
         """
         step = self._function(self._step, loss, self.compiled)
-        found: dict[str, torch.Tensor] = step(self.state, dict(samples), list(rows), learning_rate, *shared)
+        found: dict[str, Tensor] = step(self.state, dict(samples), list(rows), learning_rate, *shared)
         return found
 
     def _step(
         self,
         loss: Callable[..., Loss],
-        state: tuple[torch.Tensor, ...],
-        samples: dict[str, torch.Tensor],
-        rows: Sequence[torch.Tensor],
-        learning_rate: torch.Tensor,
-        *shared: torch.Tensor,
-    ) -> dict[str, torch.Tensor]:
+        state: tuple[Tensor, ...],
+        samples: dict[str, Tensor],
+        rows: Sequence[Tensor],
+        learning_rate: Tensor,
+        *shared: Tensor,
+    ) -> dict[str, Tensor]:
         vector, mean, mean_square, count = state
         for chosen in rows:
             samples = {name: self._at(each, chosen) for name, each in samples.items()}
@@ -203,7 +203,7 @@ class Learner:
         vector -= torch.where(moves, update, 0.0)
         return {**{name: part.detach() for name, part in parts.items()}, NORM: norms.squeeze(1)}
 
-    def _at(self, samples: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+    def _at(self, samples: Tensor, rows: Tensor) -> Tensor:
         """The samples (S, m, ...) of (S, M, ...) at ``rows`` (S, m)."""
         if self.seeds == 1:
             return samples[0].index_select(0, rows[0]).unsqueeze(0)
@@ -211,7 +211,7 @@ class Learner:
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
-    def get_state(self, seed: int = 0) -> dict[str, torch.Tensor]:
+    def get_state(self, seed: int = 0) -> dict[str, Tensor]:
         """Weights and the optimiser's state of the seed with this index, as named tensors."""
         size = sum(self._sizes)
         state = dict(self._views(self.vector[seed]))
@@ -219,18 +219,18 @@ class Learner:
         adam = {"step": self.count[seed, 0], "exp_avg": self.mean[seed], "exp_avg_sq": self.mean_square[seed]}
         return state | {f"optimiser.{name}": each[:size] if each.dim() else each for name, each in adam.items()}
 
-    def set_state(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
+    def set_state(self, state: Mapping[str, Tensor], seed: int = 0) -> None:
         """Resume from :meth:`get_state`."""
         adam, size = strip_prefix(state, "optimiser."), sum(self._sizes)
         self.set_weights(state, seed)
         self.count[seed] = adam["step"]
         self.mean[seed, :size], self.mean_square[seed, :size] = adam["exp_avg"], adam["exp_avg_sq"]
 
-    def get_weights(self, network: str, seed: int = 0) -> dict[str, torch.Tensor]:
+    def get_weights(self, network: str, seed: int = 0) -> dict[str, Tensor]:
         """The part of :meth:`get_state` that one network consists of."""
         return {name: each for name, each in self.get_state(seed).items() if name.startswith(f"{network}.")}
 
-    def set_weights(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
+    def set_weights(self, state: Mapping[str, Tensor], seed: int = 0) -> None:
         """Take those weights that are in a state."""
         with torch.no_grad():
             for name, each in {**self._views(self.vector[seed]), **dict(self.networks.named_buffers())}.items():
@@ -243,16 +243,16 @@ class Learner:
             each[seed] = 0.0
 
 
-def _only(tensor: torch.Tensor) -> torch.Tensor:
+def _only(tensor: Tensor) -> Tensor:
     """That of the only seed."""
     return tensor[0]
 
 
-def _with_axis(tensor: torch.Tensor) -> torch.Tensor:
+def _with_axis(tensor: Tensor) -> Tensor:
     return tensor.unsqueeze(0)
 
 
-def _linear(layer: nn.Linear, most_parts: int, x: torch.Tensor) -> torch.Tensor:
+def _linear(layer: nn.Linear, most_parts: int, x: Tensor) -> Tensor:
     """X W^T + b, for which many rows x (M, inputs) are parted.
 
     The gradient dL/dW = sum_m g_m x_m^T is then a sum of products that a GPU calculates at the same time; as a single

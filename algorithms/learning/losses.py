@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION
 
@@ -17,18 +18,18 @@ LARGEST_LOG_RATIO = 80.0  # whose exponential is finite in single precision
 class Loss(NamedTuple):
     """A loss of one seed."""
 
-    total: torch.Tensor  # scalar, what is minimised
-    parts: dict[str, torch.Tensor]  # scalars by the names of metrics, for logs
+    total: Tensor  # scalar, what is minimised
+    parts: dict[str, Tensor]  # scalars by the names of metrics, for logs
 
 
-def mean(values: torch.Tensor, weights: torch.Tensor | None) -> torch.Tensor:
+def mean(values: Tensor, weights: Tensor | None) -> Tensor:
     """The weighted mean of ``values`` (M,); 0 if all weights are."""
     if weights is None:
         return values.mean()
     return (weights * values).sum() / weights.sum().clamp(min=torch.finfo(weights.dtype).tiny)
 
 
-def policy_change(log_ratio: torch.Tensor, clip: float, weights: torch.Tensor | None) -> dict[str, torch.Tensor]:
+def policy_change(log_ratio: Tensor, clip: float, weights: Tensor | None) -> dict[str, Tensor]:
     """The fraction of samples that are clipped to epsilon, and E[rho - 1 - log rho] for log rho (M,).
 
     The latter is an estimate of KL(pi_old || pi) in a gradient step.

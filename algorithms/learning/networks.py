@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from algorithms.learning.threads import limited_threads
 from mo_deepdrive.support.importing import import_named
@@ -139,9 +139,9 @@ class CommandNetwork(nn.Module):
         self._tensors = [*self.parameters()]
         self._arrays: tuple[int, list[NDArray[np.float32]]] | None = None
 
-    def forward(self, observations: torch.Tensor, commands: torch.Tensor) -> torch.Tensor:
+    def forward(self, observations: Tensor, commands: Tensor) -> Tensor:
         """(n, outputs) for scaled observations (n, o) and commands (n, c)."""
-        outputs: torch.Tensor = self.body(self.observation(observations).sigmoid() * self.command(commands).sigmoid())
+        outputs: Tensor = self.body(self.observation(observations).sigmoid() * self.command(commands).sigmoid())
         return outputs
 
     def respond(self, observations: NDArray[np.float32], commands: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import torch
 from pydantic import Field, model_validator
+from torch import Tensor
 
 from algorithms.hyperparameters import NonNegative, Positive
 from mo_deepdrive.evaluation.policy import SMALLEST_DISCOUNT
@@ -105,10 +106,10 @@ class Preferences:
     def to(self, device: torch.device) -> None:
         """Move its tensors to a device."""
         for name, each in vars(self).items():
-            if isinstance(each, torch.Tensor):
+            if isinstance(each, Tensor):
                 setattr(self, name, each.to(device))
 
-    def rows(self, family: torch.Tensor, weights: torch.Tensor, budgets: torch.Tensor) -> torch.Tensor:
+    def rows(self, family: Tensor, weights: Tensor, budgets: Tensor) -> Tensor:
         """Preferences (..., m) of families (...), which are positions in ``used``, weights, and shares of budgets."""
         positions = torch.arange(len(self.used), device=family.device)
         indicators = (family.unsqueeze(-1) == positions).to(weights.dtype)
@@ -191,7 +192,7 @@ class Preferences:
                 f"and budgets of at most {self.largest.tolist()}, in this order: {', '.join(self.names)}"
             )
 
-    def is_family(self, preferences: torch.Tensor, family: int) -> torch.Tensor:
+    def is_family(self, preferences: Tensor, family: int) -> Tensor:
         """Mask (...) of the preferences (..., m) of a family."""
         if family not in self.used:
             return torch.zeros(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
@@ -199,15 +200,15 @@ class Preferences:
             return torch.ones(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
         return preferences[..., self.used.index(family)] > 0.5
 
-    def weights(self, preferences: torch.Tensor) -> torch.Tensor:
+    def weights(self, preferences: Tensor) -> Tensor:
         """The weights w (..., d) of preferences (..., m); 0 under budgets."""
         return preferences[..., self.weight_columns]
 
-    def gaps(self, returns: torch.Tensor, preferences: torch.Tensor, ideal: torch.Tensor) -> torch.Tensor:
+    def gaps(self, returns: Tensor, preferences: Tensor, ideal: Tensor) -> Tensor:
         """The gaps q of eq. 2 (..., d)."""
         return self.weights(preferences) * (ideal.to(returns) - returns) / self.scales.to(returns)
 
-    def utility(self, returns: torch.Tensor, preferences: torch.Tensor, ideal: torch.Tensor) -> torch.Tensor:
+    def utility(self, returns: Tensor, preferences: Tensor, ideal: Tensor) -> Tensor:
         """u(R; p) (...) of eqs. 1 to 3, for returns (..., d), preferences (..., m) and z (..., d)."""
         scaled = returns / self.scales.to(returns)
         value = torch.zeros(returns.shape[:-1], device=returns.device, dtype=returns.dtype)
@@ -231,9 +232,7 @@ class Preferences:
         d = len(self.objectives)
         return len(self.names) + d * (CHEBYSHEV in self.used) + len(self.budgeted)
 
-    def features(
-        self, preferences: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, ideal: torch.Tensor
-    ) -> torch.Tensor:
+    def features(self, preferences: Tensor, accrued: Tensor, discounts: Tensor, ideal: Tensor) -> Tensor:
         """(p, c_t) of eq. 6, scaled: (..., width), from R_t (..., d), gamma^t (...) and z (..., d)."""
         left = discounts.unsqueeze(-1).clamp(min=SMALLEST_DISCOUNT)
         parts = [preferences * self.factors / self.divisors]
@@ -301,12 +300,12 @@ class TrainingPreferences:
         self._drawn = self._preferences.rows(family, weights, uniform[..., 2:])
         self._switches = uniform[..., 1] < self._switching
 
-    def follow(self, t: int, lengths: torch.Tensor) -> torch.Tensor:
+    def follow(self, t: int, lengths: Tensor) -> Tensor:
         """The preferences (S, N, V, m) of decision t of a rollout; new where ``lengths`` are 0, and by chance."""
         changes = (lengths == 0) | self._switches[:, t]
         return self.current.copy_(torch.where(changes.unsqueeze(-1), self._drawn[:, t], self.current))
 
-    def update_on_episode_end(self, values: torch.Tensor, ended: torch.Tensor) -> None:
+    def update_on_episode_end(self, values: Tensor, ended: Tensor) -> None:
         """Raise z to the best accrued rewards (S, T, N, V, d) of the episodes that ended, where a mask says."""
         best = values.masked_fill(~ended.unsqueeze(-1), -torch.inf).amax((1, 2, 3))
         any_ended = ended.flatten(1).any(-1)

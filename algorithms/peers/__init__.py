@@ -61,20 +61,20 @@ class Peer:
         env, d = task.env, len(task.env.objectives)
         if env.vehicles != 1:
             raise ValueError(f"algorithm {name!r} supports one vehicle; the environment has {env.vehicles}")
-        kind = CONTINUOUS if env.continuous else DISCRETE
-        if kind not in self.actions:
-            raise ValueError(
-                f"algorithm {name!r} supports {self.actions[0]} actions; the environment has {kind} actions"
-            )
-        if self.objectives is not None and not self.objectives[0] <= d <= self.objectives[1]:
-            least, most = self.objectives
-            raise ValueError(f"algorithm {name!r} supports {least} to {most} objectives; the environment has {d}")
-        if self.known_utility and task.utility is None:
-            raise ValueError(f"algorithm {name!r} needs a known utility; set one in the section 'utility'")
-        if not self.known_utility and task.utility is not None:
-            raise ValueError(f"algorithm {name!r} learns a front; remove the section 'utility'")
-        if env.num_envs > 1 and not self.parallel:
-            raise ValueError(f"training.num_envs = {env.num_envs} must be 1: algorithm {name!r} has one environment")
+        kind, (least, most) = CONTINUOUS if env.continuous else DISCRETE, self.objectives or (d, d)
+        known = task.utility is not None
+        for fits, reason in (
+            (kind in self.actions, f"supports {self.actions[0]} actions; the environment has {kind} actions"),
+            (least <= d <= most, f"supports {least} to {most} objectives; the environment has {d}"),
+            (
+                not self.known_utility or task.utility is not None,
+                "needs a known utility; set one in the section 'utility'",
+            ),
+            (self.known_utility or not known, "learns a front; remove the section 'utility'"),
+            (env.num_envs == 1 or self.parallel, f"has one environment: training.num_envs = {env.num_envs} must be 1"),
+        ):
+            if not fits:
+                raise ValueError(f"algorithm {name!r} {reason}")
 
 
 BOTH = (DISCRETE, CONTINUOUS)
