@@ -70,7 +70,7 @@ class PolicyLearner(Learner):
         networks: an actor and a critic per seed.
         max_grad_norm: see Learner.
         vehicles: the indices of those with this policy, each of which is to it as if in an environment alone.
-        objectives: d.
+        objectives: their number.
 
     Attributes:
         noise: (S, T, N, k, n) random numbers of the actions of a rollout.
@@ -248,10 +248,7 @@ class ActorCritic(Agent):
         return self.env.observation_size + len(self.env.objectives) * self.observes_accrued + self.observes_discount
 
     def inputs(self, observations: Tensor, accrued: Tensor, discounts: Tensor, preference: Any = None) -> Tensor:
-        """What an actor sees, scaled, (..., input_size): s_t, and R_t and g^t where it observes them.
-
-        ``preference`` is under what it acts, where there are any.
-        """
+        """What an actor sees, scaled, (..., input_size): s_t, and R_t and g^t where it observes them."""
         del preference
         parts = [observations / self.observation_scales]
         if self.observes_accrued:
@@ -269,9 +266,8 @@ class ActorCritic(Agent):
     def states(self, storage: RolloutStorage, vehicles: tuple[int, ...]) -> dict[str, Tensor]:
         """What the critic of some vehicles sees, where that is not what the actor sees.
 
-        Returns:
-            ``states`` (S, T + 1, N k, c) before each step and ``final_states`` (S, T, N k, c) after it; or nothing.
-            With a centralised critic what the actor sees, and what the other vehicles observe.
+        That is ``states`` (S, T + 1, N k, c) before each step and ``final_states`` (S, T, N k, c) after it; with a
+        centralised critic what the actor sees, and what the other vehicles observe.
         """
         if not self.config.centralised_critic:
             return {}
@@ -329,18 +325,13 @@ class ActorCritic(Agent):
 
     @torch.inference_mode()
     def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
-        return self._act(observations, accrued_reward, None, generator)
-
-    def _act(
         self,
         observations: NDArray[np.float32],
         accrued_reward: AccruedReward,
-        preference: Any,
         generator: torch.Generator | None,
+        preference: Any = None,
     ) -> NDArray[Any]:
+        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
         chosen = {v: each.act(observations, accrued_reward, generator) for v, each in self.partners.items()}
         arrays = (observations, accrued_reward.value, accrued_reward.discounts)
         seen, accrued, discounts = (torch.from_numpy(each).to(self.device) for each in arrays)
@@ -353,10 +344,7 @@ class ActorCritic(Agent):
     def eval(self, obs: NDArray[Any], accrued_reward: NDArray[Any] | None = None, discount: float = 1.0) -> Any:
         """The greedy action for one observation, as in morl-baselines; one per vehicle with several.
 
-        Args:
-            obs: as one environment gives it; (V, o) with several vehicles.
-            accrued_reward: (d,) or (V, d) discounted sum of the episode's rewards so far; zeros if None.
-            discount: gamma^t.
+        The accrued reward (d,) or (V, d) is the discounted sum of the episode's rewards so far, the discount gamma^t.
         """
         so_far = AccruedReward.begin(1, self.env.vehicles, len(self.env.objectives))
         if accrued_reward is not None:

@@ -96,15 +96,8 @@ class Agent(ABC):
     - :meth:`get_state` and :meth:`set_state`: what determines the rest of the run, as named tensors. The names of an
       optimiser's contain "optimiser.". ``step``, ``updates`` and ``episodes`` are saved here.
 
-    Of several seeds that train side by side, :meth:`of_seed` is the agent of one.
-
     It may define ``name``, :meth:`begin`, :meth:`get_policy` and :meth:`set_policy`, :meth:`identity` and
-    :attr:`varying_shapes`. It may use the attributes below and
-
-    - :class:`mo_deepdrive.evaluation.env_adapter.EnvAdapter`, which is ``env``: reset and step in shapes (N, V, ...).
-    - :class:`algorithms.learning.learner.Learner`: networks, and steps of Adam down the gradient of a loss.
-    - :mod:`algorithms.learning.networks`, with :class:`algorithms.hyperparameters.NetworkSettings` for a Config.
-
+    :attr:`varying_shapes`, and use :class:`algorithms.learning.learner.Learner` and what else is in that package.
     Everything random is drawn from ``initial``, ``generator`` or a generator with the seed :meth:`seed_of`, so that a
     run can be repeated and resumed bit for bit.
 
@@ -127,8 +120,9 @@ class Agent(ABC):
         trains_on_devices: whether it can train on a GPU, and several seeds side by side.
         compiled_saves: seconds by which a compiled gradient step is shorter.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read.
-        env: the training environment in the trainers' shapes.
-        learners: what learns by gradient steps, each an :class:`algorithms.learning.learner.Learner`.
+        env: the training environment, an :class:`mo_deepdrive.evaluation.env_adapter.EnvAdapter`: its reset and step
+            are in shapes (N, V, ...).
+        learners: what learns by gradient steps, each a Learner.
         scales: (d,) nominal size of each objective's return.
         utilities: one per vehicle; empty where none is known.
         seed, seeds: the only seed or the first one, and all S of them.
@@ -250,11 +244,7 @@ class Agent(ABC):
         return len(self.seeds) > 1 or self.device.type != "cpu"
 
     def vehicle_groups(self, share_policy: bool, partners: Container[int] = ()) -> list[tuple[int, ...]]:
-        """The vehicles of each policy that learns: one each, or all that no partner drives.
-
-        Raises:
-            ValueError: if a policy cannot be shared.
-        """
+        """The vehicles of each policy that learns: one each, or all that no partner drives."""
         learning = [v for v in range(self.env.vehicles) if v not in partners]
         if not share_policy:
             return [(v,) for v in learning]
@@ -295,10 +285,7 @@ class Agent(ABC):
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o) and the accrued rewards of the running episodes.
-
-        ``generator`` None acts greedily.
-        """
+        """Actions (N, V) or (N, V, k) for observations (N, V, o) of running episodes; greedy without a generator."""
 
     def begin(self) -> None:
         """Prepare the first update: reset environments, collect first episodes."""
@@ -309,17 +296,12 @@ class Agent(ABC):
         """Act and learn once, and return the losses by name: numbers, or tensors (S,) with one for each seed.
 
         Adds the environment steps that it took to ``step``, 1 to ``updates``, and to ``episodes`` those that ended.
-
-        Args:
-            progress: fraction of training that is done, in [0, 1), for schedules.
+        ``progress`` is the fraction of training that is done, in [0, 1), for schedules.
         """
 
     @abstractmethod
     def get_state(self) -> dict[str, Tensor]:
-        """What determines the rest of the run, as named tensors: networks, optimisers, running episodes.
-
-        Every number must be finite.
-        """
+        """What determines the rest of the run, as finite named tensors: networks, optimisers, running episodes."""
 
     @abstractmethod
     def set_state(self, state: dict[str, Tensor]) -> None:
@@ -345,9 +327,8 @@ class Agent(ABC):
 
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
-        resident = {RESIDENT: True} if self.resident else {}
         return {
-            **resident,
+            **({RESIDENT: True} if self.resident else {}),
             "algorithm": self.name,
             "environment": self.env.name,
             "observation_size": self.env.observation_size,
@@ -483,19 +464,11 @@ class Agent(ABC):
                 check_numbers(_of_seed(losses, seed))
 
     def check(self, seed: int) -> None:
-        """Refuse what the seed with this index has computed since the last call, if it is not finite.
-
-        Raises:
-            NotFinite: with its origin.
-        """
+        """Refuse what the seed with this index has computed since the last call, if it is not finite."""
         del seed
 
     def fail(self, seed: int, error: Fault, when: str) -> None:
-        """End a seed; the others go on.
-
-        Raises:
-            Fault: if there is no other.
-        """
+        """End a seed; the others go on, or the fault is raised if there is none."""
         name = f"seed {self.seeds[seed]}, " if len(self.seeds) > 1 else ""
         fault = type(error)(f"{name}{when}: {error}")
         self.failed[seed] = str(fault)
@@ -541,19 +514,13 @@ class Agent(ABC):
     def save(self, path: str | Path, seed: int = 0) -> None:
         """Write the complete training state of the seed with this index to one safetensors file, atomically.
 
-        Raises:
-            NotFinite: if a number is not finite; a file of before is left as it was.
+        A number that is not finite is refused; a file of before is then left as it was.
         """
         state = {**self.get_seed_state(seed), EPISODES: self.episodes.totals[seed]}
         write_checkpoint(path, state, {**self.identity(), **self._counts(seed)})
 
     def save_policy(self, path: str | Path) -> None:
-        """Write only what acting needs to one safetensors file, atomically; ``load(..., policy_only=True)`` reads it.
-
-        Raises:
-            ValueError: if there is no policy yet.
-            NotFinite: as :meth:`save`.
-        """
+        """Write only what acting needs to one file, atomically; ``load(..., policy_only=True)`` reads it."""
         write_checkpoint(path, self.get_policy(), {**self.identity(), **self._counts(), POLICY_ONLY: True})
 
     def _counts(self, seed: int = 0) -> dict[str, int]:
@@ -692,15 +659,10 @@ class FrontAgent(Agent):
 
 @dataclass(frozen=True)
 class PolicyOfFront:
-    """An agent that learns a front, under conditions: a policy (:class:`mo_deepdrive.evaluation.policy.Policy`).
+    """An agent that learns a front, under conditions: a policy (:class:`mo_deepdrive.evaluation.policy.Policy`)."""
 
-    Attributes:
-        agent: whose networks act, by ``agent.act_under(conditions, observations, accrued_reward, generator)``.
-        conditions: (N, ...), one per environment, or (1, ...) for all.
-    """
-
-    agent: FrontAgent
-    conditions: NDArray[np.float32]
+    agent: FrontAgent  # which acts by ``agent.act_under(conditions, observations, accrued_reward, generator)``
+    conditions: NDArray[np.float32]  # (N, ...), one per environment, or (1, ...) for all
     utilities: ClassVar[tuple[Utility, ...]] = ()
 
     @property

@@ -108,7 +108,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.policy import AccruedReward
 
 
-class ConditionedMOPPO(FrontAgent, ActorCritic):
+class ConditionedMOPPO(FrontAgent, ActorCritic):  # type: ignore[misc]  # it acts under a preference
     """MO-PPO conditioned on preferences: every vehicle has one of its own, and a policy, or all share one.
 
     The arguments are those of :class:`algorithms.actor_critic.ActorCritic` without ``utility`` and ``partners``.
@@ -259,7 +259,6 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
 
     # ------------------------------------------------------------------------------------------------------- the front
 
-    @torch.inference_mode()
     def act_under(
         self,
         preferences: NDArray[np.float32],
@@ -270,7 +269,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         """Actions (N, V) or (N, V, k) for observations (N, V, o) under preferences (N, V, m) or (1, V, m)."""
         rows = np.broadcast_to(preferences, (len(observations), *preferences.shape[1:])).copy()
         preference = torch.from_numpy(rows).to(self.device), self.ideal[0]
-        return self._act(observations, accrued_reward, preference, generator)
+        return ActorCritic.act(self, observations, accrued_reward, generator, preference)
 
     @property
     def condition_names(self) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from mo_deepdrive.world.actions import CONTINUOUS, action_table
 from mo_deepdrive.world.observation import OWN
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -40,12 +43,14 @@ def forward(heading: Floats) -> Floats:
     return np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
 
 
-def check_rule(rule: Any) -> None:
-    """Refuse a rule of which a number is not finite or too small; a gap or a distance may be 0."""
-    for name, value in vars(rule).items():
-        least = 0.0 if name in ("gap", "stop_distance") else 0.1
-        if not (math.isfinite(value) and value >= least):
-            raise ValueError(f"{name} = {value!r} of a rule must be a finite number of at least {least:g}")
+class Rule:
+    """Base of what drivers are made of: finite numbers of at least 0.1, or 0 for a gap or a distance."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            least = 0.0 if name in ("gap", "stop_distance") else 0.1
+            if not (math.isfinite(value) and value >= least):
+                raise ValueError(f"{name} = {value!r} of a rule must be a finite number of at least {least:g}")
 
 
 class Driver:
@@ -97,3 +102,12 @@ class Driver:
         if self.calm:
             error += self.calm * np.abs(offered - held[:, None])
         return np.asarray(np.where(table[:, SPEED_CHANGE] == change[:, None], error, np.inf).argmin(axis=1))
+
+
+def make_driver(forms: Mapping[str, Callable[..., Driver]], name: str, action_type: str) -> Driver:
+    """The scripted driver of a name, of the form "kind" or "kind_NUMBER"."""
+    for form, make in forms.items():
+        found = re.fullmatch(PREFIX + form.replace("NUMBER", r"(\d+(?:\.\d+)?)").replace("INTEGER", r"(\d+)"), name)
+        if found:
+            return make(*map(float, found.groups()), action_type)
+    raise ValueError(f"there is no scripted driver {name!r}; write {', '.join(PREFIX + form for form in forms)}")

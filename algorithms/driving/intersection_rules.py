@@ -6,13 +6,12 @@ may brake for a vehicle in front of it. They remember nothing: an action follows
 
 from __future__ import annotations
 
-import re
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.driving.controls import PREFIX, Driver
+from algorithms.driving.controls import Driver, make_driver
 from algorithms.driving.left_turn_rules import COLUMN, GapDriver, GapRule, locate
 from mo_deepdrive.simulation.geometry import HALF_WIDTH
 from mo_deepdrive.simulation.observation import ABSENT_DISTANCE, SIGHT_DISTANCE
@@ -22,8 +21,6 @@ from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -112,24 +109,13 @@ def absent(seen: Floats) -> NDArray[np.bool_]:
     )
 
 
-# By the first part of a name; the number after it is the gap (s) or the speed (m/s).
-KINDS: dict[str, Callable[[float, str], Driver]] = {
-    "gap": TurningDriver,
-    "straight": partial(StraightDriver, yields=False),
-    "yields": partial(StraightDriver, yields=True),
-}
-NAME = re.compile(rf"{PREFIX}({'|'.join(KINDS)})_(\d+(?:\.\d+)?)")
-
-
-def make_rule(name: str, action_type: str) -> Driver:
-    """The scripted driver of a name.
-
-    ``rule:gap_3`` turns left and waits for a gap of 3 s, ``rule:straight_6`` drives straight on at 6 m/s, and
-    ``rule:yields_6`` does so and brakes for a vehicle in front of it; any numbers.
-    """
-    found = NAME.fullmatch(name)
-    if found is None:
-        forms = ", ".join(f"{PREFIX}{kind}_NUMBER" for kind in KINDS)
-        raise ValueError(f"there is no scripted driver {name!r}; write {forms}, such as {PREFIX}gap_3")
-    kind, number = found.groups()
-    return KINDS[kind](float(number), action_type)
+# ``rule:gap_3`` turns left and waits for a gap of 3 s, ``rule:straight_6`` drives straight on at 6 m/s, and
+# ``rule:yields_6`` does so and brakes for a vehicle in front of it; any numbers.
+make_rule = partial(
+    make_driver,
+    {
+        "gap_NUMBER": TurningDriver,
+        "straight_NUMBER": partial(StraightDriver, yields=False),
+        "yields_NUMBER": partial(StraightDriver, yields=True),
+    },
+)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.driving.controls import THROTTLE, Driver, braking_distance, check_rule, forward
+from algorithms.driving.controls import THROTTLE, Driver, Rule, braking_distance, forward
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
 from mo_deepdrive.world.observation import layout
@@ -41,7 +41,7 @@ MAX_CURVATURE = 0.16  # 1/m, a little above that of the arc
 
 
 @dataclass(frozen=True)
-class GapRule:
+class GapRule(Rule):
     """What a fixed rule for LeftTurn is made of."""
 
     gap: float  # it goes once the next oncoming car is this far from the crossing (s); 0 to go at once
@@ -49,9 +49,6 @@ class GapRule:
     turn_speed: float = 6.0  # in the crossing (m/s)
     exit_speed: float = 8.0  # after it (m/s)
     stop_distance: float = 0.73  # from the front of the waiting vehicle to the crossing (m)
-
-    def __post_init__(self) -> None:
-        check_rule(self)
 
 
 class GapDriver(Driver):

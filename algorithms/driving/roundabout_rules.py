@@ -8,13 +8,13 @@ within ``gap`` seconds, unless it is turning off.
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.driving.controls import PREFIX, Driver, braking_distance, check_rule, forward
+from algorithms.driving.controls import Driver, Rule, braking_distance, forward, make_driver
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.neighbours import NEIGHBOURS
 from mo_deepdrive.simulation.roads import NEXT_POINT, POINT_AFTER
@@ -60,7 +60,7 @@ STOP_GAIN = 1.4  # 1/s, of the speed before the line over the distance to it
 
 
 @dataclass(frozen=True)
-class RoundaboutRule:
+class RoundaboutRule(Rule):
     """What a fixed rule for the roundabout is made of."""
 
     gap: float = 3.0  # it enters if nobody with right of way is this close to the end of the entry (s)
@@ -68,9 +68,6 @@ class RoundaboutRule:
     inside_speed: float = 4.0
     exit_speed: float = 4.5
     headway: float = 0.9  # to the one ahead (s)
-
-    def __post_init__(self) -> None:
-        check_rule(self)
 
 
 def _tables() -> Floats:
@@ -271,7 +268,6 @@ TYPES = {
 }
 # From what the drawn ones are, uniform, in the order of the fields.
 DRAWN = ((2.5, 6.0), (2.8, 4.2), (3.3, 5.0), (4.0, 7.0), (0.6, 1.8))
-NAME = re.compile(rf"{PREFIX}(?:(enters|drawn)_(\d+(?:\.\d+)?)|({'|'.join(TYPES)}))")
 
 
 def drawn_rule(number: int) -> RoundaboutRule:
@@ -280,18 +276,12 @@ def drawn_rule(number: int) -> RoundaboutRule:
     return RoundaboutRule(*(float(rng.uniform(*span)) for span in DRAWN))
 
 
-def make_rule(name: str, action_type: str) -> RoundaboutDriver:
-    """The scripted driver of a name, which drives any vehicle.
-
-    ``rule:hurried``, ``rule:balanced`` or ``rule:careful``; ``rule:enters_3`` is the balanced one with a gap of 3 s, or
-    another one; ``rule:drawn_7`` is the rule that is drawn for the number 7.
-    """
-    found = NAME.fullmatch(name)
-    if found is None or (found[1] == "drawn" and not found[2].isdigit()):
-        forms = ", ".join([*(PREFIX + kind for kind in TYPES), f"{PREFIX}enters_NUMBER", f"{PREFIX}drawn_NUMBER"])
-        raise ValueError(f"there is no scripted driver {name!r}; write {forms}")
-    if found[3]:
-        rule = TYPES[found[3]]
-    else:
-        rule = drawn_rule(int(found[2])) if found[1] == "drawn" else RoundaboutRule(gap=float(found[2]))
-    return RoundaboutDriver(rule, action_type)
+# ``rule:enters_3`` is the balanced one with a gap of 3 s, ``rule:drawn_7`` the rule that is drawn for the number 7.
+make_rule = partial(
+    make_driver,
+    {
+        **{kind: partial(RoundaboutDriver, rule) for kind, rule in TYPES.items()},
+        "enters_NUMBER": lambda gap, action_type: RoundaboutDriver(RoundaboutRule(gap=gap), action_type),
+        "drawn_INTEGER": lambda number, action_type: RoundaboutDriver(drawn_rule(int(number)), action_type),
+    },
+)

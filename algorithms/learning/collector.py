@@ -154,11 +154,8 @@ class Collector:
         shape: S, T (the length of a rollout) and N.
         outputs: of an actor's network.
         sums: to which the episodes are added that end.
-        preferences: under which vehicles act; None if there are none.
 
     Attributes:
-        storage: the rollout.
-        now: the running episodes.
         accrued_discounts: (V,) g, discount of the accrued rewards.
         shares: (V, d) by which rewards are multiplied before they are accrued and learnt from; the returns of episodes
             are the environment's.

@@ -28,13 +28,7 @@ if TYPE_CHECKING:
 class Guide:
     """Drives one vehicle of N environments of every seed at the start of some episodes.
 
-    Args:
-        driver: what drives.
-        settings: when.
-        num_envs: N.
-
     Attributes:
-        vehicle: the index of the vehicle.
         handovers: by seed, (N,) the decisions after which the learner drives in the running episodes.
     """
 
@@ -61,14 +55,9 @@ class Guide:
         generator: torch.Generator,
         seed: int = 0,
     ) -> NDArray[np.bool_]:
-        """Overwrite the vehicle's actions where the guide drives; the mask (N,) of these environments.
+        """Overwrite the vehicle's actions (N, V) or (N, V, k) where the guide drives; the mask (N,) of where it does.
 
-        Args:
-            actions: (N, V) or (N, V, k) of the learners.
-            observations: (N, V, o).
-            accrued_reward: of the running episodes.
-            generator: draws when the learner takes over, and the actions of a guide that samples.
-            seed: the index of the seed.
+        The generator draws when the learner takes over, and the actions of a guide that samples.
         """
         decisions, handover = accrued_reward.decisions[:, self.vehicle], self.handovers[seed]
         begin = np.flatnonzero(decisions == 0)

@@ -121,11 +121,7 @@ class Learner:
     def call(self, function: Callable[..., Any], vector: Tensor, arguments: Any, *shared: Any) -> Any:
         """What ``function(networks, arguments, *shared)`` gives for every seed, a tree of tensors (S, ...).
 
-        Args:
-            function: of one seed, whose networks have its parameters.
-            vector: (S, P), as :attr:`vector`.
-            arguments: a tree of tensors (S, ...), of which every seed gets its part.
-            *shared: tensors that all seeds get.
+        The networks have a seed's row of ``vector`` (S, P), and its part of ``arguments``, a tree of tensors (S, ...).
         """
         parameters = self._views(vector)
         if self.seeds == 1:
@@ -157,7 +153,7 @@ class Learner:
         A seed whose gradient is 0, or not finite, stays where it is.
 
         Args:
-            loss: ``loss(networks, samples, *shared)`` of one seed.
+            loss: ``loss(networks, samples, *shared)`` of one seed, which must not change its samples in place.
             samples: by name, (S, M, ...).
             rows: [(S, m)] which of the samples the loss is of; empty for all.
             learning_rate: of Adam, a scalar.
@@ -165,9 +161,6 @@ class Learner:
 
         Returns:
             The parts of the loss and the norm of the gradient, (S,).
-
-        Raises:
-            ValueError: for a loss that changes its samples in place, or cannot be calculated for several seeds at once.
         """
         step = self._function(self._step, loss, self.compiled)
         found: dict[str, Tensor] = step(self.state, dict(samples), list(rows), learning_rate, *shared)

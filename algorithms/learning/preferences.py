@@ -156,26 +156,25 @@ class Preferences:
         row = np.zeros(len(self.names), dtype=np.float32)
         if len(self.used) > 1:
             row[self.used.index(chosen)] = 1.0
-        what, given, other, allowed, part = (
-            ("budgets", budgets, weights, [self.objectives[i] for i in self.budgeted], self.budget_columns)
-            if chosen == COMFORT_BUDGET
-            else ("weights", weights, budgets, list(self.objectives), self.weight_columns)
-        )
+        budgeted = chosen == COMFORT_BUDGET
+        key, given, other = ("budgets", budgets, weights) if budgeted else ("weights", weights, budgets)
         if given is None or other is not None:
-            raise ValueError(f"family {family!r} needs {what} and nothing else")
+            raise ValueError(f"family {family!r} needs {key} and nothing else")
+        allowed = [*self.config.budgets] if budgeted else self.objectives
         for name, value in given.items():
             if name not in allowed:
-                raise ValueError(f"{what} has {name!r}; it must be one of {', '.join(allowed)}")
+                raise ValueError(f"{key} has {name!r}; it must be one of {', '.join(allowed)}")
             if not (np.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{what} of {name!r} = {value} must be finite and not negative")
-            if chosen == COMFORT_BUDGET and value > self.config.budgets[name]:
-                raise ValueError(f"{what} of {name!r} = {value} must be at most {self.config.budgets[name]}")
+                raise ValueError(f"{key} of {name!r} = {value} must be finite and not negative")
+            if budgeted and value > self.config.budgets[name]:
+                raise ValueError(f"{key} of {name!r} = {value} must be at most {self.config.budgets[name]}")
         numbers = np.array([given.get(name, 0.0) for name in allowed])
-        if chosen != COMFORT_BUDGET:
-            if not numbers.any():
-                raise ValueError(f"weights = {dict(given)} must have a positive number")
-            numbers = numbers / numbers.sum()
-        row[part] = numbers
+        if budgeted:
+            row[self.budget_columns] = numbers
+        elif numbers.any():
+            row[self.weight_columns] = numbers / numbers.sum()
+        else:
+            raise ValueError(f"weights = {dict(given)} must have a positive number")
         return row
 
     def check(self, rows: NDArray[np.float32]) -> None:
