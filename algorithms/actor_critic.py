@@ -129,12 +129,12 @@ class ActorCritic(Agent):
     :attr:`input_size` and :meth:`inputs`, :attr:`state_size` and :meth:`states`, :attr:`value_scales`.
 
     Args:
-        env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
-        utility: the known utility, its name or a function of returns (..., d), or a list with one per vehicle.
+        env: as of :class:`algorithms.agent.Agent`.
+        utility: likewise.
         partners: what drives the vehicles that do not learn, by their indices.
         guides: what begins episodes of vehicles that learn.
         share_policy: one policy, learnt from what all vehicles do, instead of one for each that learns.
-        **options: ``seed``, ``device``, ``compiled`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
+        **options: ``seed``, ``device``, ``compiled`` and the hyperparameters, likewise.
 
     Attributes:
         samples_class: what :meth:`samples` gives and :meth:`loss` takes.
@@ -142,11 +142,9 @@ class ActorCritic(Agent):
         compares_policies: whether the loss needs the log-probability under the policy that collected the rollout.
         observes_accrued, observes_discount: whether actors see R_t and g^t.
         learners: one per vehicle that learns, in the order of the vehicles; or a single one.
-        collector: of the rollouts.
 
     Raises:
-        ValueError: for unknown or invalid hyperparameters, spaces or utilities, partners and guides that cannot drive
-            here, or a policy that cannot be shared.
+        ValueError: as there, for partners and guides that cannot drive here, or a policy that cannot be shared.
     """
 
     samples_class: ClassVar[type[Any]] = Samples

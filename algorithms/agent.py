@@ -639,11 +639,9 @@ class FrontAgent(Agent):
             seed: of the first episode.
             gamma: discount of the returns by which policies dominate each other.
         """
-        conditions = self.conditions()
+        conditions, names = self.conditions(), tuple(self.condition_names)
         evaluations = self.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=gamma)
-        return Front.of_evaluations(
-            evaluations, conditions, tuple(self.condition_names), gamma=gamma, seed=seed
-        ).non_dominated()
+        return Front.of_evaluations(evaluations, conditions, names, gamma=gamma, seed=seed).non_dominated()
 
     def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
         """The front and its indicators."""

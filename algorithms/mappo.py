@@ -50,16 +50,6 @@ if TYPE_CHECKING:
 JointUtility = Literal["sum", "worst_off", "gini"]
 
 
-def total(utilities: Tensor) -> Tensor:
-    """The sum: nobody counts for more than another (utilitarian)."""
-    return utilities.sum(dim=-1)
-
-
-def worst_off(utilities: Tensor) -> Tensor:
-    """The least one (egalitarian)."""
-    return utilities.amin(dim=-1)
-
-
 def generalised_gini(utilities: Tensor) -> Tensor:
     """The sum of 2^-k u_k over the utilities u_1 <= u_2 <= ... from the worst-off on.
 
@@ -71,8 +61,8 @@ def generalised_gini(utilities: Tensor) -> Tensor:
 
 
 JOINT_UTILITIES: dict[JointUtility, Callable[[Tensor], Tensor]] = {
-    "sum": total,
-    "worst_off": worst_off,
+    "sum": lambda utilities: utilities.sum(dim=-1),  # nobody counts for more than another (utilitarian)
+    "worst_off": lambda utilities: utilities.amin(dim=-1),  # only the least one counts (egalitarian)
     "gini": generalised_gini,
 }
 

@@ -385,11 +385,7 @@ class PCN(FrontAgent):
         return (*self.env.objectives, HORIZON)
 
     def conditions(self) -> NDArray[np.float32]:
-        """(K, d + 1) commands: returns and lengths of the buffer's non-dominated episodes.
-
-        Raises:
-            ValueError: if the buffer is empty and no policy was loaded.
-        """
+        """(K, d + 1) commands: returns and lengths of the buffer's non-dominated episodes."""
         returns, lengths = self._best_episodes()
         chosen = farthest_point_subset(returns, self.config.max_policies, self.scales)
         return np.column_stack([returns[chosen], lengths[chosen]]).astype(np.float32)
@@ -458,11 +454,7 @@ class PCN(FrontAgent):
         return {**self._policy_tensors(), **{f"attained.{name}": tensor for name, tensor in attained.items()}}
 
     def save_policy(self, path: str | Any) -> None:
-        """Write only what acting needs, as :meth:`Agent.save_policy`.
-
-        Raises:
-            ValueError: if the buffer is empty.
-        """
+        """Write only what acting needs, as :meth:`Agent.save_policy`; an empty buffer is refused."""
         self._best_episodes()
         super().save_policy(path)
 
