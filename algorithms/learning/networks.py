@@ -137,7 +137,6 @@ class CommandNetwork(nn.Module):
         self.command = mlp(commands, (), hidden[0], generator, output_gain=gains[1])
         self.body = mlp(hidden[0], hidden[1:], outputs, generator, output_gain=0.01)
         self._tensors = [*self.parameters()]
-        self._arrays: tuple[int, list[NDArray[np.float32]]] | None = None
 
     def forward(self, observations: Tensor, commands: Tensor) -> Tensor:
         """(n, outputs) for scaled observations (n, o) and commands (n, c)."""
@@ -149,12 +148,10 @@ class CommandNetwork(nn.Module):
 
         On few rows the time goes into calling operations, and NumPy's take half as long as torch's.
         """
-        device = self._tensors[0].device
-        if len(observations) > self.FEW_ROWS or device.type != "cpu":
+        if len(observations) > self.FEW_ROWS:
             with torch.inference_mode():
-                found = self(torch.from_numpy(observations).to(device), torch.from_numpy(commands).to(device))
-                return np.asarray(found.cpu().numpy())
-        seen, seen_bias, asked, asked_bias, *body = self._parameter_arrays()
+                return np.asarray(self(torch.from_numpy(observations), torch.from_numpy(commands)))
+        seen, seen_bias, asked, asked_bias, *body = (tensor.detach().numpy() for tensor in self._tensors)
         # sigmoid(x) = (1 + tanh(x / 2)) / 2
         x = np.tanh(0.5 * (observations @ seen.T + seen_bias)) + 1.0
         x *= np.tanh(0.5 * (commands @ asked.T + asked_bias)) + 1.0
@@ -162,10 +159,3 @@ class CommandNetwork(nn.Module):
         for weight, bias in zip(body[:-2:2], body[1:-2:2], strict=True):
             x = np.maximum(x @ weight.T + bias, 0.0)
         return np.asarray(x @ body[-2].T + body[-1])
-
-    def _parameter_arrays(self) -> list[NDArray[np.float32]]:
-        """The parameters as arrays in the same memory, which an optimiser moves when it is made."""
-        address = self._tensors[0].data_ptr()
-        if self._arrays is None or self._arrays[0] != address:
-            self._arrays = address, [tensor.detach().numpy() for tensor in self._tensors]
-        return self._arrays[1]
