@@ -37,19 +37,22 @@ __all__ = [
     "FrontAgent",
 ]
 
-# The module of every class that can be imported from here.
+# The classes of the algorithms, each by its name, which is also that of its module; and the module of their bases.
+_CLASSES = {
+    "a2c": "A2C",
+    "ppo": "PPO",
+    "mo_a2c": "MOA2C",
+    "mo_ppo": "MOPPO",
+    "mocac": "MOCAC",
+    "mappo": "MAPPO",
+    "pcn": "PCN",
+    "conditioned_mo_ppo": "ConditionedMOPPO",
+}
 _MODULES = {
-    "A2C": "algorithms.a2c",
-    "MAPPO": "algorithms.mappo",
-    "MOA2C": "algorithms.mo_a2c",
-    "MOCAC": "algorithms.mocac",
-    "MOPPO": "algorithms.mo_ppo",
-    "PCN": "algorithms.pcn",
-    "PPO": "algorithms.ppo",
-    "ActorCritic": "algorithms.actor_critic",
-    "Agent": "algorithms.agent",
-    "ConditionedMOPPO": "algorithms.conditioned_mo_ppo",
-    "FrontAgent": "algorithms.agent",
+    **{class_name: module for module, class_name in _CLASSES.items()},
+    "ActorCritic": "actor_critic",
+    "Agent": "agent",
+    "FrontAgent": "agent",
 }
 
 
@@ -60,7 +63,7 @@ def __getattr__(name: str) -> Any:
     from mo_deepdrive.support.extras import needed_for
 
     with needed_for(f"algorithms.{name}"):
-        value = globals()[name] = getattr(importlib.import_module(_MODULES[name]), name)
+        value = globals()[name] = getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
     return value
 
 
@@ -70,38 +73,20 @@ def __dir__() -> list[str]:
 
 
 class _LazyClasses(Mapping[str, type[Any]]):
-    """A mapping from the names of algorithms to their classes, each imported when it is first asked for."""
-
-    def __init__(self, classes: Mapping[str, str]):
-        self._classes = dict(classes)
+    """The classes by the names of the algorithms, each imported when it is first asked for."""
 
     def __getitem__(self, name: str) -> type[Any]:
-        """The class of the algorithm ``name``."""
-        loaded: type[Any] = __getattr__(self._classes[name])
+        loaded: type[Any] = __getattr__(_CLASSES[name])
         return loaded
 
     def __contains__(self, name: object) -> bool:
-        """Whether ``name`` is an algorithm; imports nothing."""
-        return name in self._classes
+        return name in _CLASSES
 
     def __iter__(self) -> Iterator[str]:
-        """The names, without importing what they name."""
-        return iter(self._classes)
+        return iter(_CLASSES)
 
     def __len__(self) -> int:
-        """The number of algorithms."""
-        return len(self._classes)
+        return len(_CLASSES)
 
 
-ALGORITHMS: Mapping[str, type[Any]] = _LazyClasses(
-    {
-        "a2c": "A2C",
-        "ppo": "PPO",
-        "mo_a2c": "MOA2C",
-        "mo_ppo": "MOPPO",
-        "mocac": "MOCAC",
-        "mappo": "MAPPO",
-        "pcn": "PCN",
-        "conditioned_mo_ppo": "ConditionedMOPPO",
-    }
-)
+ALGORITHMS: Mapping[str, type[Any]] = _LazyClasses()

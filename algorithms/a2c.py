@@ -22,9 +22,8 @@ from algorithms.learning.losses import Loss, mean
 from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
-    import torch
+    from torch import Tensor
 
-    from algorithms.actor_critic import PolicyLearner
     from algorithms.learning.learner import Networks
     from algorithms.learning.storage import Rollout, Samples
 
@@ -33,6 +32,7 @@ class A2C(ActorCritic):
     """Advantage actor-critic on scalarised rewards, one independent policy per vehicle."""
 
     name = "a2c"
+    judged = "rewards"
     compares_policies = False
 
     class Config(ActorCriticSettings):
@@ -41,16 +41,14 @@ class A2C(ActorCritic):
         value_scale: Positive = 10.0
         """Nominal size of a scalar return, by which the critic's output is multiplied."""
 
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """A_t (T, N) and y_t (T, N, 1) of eqs. 1 to 3, from v(s_t) and v(s_{t+1}) (T, N, 1)."""
         gamma, ended = self.config.gamma, rollout.ended.unsqueeze(-1)
         deltas = rollout.utility(rollout.rewards).unsqueeze(-1) + gamma * next_values - values  # eq. 1
         advantages = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)  # eq. 2
         return advantages.squeeze(-1), advantages + values  # eq. 3
 
-    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: Tensor) -> Loss:
         """L of eq. 4."""
         log_prob, entropies = networks.actor(samples.inputs, samples.actions)
         errors = (samples.targets - networks.critic(samples.states)).square().mean(-1)
@@ -59,8 +57,3 @@ class A2C(ActorCritic):
         entropy = mean(entropies, samples.weights)
         total = policy_loss + self.config.value_coefficient * value_loss - entropy_coefficient * entropy
         return Loss(total, {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy})
-
-    def diagnose(self, learner: PolicyLearner, seed: int) -> None:
-        """Call the utility with a check."""
-        for v in learner.vehicles:
-            self.utilities[v](self.collector.storage.rewards[seed, :, :, v])

@@ -26,20 +26,19 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from algorithms.agent import ACTIONS, LEARNING, Agent
-from algorithms.hyperparameters import schedules
+from algorithms.hyperparameters import geometric_schedule, linear_schedule, schedules
 from algorithms.learning.actors import make_actor
 from algorithms.learning.advantages import bootstrapped, normalise
-from algorithms.learning.checkpoints import ACCRUED_GAMMA, GUIDES, OBJECTIVE_SCALES, PARTNERS, SHARED, strip_prefix
-from algorithms.learning.collector import Collector
+from algorithms.learning.checkpoints import GUIDES, PARTNERS, strip_prefix
+from algorithms.learning.collector import Collector, DeviceWorlds, EnvWorlds
 from algorithms.learning.compiling import pure
-from algorithms.learning.guides import Guides
+from algorithms.learning.guides import check_guides
 from algorithms.learning.learner import NORM, Learner, Networks
 from algorithms.learning.networks import make_network
-from algorithms.learning.optimiser import geometric_schedule, linear_schedule
 from algorithms.learning.storage import Rollout, Samples
-from algorithms.learning.worlds import DeviceWorlds, EnvWorlds
 from mo_deepdrive.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
 from mo_deepdrive.evaluation.policy import AccruedReward, check_same_task
 from mo_deepdrive.support.faults import NotFinite
@@ -71,8 +70,7 @@ class PolicyLearner(Learner):
         networks: an actor and a critic per seed.
         max_grad_norm: see Learner.
         vehicles: the indices of those with this policy, each of which is to it as if in an environment alone.
-        utility: what they maximise, without checks; None where none is known.
-        objectives: d.
+        objectives: their number.
 
     Attributes:
         noise: (S, T, N, k, n) random numbers of the actions of a rollout.
@@ -82,37 +80,27 @@ class PolicyLearner(Learner):
         episodes: (S,) their number.
     """
 
-    noise: torch.Tensor
-    order: torch.Tensor
-    prepare: Callable[..., dict[str, torch.Tensor]]
+    noise: Tensor
+    order: Tensor
+    prepare: Callable[..., dict[str, Tensor]]
 
     def __init__(
         self,
         networks: Sequence[Networks],
         max_grad_norm: float,
         vehicles: tuple[int, ...],
-        utility: Utility | None,
         objectives: int,
     ):
         # ``vehicle_0``, or ``vehicles`` of several that share it.
         super().__init__(networks, max_grad_norm, vehicle_name(vehicles[0]) if len(vehicles) == 1 else "vehicles")
-        self.vehicles, self.utility = vehicles, utility
+        self.vehicles = vehicles
         self.expected_return = self.vector.new_zeros(self.seeds, objectives)
         self.episodes = torch.zeros(self.seeds, dtype=torch.int64, device=self.vector.device)
 
-    @property
-    def actor(self) -> Actor:
-        """The policy of the first seed."""
-        actor: Actor = self.networks.actor
-        return actor
+        self.actor: Actor = self.networks.actor  # of the first seed
+        self.critic: torch.nn.Module = self.networks.critic
 
-    @property
-    def critic(self) -> torch.nn.Module:
-        """The critic of the first seed."""
-        critic: torch.nn.Module = self.networks.critic
-        return critic
-
-    def note_episodes(self, values: torch.Tensor, ended: torch.Tensor) -> None:
+    def update_on_episode_end(self, values: Tensor, ended: Tensor) -> None:
         """Update E[R] with the accrued rewards (S, T, N k, d) of the episodes that ended, where a mask says."""
         number = ended.sum((1, 2))
         mean = values.masked_fill(~ended.unsqueeze(-1), 0.0).sum((1, 2)) / number.clamp(min=1).unsqueeze(-1)
@@ -120,7 +108,7 @@ class PolicyLearner(Learner):
         self.expected_return.copy_(keep * self.expected_return + (1.0 - keep) * mean)
         self.episodes.add_(number)
 
-    def get_state(self, seed: int = 0) -> dict[str, torch.Tensor]:
+    def get_state(self, seed: int = 0) -> dict[str, Tensor]:
         """Networks, optimiser and E[R]."""
         return {
             **super().get_state(seed),
@@ -128,7 +116,7 @@ class PolicyLearner(Learner):
             "episodes": self.episodes[seed],
         }
 
-    def set_state(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
+    def set_state(self, state: Mapping[str, Tensor], seed: int = 0) -> None:
         """Resume from :meth:`get_state`."""
         super().set_state(state, seed)
         self.expected_return[seed], self.episodes[seed] = state["expected_return"], state["episodes"]
@@ -141,23 +129,22 @@ class ActorCritic(Agent):
     :attr:`input_size` and :meth:`inputs`, :attr:`state_size` and :meth:`states`, :attr:`value_scales`.
 
     Args:
-        env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
-        utility: the known utility, its name or a function of returns (..., d), or a list with one per vehicle.
+        env: as of :class:`algorithms.agent.Agent`.
+        utility: likewise.
         partners: what drives the vehicles that do not learn, by their indices.
         guides: what begins episodes of vehicles that learn.
         share_policy: one policy, learnt from what all vehicles do, instead of one for each that learns.
-        **options: ``seed``, ``device``, ``compiled`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
+        **options: ``seed``, ``device``, ``compiled`` and the hyperparameters, likewise.
 
     Attributes:
         samples_class: what :meth:`samples` gives and :meth:`loss` takes.
+        judged: what the utility is of, "rewards" or "ended_values".
         compares_policies: whether the loss needs the log-probability under the policy that collected the rollout.
         observes_accrued, observes_discount: whether actors see R_t and g^t.
         learners: one per vehicle that learns, in the order of the vehicles; or a single one.
-        collector: of the rollouts.
 
     Raises:
-        ValueError: for unknown or invalid hyperparameters, spaces or utilities, partners and guides that cannot drive
-            here, or a policy that cannot be shared.
+        ValueError: as there, for partners and guides that cannot drive here, or a policy that cannot be shared.
     """
 
     samples_class: ClassVar[type[Any]] = Samples
@@ -165,6 +152,7 @@ class ActorCritic(Agent):
     trains_with_guides = True
     shares_policies = True
     trains_on_devices = True
+    judged: ClassVar[str] = "ended_values"
     compares_policies: ClassVar[bool] = True
     observes_accrued: bool = False
     observes_discount: bool = False
@@ -184,8 +172,8 @@ class ActorCritic(Agent):
         self.partners = dict(partners or {})
         if guides and not self.trains_with_guides:
             raise ValueError(f"algorithm {self.name!r} cannot train with guides")
-        self.guides = [Guides(guides, self.accrued_discount)]
-        self.guides += [self.guides[0].copy() for _ in self.seeds[1:]]
+        self.guides = tuple(guides)
+        check_guides(self.guides, self.accrued_discount)
         self._driving = [torch.Generator(self.device) for _ in self.seeds]  # of partners' and guides' random numbers
         self._check_drivers()
         if config.centralised_critic and self.env.vehicles == 1:
@@ -207,7 +195,6 @@ class ActorCritic(Agent):
                 [self.make_networks(generator).to(self.device) for generator in generators],
                 config.max_grad_norm,
                 vehicles,
-                self.utilities[vehicles[0]].unchecked() if self.utilities else None,
                 len(self.env.objectives),
             )
             for vehicles in self.vehicle_groups(share_policy, self.partners)
@@ -217,21 +204,21 @@ class ActorCritic(Agent):
         self._learning_rate, self._entropy_coefficient = torch.zeros(2, device=self.device)
         self._graph: Any = None
         self._warmed_up = 0  # updates in this process
-        self._losses: dict[str, torch.Tensor] = {}
+        self._losses: dict[str, Tensor] = {}
         self._problems: dict[int, str] = {}  # of the worlds, by the index of the seed
 
     def prepare(self) -> None:
         """Called before networks are made; a subclass may prepare here what they depend on."""
 
     def _check_drivers(self) -> None:
-        for driver in (*self.partners.values(), *(guide.driver for guide in self.guides[0])):
+        for driver in (*self.partners.values(), *(guide.driver for guide in self.guides)):
             check_same_task(driver.members[0].env, self.env)
-        for guide in self.guides[0]:
+        for guide in self.guides:
             if guide.vehicle in self.partners:
                 vehicle = vehicle_name(guide.vehicle)
                 raise ValueError(f"{vehicle} has a guide, but does not learn: partners drive it")
         growth = self.config.cost_growth
-        if growth and self.known_utility and any(guide.driver.observes_accrued_reward for guide in self.guides[0]):
+        if growth and self.known_utility and any(guide.driver.observes_accrued_reward for guide in self.guides):
             raise ValueError(
                 f"cost_growth = {growth} must be 0 with a guide that observes the accrued reward, in "
                 "which costs would be missing; take a guide that does not observe it, such as a rule"
@@ -240,9 +227,7 @@ class ActorCritic(Agent):
     # -------------------------------------------------------------------------------------------- what an algorithm is
 
     @abstractmethod
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """A_t (T, N) and the critic's targets y_t (T, N, K), a pure function of tensors, for one seed.
 
         Args:
@@ -252,7 +237,7 @@ class ActorCritic(Agent):
         """
 
     @abstractmethod
-    def loss(self, networks: Networks, samples: Any, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Any, entropy_coefficient: Tensor) -> Loss:
         """The loss of one seed's samples, a pure function of tensors; ``networks`` has an actor and a critic."""
 
     @property
@@ -260,17 +245,8 @@ class ActorCritic(Agent):
         """Width of what an actor sees."""
         return self.env.observation_size + len(self.env.objectives) * self.observes_accrued + self.observes_discount
 
-    def inputs(
-        self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, preference: Any = None
-    ) -> torch.Tensor:
-        """What an actor sees, scaled, (..., input_size): s_t, and R_t and g^t where it observes them.
-
-        Args:
-            observations: (..., o) s_t.
-            accrued: (..., d) accrued reward R_t.
-            discounts: (...) discount g^t that belongs to it.
-            preference: under which it acts, where there are any.
-        """
+    def inputs(self, observations: Tensor, accrued: Tensor, discounts: Tensor, preference: Any = None) -> Tensor:
+        """What an actor sees, scaled, (..., input_size): s_t, and R_t and g^t where it observes them."""
         del preference
         parts = [observations / self.observation_scales]
         if self.observes_accrued:
@@ -280,27 +256,21 @@ class ActorCritic(Agent):
         return torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]
 
     @property
-    def output_size(self) -> int:
-        """Number of outputs of an actor's network."""
-        return self.env.actions * (2 if self.env.continuous and self.config.state_dependent_std else 1)
-
-    @property
     def state_size(self) -> int:
         """Width of what a critic sees."""
         others = (self.env.vehicles - 1) * self.env.observation_size if self.config.centralised_critic else 0
         return self.input_size + others
 
-    def states(self, storage: RolloutStorage, vehicles: tuple[int, ...]) -> dict[str, torch.Tensor]:
+    def states(self, storage: RolloutStorage, vehicles: tuple[int, ...]) -> dict[str, Tensor]:
         """What the critic of some vehicles sees, where that is not what the actor sees.
 
-        Returns:
-            ``states`` (S, T + 1, N k, c) before each step and ``final_states`` (S, T, N k, c) after it; or nothing.
-            With a centralised critic what the actor sees, and what the other vehicles observe.
+        That is ``states`` (S, T + 1, N k, c) before each step and ``final_states`` (S, T, N k, c) after it; with a
+        centralised critic what the actor sees, and what the other vehicles observe.
         """
         if not self.config.centralised_critic:
             return {}
 
-        def seen(inputs: torch.Tensor) -> torch.Tensor:
+        def seen(inputs: Tensor) -> Tensor:
             observed = inputs[..., : self.env.observation_size]
             others = [
                 torch.cat([observed[:, :, :, v] for v in range(self.env.vehicles) if v != vehicle], dim=-1)
@@ -311,7 +281,7 @@ class ActorCritic(Agent):
         return {"states": seen(storage.inputs), "final_states": seen(storage.final_inputs)}
 
     @property
-    def value_scales(self) -> torch.Tensor:
+    def value_scales(self) -> Tensor:
         """(K,) by which the critic's outputs are multiplied."""
         return torch.full((1,), self.config.value_scale, device=self.device)
 
@@ -324,11 +294,9 @@ class ActorCritic(Agent):
         )
 
     def diagnose(self, learner: PolicyLearner, seed: int) -> None:
-        """Find out why a loss of the seed with this index is not finite, by calling with checks what may be the cause.
-
-        Raises:
-            NotFinite: with the cause, if it is found.
-        """
+        """Raise a NotFinite that says why a loss of a seed is not finite, by checked calls of what may be the cause."""
+        for v in learner.vehicles if self.utilities else ():
+            self.utilities[v](getattr(self.collector.storage, self.judged)[seed, :, :, v])
 
     # ---------------------------------------------------------------------------------------------------------- acting
 
@@ -345,7 +313,8 @@ class ActorCritic(Agent):
     @property
     def schedules(self) -> list[str]:
         """Those of learning rate, entropy and costs, and guides, which withdraw."""
-        return [*schedules(self.config), *self.guides[0].schedules]
+        until = {vehicle_name(guide.vehicle): guide.settings.until for guide in self.guides}
+        return [*schedules(self.config), *(f"training.guides.{name}.until = {share}" for name, share in until.items())]
 
     @property
     def observes_accrued_reward(self) -> bool:
@@ -354,18 +323,13 @@ class ActorCritic(Agent):
 
     @torch.inference_mode()
     def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
-        return self._act(observations, accrued_reward, None, generator)
-
-    def _act(
         self,
         observations: NDArray[np.float32],
         accrued_reward: AccruedReward,
-        preference: Any,
         generator: torch.Generator | None,
+        preference: Any = None,
     ) -> NDArray[Any]:
+        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
         chosen = {v: each.act(observations, accrued_reward, generator) for v, each in self.partners.items()}
         arrays = (observations, accrued_reward.value, accrued_reward.discounts)
         seen, accrued, discounts = (torch.from_numpy(each).to(self.device) for each in arrays)
@@ -376,15 +340,9 @@ class ActorCritic(Agent):
         return chosen[0][:, None] if len(chosen) == 1 else np.stack([chosen[v] for v in sorted(chosen)], axis=1)
 
     def eval(self, obs: NDArray[Any], accrued_reward: NDArray[Any] | None = None, discount: float = 1.0) -> Any:
-        """The greedy action for one observation, as in morl-baselines.
+        """The greedy action for one observation, as in morl-baselines; one per vehicle with several.
 
-        Args:
-            obs: as one environment gives it; (V, o) with several vehicles.
-            accrued_reward: (d,) or (V, d) discounted sum of the episode's rewards so far; zeros if None.
-            discount: gamma^t.
-
-        Returns:
-            An action as the environment takes it; one per vehicle with several.
+        The accrued reward (d,) or (V, d) is the discounted sum of the episode's rewards so far, the discount gamma^t.
         """
         so_far = AccruedReward.begin(1, self.env.vehicles, len(self.env.objectives))
         if accrued_reward is not None:
@@ -398,6 +356,8 @@ class ActorCritic(Agent):
     def begin(self) -> None:
         """Reset the environments."""
         self.collector.reset()
+        for guide in self.guides:
+            guide.repeat(len(self.seeds))
 
     def update(self, progress: float) -> dict[str, Any]:
         """Collect one rollout; each policy learns from its vehicles' part."""
@@ -407,8 +367,8 @@ class ActorCritic(Agent):
         self._learning_rate.fill_(learning_rate)
         self._entropy_coefficient.fill_(entropy)
         self.grow_costs(progress / config.cost_growth if progress < config.cost_growth else 1.0)
-        for guides in self.guides:
-            guides.begin_rollout(progress)
+        for guide in self.guides:
+            guide.begin_rollout(progress)
         for seed in range(len(self.seeds)):
             self._draw(seed)
         self._run()
@@ -444,7 +404,7 @@ class ActorCritic(Agent):
     def _run(self) -> None:
         """The part of an update that is the same every time; on a GPU one CUDA graph where only learners drive."""
         self._warmed_up += 1
-        if self.device.type == "cpu" or self._warmed_up <= WARM_UP or self.partners or any(self.guides[0]):
+        if self.device.type == "cpu" or self._warmed_up <= WARM_UP or self.partners or self.guides:
             self._collect_and_learn()
             return
         if self._graph is None:
@@ -461,16 +421,16 @@ class ActorCritic(Agent):
         self.before_learning(storage)
         for learner in self.learners:
             values = storage.of_vehicles(storage.ended_values, learner.vehicles)
-            learner.note_episodes(values, storage.of_vehicles(storage.ended, learner.vehicles))
+            learner.update_on_episode_end(values, storage.of_vehicles(storage.ended, learner.vehicles))
             prefix = vehicle_prefix(learner.vehicles[0], self.env.vehicles) if len(learner.vehicles) == 1 else ""
             self._losses |= {prefix + name: loss for name, loss in self.learn_once(learner, storage).items()}
         if self.preferences_now is not None:
-            self.preferences_now.note_episodes(storage.ended_values, storage.ended)
+            self.preferences_now.update_on_episode_end(storage.ended_values, storage.ended)
 
     def before_learning(self, storage: RolloutStorage) -> None:
         """Called between collecting a rollout and learning from it."""
 
-    def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+    def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, Tensor]:
         """Epochs of minibatch steps on a rollout; the means over them of the parts of the loss, (S,)."""
         rollout = self.rollout_of(learner, storage)
         with pure("an advantage", rollout):
@@ -481,34 +441,27 @@ class ActorCritic(Agent):
         ]
         return {name: torch.stack([step[name] for step in steps]).mean(0) for name in steps[0]}
 
-    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, Tensor]:
         """The fields of :class:`Rollout` of a policy, with the axis of seeds.
 
         Without ``states`` and ``final_states`` those are ``inputs`` and ``final_inputs``.
         """
-        own = {"final_inputs", *(each.name for each in fields(Rollout))}
-        ideal = learner.expected_return if self.preferences_now is None else self.preferences_now.ideal
+        names = {"final_inputs", *(field.name for field in fields(Rollout))}
+        parts = {name: tensor for name, tensor in vars(storage).items() if name in names}
         return {
-            **{
-                each.name: storage.of_vehicles(getattr(storage, each.name), learner.vehicles)
-                for each in fields(storage)
-                if each.name in own
-            },
+            **{name: storage.of_vehicles(tensor, learner.vehicles) for name, tensor in parts.items()},
             **self.states(storage, learner.vehicles),
             "expected_return": learner.expected_return,
-            "ideal": ideal,
+            "ideal": learner.expected_return if self.preferences_now is None else self.preferences_now.ideal,
         }
 
     def _samples(
-        self, utility: Utility | None, always: bool, networks: Networks, tensors: dict[str, torch.Tensor]
-    ) -> dict[str, torch.Tensor]:
+        self, utility: Utility | None, always: bool, networks: Networks, tensors: dict[str, Tensor]
+    ) -> dict[str, Tensor]:
         """What one seed learns from its rollout, (T N, ...), by the fields of Samples."""
         seen = {"states": tensors["inputs"], "final_states": tensors["final_inputs"]}
-        names = {each.name for each in fields(Rollout)}
-        rollout = Rollout(
-            **{name: each for name, each in {**seen, **tensors}.items() if name in names}, utility=utility
-        )
-        samples = self.samples(networks, rollout)
+        parts = {name: tensor for name, tensor in {**seen, **tensors}.items() if name != "final_inputs"}
+        samples = self.samples(networks, Rollout(**parts, utility=utility))
         if always:
             samples = samples._replace(weights=None)
         if "states" not in tensors:
@@ -530,7 +483,7 @@ class ActorCritic(Agent):
             rollout.inputs[:-1], rollout.states[:-1], rollout.actions, advantages, targets, log_prob, weights
         )
 
-    def next_values(self, networks: Networks, rollout: Rollout, values: torch.Tensor) -> torch.Tensor:
+    def next_values(self, networks: Networks, rollout: Rollout, values: Tensor) -> Tensor:
         """v(S_{t+1}) (T, N, K) from v (T + 1, N, K) of S_0 to S_T and of the true final states."""
         final = values[1:]
         if self.collector.static:
@@ -540,10 +493,10 @@ class ActorCritic(Agent):
             final[rollout.truncated] = self.value_scales * networks.critic(rollout.final_states[rollout.truncated])
         return bootstrapped(values[1:], final, rollout.terminated, rollout.truncated)
 
-    def _loss(self, networks: Networks, tensors: dict[str, torch.Tensor], entropy_coefficient: torch.Tensor) -> Loss:
+    def _loss(self, networks: Networks, tensors: dict[str, Tensor], entropy_coefficient: Tensor) -> Loss:
         return self.loss(networks, self.samples_class(**{"states": tensors["inputs"], **tensors}), entropy_coefficient)
 
-    def _minibatches(self, order: torch.Tensor) -> Iterator[list[torch.Tensor]]:
+    def _minibatches(self, order: Tensor) -> Iterator[list[Tensor]]:
         """The samples of every gradient step: [(S, m)] indices, or [] for all."""
         for epoch in order.unbind(1):
             parts = min(self.config.minibatches, epoch.shape[-1])
@@ -565,16 +518,18 @@ class ActorCritic(Agent):
             else:
                 worlds = EnvWorlds(env, self.env_seed)
             self.preferences_now = self.training_preferences(shape)
+            outputs = env.actions * (2 if env.continuous and config.state_dependent_std else 1)
             self._collector = Collector(
-                self, env, worlds, shape, self.episodes, self.preferences_now, static=self.resident
+                self, env, worlds, shape, outputs, self.episodes, self.preferences_now, static=self.resident
             )
             self._collector.accrued_discounts[:] = torch.from_numpy(
                 np.broadcast_to(np.float32(self.gamma), env.vehicles).copy()
             )
             # Whether all samples count: no vehicle waits for another's end, and no guide drives.
-            always = env.native and env.vehicles == 1 and not any(self.guides[0])
+            always = env.native and env.vehicles == 1 and not self.guides
             for learner in self.learners:
-                learner.prepare = partial(self._samples, learner.utility, always)
+                utility = self.utilities[learner.vehicles[0]].unchecked() if self.utilities else None
+                learner.prepare = partial(self._samples, utility, always)
                 rows = env.num_envs * len(learner.vehicles)
                 noise = (seeds, config.steps, env.num_envs, len(learner.vehicles), learner.actor.noise)
                 learner.noise = torch.zeros(noise, device=self.device)
@@ -600,27 +555,23 @@ class ActorCritic(Agent):
             chosen, outputs = learner.compute(_choose, (seen, learner.noise[:, t]))
             for j, v in enumerate(vehicles):
                 at.actions[:, :, v], at.outputs[:, :, v] = chosen[:, :, j], outputs[:, :, j]
-        if self.partners or any(self.guides[0]):
+        if self.partners or self.guides:
             self._drive(at, now)
 
     def _drive(self, at: RolloutStorage, now: Running) -> None:
         """Let partners and guides drive, for whom observations and actions are arrays."""
-        for seed, (guides, generator) in enumerate(zip(self.guides, self._driving, strict=True)):
+        for seed, generator in enumerate(self._driving):
             observations, past = now.arrays(seed)
             taken = at.actions[seed].cpu().numpy()
             for v, partner in self.partners.items():
                 taken[:, v] = partner.act(observations, past, generator)
-            for guide in guides:
-                led = guide.drive(taken, observations, past, generator)
+            for guide in self.guides:
+                led = guide.drive(taken, observations, past, generator, seed)
                 at.led[seed, :, guide.vehicle] = torch.from_numpy(led).to(self.device)
             at.actions[seed] = torch.from_numpy(taken).to(self.device)
 
     def check(self, seed: int) -> None:
-        """Refuse what the seed with this index has computed, if it is not finite.
-
-        Raises:
-            NotFinite: with its origin.
-        """
+        """Refuse what the seed with this index has computed, if it is not finite, with its origin."""
         storage = self.collector.storage
         self.collector.check(seed)
         finite = storage.outputs[seed].isfinite().all(-1)
@@ -635,10 +586,11 @@ class ActorCritic(Agent):
                 for learner in self.learners:
                     self.diagnose(learner, seed)
                 prefix = name.removesuffix(NORM)
-                mine = {
-                    part: each[seed] for part, each in self._losses.items() if part.startswith(prefix) and part != name
-                }
-                named = ", ".join(f"{part.removeprefix(prefix)} = {float(each):g}" for part, each in mine.items())
+                named = ", ".join(
+                    f"{part.removeprefix(prefix)} = {float(value[seed]):g}"
+                    for part, value in self._losses.items()
+                    if part.startswith(prefix) and part != name
+                )
                 raise NotFinite(f"{name} = {float(loss[seed])} in single precision ({named})")
 
     # ----------------------------------------------------------------------------------------------------------- seeds
@@ -654,15 +606,11 @@ class ActorCritic(Agent):
         if not self.resident:
             return self
         utility = (self.utilities,) if self.known_utility else ()
-        agent = type(self)(
-            self.env.vector_env, *utility, seed=self.seeds[index], config=self.config, **self._driving_options()
-        )
+        drivers: dict[str, Any] = {"partners": self.partners, "guides": self.guides, "share_policy": self.share_policy}
+        agent = type(self)(self.env.vector_env, *utility, seed=self.seeds[index], config=self.config, **drivers)
         agent.step, agent.updates = self.step, self.updates
         agent.set_policy({name: each.cpu() for name, each in self.get_policy(index).items()})
         return agent
-
-    def _driving_options(self) -> dict[str, Any]:
-        return {"partners": self.partners, "guides": [*self.guides[0]], "share_policy": self.share_policy}
 
     def fail(self, seed: int, error: Any, when: str) -> None:
         """End a seed, whose networks go on with parameters that do no harm."""
@@ -674,55 +622,57 @@ class ActorCritic(Agent):
 
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
-        drivers = {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()}
-        shared = {SHARED: True} if any(len(learner.vehicles) > 1 for learner in self.learners) else {}
+        shared = any(len(learner.vehicles) > 1 for learner in self.learners)
         return {
             **super().identity(),
             **self.config.identity(continuous=self.env.continuous),
             "centralised_critic": self.config.centralised_critic,
             "inputs": self.input_size,
-            **self._units(),
-            **shared,
-            PARTNERS: drivers,
-            GUIDES: self.guides[0].identity(),
+            # What the policies observe the accrued reward in units of.
+            **({"objective_scales": self.scales.tolist()} if self.observes_accrued else {}),
+            **({"accrued_gamma": self.accrued_discount} if self.observes_accrued_reward else {}),
+            **({"share_policy": True} if shared else {}),
+            PARTNERS: {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()},
+            GUIDES: {vehicle_name(guide.vehicle): guide.identity for guide in self.guides},
         }
 
-    def _units(self) -> dict[str, Any]:
-        """What the policies observe the accrued reward in units of."""
-        units: dict[str, Any] = {}
-        if self.observes_accrued:
-            units[OBJECTIVE_SCALES] = self.scales.tolist()
-        if self.observes_accrued_reward:
-            units[ACCRUED_GAMMA] = self.accrued_discount
-        return units
+    @property
+    def running(self) -> dict[str, Tensor]:
+        """Tensors (S, ...) by name that continue from one rollout to the next, beside those of learners and worlds."""
+        return {}
 
-    def get_state(self) -> dict[str, torch.Tensor]:
-        """Learners, guides, worlds and running episodes of the first seed."""
+    def get_state(self) -> dict[str, Tensor]:
+        """:meth:`get_seed_state` of the first seed."""
         return self.get_seed_state(0)
 
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+    def set_state(self, state: dict[str, Tensor]) -> None:
         """Resume from :meth:`get_state`."""
         self.set_seed_states([state])
 
-    def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
-        """:meth:`get_state` of the seed with this index."""
-        state = {
-            f"{learner.name}.{name}": each
-            for learner in self.learners
-            for name, each in learner.get_state(seed).items()
+    def get_seed_state(self, seed: int) -> dict[str, Tensor]:
+        """Learners, guides, worlds and running episodes of the seed with this index."""
+        parts = {learner.name: learner.get_state(seed) for learner in self.learners}
+        parts |= {
+            f"guide_{guide.vehicle}": {"handover": torch.from_numpy(guide.handovers[seed])} for guide in self.guides
         }
-        state |= self.guides[seed].get_state()
-        return state | {f"collector.{name}": each for name, each in self.collector.get_state(seed).items()}
+        parts["collector"] = self.collector.get_state(seed)
+        state = {f"{part}.{name}": tensor for part, tensors in parts.items() for name, tensor in tensors.items()}
+        return state | {name: tensor[seed] for name, tensor in self.running.items()}
 
-    def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
+    def set_seed_states(self, states: Sequence[dict[str, Tensor]]) -> None:
         """Resume from :meth:`get_seed_state` of all seeds."""
+        for guide in self.guides:
+            guide.repeat(len(states))
         for seed, state in enumerate(states):
             for learner in self.learners:
                 learner.set_state(strip_prefix(state, f"{learner.name}."), seed)
-            self.guides[seed].set_state(state)
+            for guide in self.guides:
+                guide.handovers[seed][:] = state[f"guide_{guide.vehicle}.handover"].numpy()
+            for name, tensor in self.running.items():
+                tensor[seed] = state[name]
         self.collector.set_state([strip_prefix(state, "collector.") for state in states], self.step)
 
-    def get_policy(self, seed: int = 0) -> dict[str, torch.Tensor]:
+    def get_policy(self, seed: int = 0) -> dict[str, Tensor]:
         """The actors' weights."""
         return {
             f"{learner.name}.{name}": each
@@ -730,13 +680,13 @@ class ActorCritic(Agent):
             for name, each in learner.get_weights("actor", seed).items()
         }
 
-    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+    def set_policy(self, state: dict[str, Tensor]) -> None:
         """Take the actors' weights."""
         for learner in self.learners:
             learner.set_weights(strip_prefix(state, f"{learner.name}."))
 
 
-def _choose(networks: Networks, seen: tuple[torch.Tensor, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+def _choose(networks: Networks, seen: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
     """Actions (N, V) or (N, V, k) for inputs (N, V, i) and random numbers, and the outputs (N, V, n) of the network."""
     actor: Actor = networks.actor
     outputs = actor.body(seen[0])

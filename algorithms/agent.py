@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from algorithms.hyperparameters import a_twentieth
 from algorithms.learning.checkpoints import (
@@ -71,16 +72,7 @@ LogFront = Callable[[int, Front], None]
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """How an agent is evaluated while it trains.
-
-    Attributes:
-        env: a raw environment, used for nothing else.
-        episodes: per evaluation (per policy of a front).
-        seed: of the first episode.
-        gamma: discount of the reported returns.
-        reference_point: (d,) of the hypervolume of a front; None for no hypervolume.
-        reference_front: (k, d) best-known front; None where there is none.
-    """
+    """How an agent is evaluated while it trains; :meth:`Agent.train` describes the fields."""
 
     env: VectorEnv
     episodes: int
@@ -104,17 +96,10 @@ class Agent(ABC):
     - :meth:`get_state` and :meth:`set_state`: what determines the rest of the run, as named tensors. The names of an
       optimiser's contain "optimiser.". ``step``, ``updates`` and ``episodes`` are saved here.
 
-    Of several seeds that train side by side, :meth:`of_seed` is the agent of one.
-
     It may define ``name``, :meth:`begin`, :meth:`get_policy` and :meth:`set_policy`, :meth:`identity` and
-    :attr:`varying_shapes`. It may use the attributes below and
-
-    - :class:`mo_deepdrive.evaluation.env_adapter.EnvAdapter`, which is ``env``: reset and step in shapes (N, V, ...).
-    - :class:`algorithms.learning.learner.Learner`: networks, and steps of Adam down the gradient of a loss.
-    - :mod:`algorithms.learning.networks`, with :class:`algorithms.hyperparameters.NetworkSettings` for a Config.
-
-    Everything random is drawn from ``initial``, ``generator`` or what :meth:`update_generator` makes, so that a run can
-    be repeated and resumed bit for bit.
+    :attr:`varying_shapes`, and use :class:`algorithms.learning.learner.Learner` and what else is in that package.
+    Everything random is drawn from ``initial``, ``generator`` or a generator with the seed :meth:`seed_of`, so that a
+    run can be repeated and resumed bit for bit.
 
     Args:
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
@@ -130,18 +115,16 @@ class Agent(ABC):
     Attributes:
         name: of the algorithm, in checkpoints; that of the class where it is not set.
         known_utility: whether the agent learns for a known utility, or a front for every utility.
-        trains_with_partners: whether its constructor takes ``partners``, which drive vehicles that do not learn.
-        trains_with_guides: whether it takes ``guides``, which begin episodes of vehicles that learn.
-        shares_policies: whether it takes ``share_policy``, with which one policy drives all vehicles.
+        trains_with_partners, trains_with_guides, shares_policies: whether its constructor takes ``partners``,
+            ``guides`` and ``share_policy``, as that of :class:`algorithms.actor_critic.ActorCritic`.
         trains_on_devices: whether it can train on a GPU, and several seeds side by side.
         compiled_saves: seconds by which a compiled gradient step is shorter.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read.
-        config: the hyperparameters.
-        env: the training environment in the trainers' shapes.
-        learners: what learns by gradient steps, each an :class:`algorithms.learning.learner.Learner`.
+        env: the training environment, an :class:`mo_deepdrive.evaluation.env_adapter.EnvAdapter`: its reset and step
+            are in shapes (N, V, ...).
+        learners: what learns by gradient steps, each a Learner.
         scales: (d,) nominal size of each objective's return.
         utilities: one per vehicle; empty where none is known.
-        device: of the networks.
         seed, seeds: the only seed or the first one, and all S of them.
         failed: why seeds ended before the others, by their indices.
         step: environment steps that each seed has taken, over all its parallel environments.
@@ -149,7 +132,6 @@ class Agent(ABC):
         episodes: sums over those that ended since training metrics were last logged.
         initial: generator of the initial weights.
         generator: generator of the exploring actions, seeded anew before every update of :meth:`train`.
-        env_seed: of the first reset of the training environment.
 
     Raises:
         ValueError: for unknown or invalid hyperparameters, spaces or utilities.
@@ -182,7 +164,12 @@ class Agent(ABC):
         config: Settings | None = None,
         **hyperparameters: Any,
     ):
-        self.config = self._config_of(config, hyperparameters)
+        if config is not None and hyperparameters:
+            raise ValueError(f"{', '.join(hyperparameters)}: give either config or single hyperparameters")
+        self.config = config or parse(self.Config, hyperparameters, f"hyperparameters of {self.name}")
+        if not isinstance(self.config, self.Config):
+            found, needed = type(config).__qualname__, self.Config.__qualname__
+            raise ValueError(f"config of class {found} must be an instance of {needed}")
         if self.known_utility and utility is None:
             raise ValueError(f"utility is missing: algorithm {self.name!r} learns for a known utility")
         self.env = EnvAdapter(env)
@@ -206,7 +193,7 @@ class Agent(ABC):
         self.failed: dict[int, str] = {}
         unchecked = [each.unchecked() for each in self.utilities]
         self.episodes = EpisodeSums(len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device)
-        self._seed_actions()
+        self.generator.manual_seed(self.seed_of(ACTIONS))
 
     def _check_utilities(self) -> None:
         """Refuse utilities that cannot be called for all seeds at once."""
@@ -235,7 +222,7 @@ class Agent(ABC):
 
     @property
     def env_seed(self) -> int:
-        """That of the only seed."""
+        """Of the first reset of the only seed's training environment."""
         return self.env_seeds[0]
 
     def of_seed(self, index: int) -> Any:
@@ -243,44 +230,21 @@ class Agent(ABC):
         assert index == 0
         return self
 
-    def update_generator(self, stream: int) -> torch.Generator:
-        """The random numbers of an update: a function of the run's seed, a stream and the number of updates so far.
-
-        Nothing of them has to be saved. Stream 0 has the exploring actions.
-        """
-        return torch.Generator().manual_seed(self.seed_of(stream))
-
     def seed_of(self, stream: int, index: int = 0) -> int:
-        """What :meth:`update_generator` is seeded with, of the seed with this index."""
+        """The seed of an update's random numbers: a function of a seed of the run, a stream and the updates so far.
+
+        Nothing of the numbers has to be saved. Stream 0 has the exploring actions.
+        """
         entropy = [self.seeds[index], stream, self.updates]
         return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0]) >> 1
-
-    def _seed_actions(self) -> None:
-        self.generator.manual_seed(self.seed_of(ACTIONS))
 
     @property
     def resident(self) -> bool:
         """Whether the worlds are on the device, as those of several seeds are."""
         return len(self.seeds) > 1 or self.device.type != "cpu"
 
-    @classmethod
-    def _config_of(cls, config: Settings | None, hyperparameters: dict[str, Any]) -> Settings:
-        if config is None:
-            return parse(cls.Config, hyperparameters, f"hyperparameters of {cls.name}")
-        if not isinstance(config, cls.Config):
-            raise ValueError(
-                f"config of class {type(config).__qualname__} must be an instance of {cls.Config.__qualname__}"
-            )
-        if hyperparameters:
-            raise ValueError(f"{', '.join(hyperparameters)}: give either config or single hyperparameters")
-        return config
-
     def vehicle_groups(self, share_policy: bool, partners: Container[int] = ()) -> list[tuple[int, ...]]:
-        """The vehicles of each policy that learns: one each, or all that no partner drives.
-
-        Raises:
-            ValueError: if a policy cannot be shared.
-        """
+        """The vehicles of each policy that learns: one each, or all that no partner drives."""
         learning = [v for v in range(self.env.vehicles) if v not in partners]
         if not share_policy:
             return [(v,) for v in learning]
@@ -315,20 +279,13 @@ class Agent(ABC):
         """
         return [f"update(progress) of {self.name}"]
 
-    def get_config(self) -> dict[str, Any]:
-        """The resolved hyperparameters, for logs."""
-        return {"algorithm": self.name, "seed": self.seed, **self.config.model_dump()}
-
     # ---------------------------------------------------------------------------------------- what an algorithm defines
 
     @abstractmethod
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o) and the accrued rewards of the running episodes.
-
-        ``generator`` None acts greedily.
-        """
+        """Actions (N, V) or (N, V, k) for observations (N, V, o) of running episodes; greedy without a generator."""
 
     def begin(self) -> None:
         """Prepare the first update: reset environments, collect first episodes."""
@@ -339,27 +296,22 @@ class Agent(ABC):
         """Act and learn once, and return the losses by name: numbers, or tensors (S,) with one for each seed.
 
         Adds the environment steps that it took to ``step``, 1 to ``updates``, and to ``episodes`` those that ended.
-
-        Args:
-            progress: fraction of training that is done, in [0, 1), for schedules.
+        ``progress`` is the fraction of training that is done, in [0, 1), for schedules.
         """
 
     @abstractmethod
-    def get_state(self) -> dict[str, torch.Tensor]:
-        """What determines the rest of the run, as named tensors: networks, optimisers, running episodes.
-
-        Every number must be finite.
-        """
+    def get_state(self) -> dict[str, Tensor]:
+        """What determines the rest of the run, as finite named tensors: networks, optimisers, running episodes."""
 
     @abstractmethod
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+    def set_state(self, state: dict[str, Tensor]) -> None:
         """Resume from :meth:`get_state`; ``step`` and ``updates`` are set already."""
 
-    def get_policy(self) -> dict[str, torch.Tensor]:
+    def get_policy(self) -> dict[str, Tensor]:
         """What acting needs: a part of :meth:`get_state`, or a summary of it."""
         return self.get_state()
 
-    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+    def set_policy(self, state: dict[str, Tensor]) -> None:
         """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
         self.set_state(state)
 
@@ -375,9 +327,8 @@ class Agent(ABC):
 
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
-        resident = {RESIDENT: True} if self.resident else {}
         return {
-            **resident,
+            **({RESIDENT: True} if self.resident else {}),
             "algorithm": self.name,
             "environment": self.env.name,
             "observation_size": self.env.observation_size,
@@ -453,7 +404,7 @@ class Agent(ABC):
         while self.step < total_timesteps:
             before = self.step
             with self._located(f"in the update after step {before:,}"):
-                self._seed_actions()
+                self.generator.manual_seed(self.seed_of(ACTIONS))
                 losses = self.update(before / total_timesteps)
             if self.step <= before:
                 raise RuntimeError(f"{type(self).__name__}.update must add the environment steps that it takes to step")
@@ -463,9 +414,8 @@ class Agent(ABC):
                 self._check(losses, f"in the update after step {before:,}")
             if due:
                 rows, now = self._training_metrics(losses), perf_counter()
-                for seed, log_row in enumerate(logs):
-                    if seed not in self.failed:
-                        log_row(self.step, {**rows[seed], STEPS_PER_SECOND: (self.step - first) / (now - started)})
+                for seed, row in rows.items() if logs else ():
+                    logs[seed](self.step, {**row, STEPS_PER_SECOND: (self.step - first) / (now - started)})
             if self.step // interval > before // interval or last:
                 paused = perf_counter()
                 self._log_evaluations(plan, logs, log_fronts)
@@ -481,11 +431,7 @@ class Agent(ABC):
         return 0
 
     def _choose_compiled(self, total_timesteps: int) -> None:
-        """Decide whether gradient steps are compiled.
-
-        Raises:
-            ValueError: if they are to be, and there is no compiler.
-        """
+        """Decide whether gradient steps are compiled."""
         device, compiled = self.device.type, self.compiled
         if compiled is True and not has_compiler(device):
             needed = "a C++ compiler such as g++" if device == "cpu" else "Triton"
@@ -502,49 +448,44 @@ class Agent(ABC):
     ) -> None:
         if plan is None or not (logs or log_fronts):
             return
-        for seed in range(len(self.seeds)):
-            if seed in self.failed:
-                continue
-            when = f"in the evaluation at step {self.step:,}"
-            try:
+        for seed in self._alive():
+            with self._alone(seed, f"in the evaluation at step {self.step:,}"):
                 metrics, front = self.of_seed(seed).evaluate(plan)
-            except Fault as error:
-                self.fail(seed, error, when)
-                continue
-            if logs:
-                logs[seed](self.step, metrics)
-            if log_fronts and front is not None:
-                log_fronts[seed](self.step, front)
+                if logs:
+                    logs[seed](self.step, metrics)
+                if log_fronts and front is not None:
+                    log_fronts[seed](self.step, front)
 
     def _check(self, losses: Mapping[str, Any], when: str) -> None:
         """Find the seeds of which a loss is not finite, or whose worlds or networks have failed."""
-        for seed in range(len(self.seeds)):
-            if seed not in self.failed:
-                try:
-                    self.check(seed)
-                    check_numbers(_of_seed(losses, seed))
-                except Fault as error:
-                    self.fail(seed, error, when)
+        for seed in self._alive():
+            with self._alone(seed, when):
+                self.check(seed)
+                check_numbers(_of_seed(losses, seed))
 
     def check(self, seed: int) -> None:
-        """Refuse what the seed with this index has computed since the last call, if it is not finite.
-
-        Raises:
-            NotFinite: with its origin.
-        """
+        """Refuse what the seed with this index has computed since the last call, if it is not finite."""
         del seed
 
     def fail(self, seed: int, error: Fault, when: str) -> None:
-        """End a seed; the others go on.
-
-        Raises:
-            Fault: if there is no other.
-        """
+        """End a seed; the others go on, or the fault is raised if there is none."""
         name = f"seed {self.seeds[seed]}, " if len(self.seeds) > 1 else ""
         fault = type(error)(f"{name}{when}: {error}")
         self.failed[seed] = str(fault)
         if len(self.failed) == len(self.seeds):
             raise fault from error
+
+    def _alive(self) -> list[int]:
+        """The indices of the seeds that have not failed."""
+        return [seed for seed in range(len(self.seeds)) if seed not in self.failed]
+
+    @contextmanager
+    def _alone(self, seed: int, when: str) -> Iterator[None]:
+        """Let a fault end this seed alone."""
+        try:
+            yield
+        except Fault as error:
+            self.fail(seed, error, when)
 
     @contextmanager
     def _located(self, when: str) -> Iterator[None]:
@@ -554,20 +495,18 @@ class Agent(ABC):
         except Fault as error:
             raise type(error)(f"{when}: {error}") from error
 
-    def _training_metrics(self, losses: Mapping[str, Any]) -> list[dict[str, float]]:
-        """Of every seed: means over the episodes that ended since the last call, and the losses."""
-        rows = []
-        for seed, vehicles in enumerate(self.episodes.take()):
-            row: dict[str, float] = {}
-            for v, means in enumerate(vehicles):
-                prefix = TRAIN + vehicle_prefix(v, self.env.vehicles)
-                row |= {prefix + name: value for name, value in means.items()}
-            if seed not in self.failed:
-                try:
-                    check_numbers(row)
-                except Fault as error:
-                    self.fail(seed, error, f"in the episodes up to step {self.step:,}")
-            rows.append({**row, **_of_seed(losses, seed)})
+    def _training_metrics(self, losses: Mapping[str, Any]) -> dict[int, dict[str, float]]:
+        """By seed that has not failed: means over the episodes that ended since the last call, and the losses."""
+        rows, episodes = {}, self.episodes.take()
+        for seed in self._alive():
+            with self._alone(seed, f"in the episodes up to step {self.step:,}"):
+                means = {
+                    TRAIN + vehicle_prefix(v, self.env.vehicles) + name: value
+                    for v, of_vehicle in enumerate(episodes[seed])
+                    for name, value in of_vehicle.items()
+                }
+                check_numbers(means)
+                rows[seed] = {**means, **_of_seed(losses, seed)}
         return rows
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
@@ -575,39 +514,31 @@ class Agent(ABC):
     def save(self, path: str | Path, seed: int = 0) -> None:
         """Write the complete training state of the seed with this index to one safetensors file, atomically.
 
-        Raises:
-            NotFinite: if a number is not finite; a file of before is left as it was.
+        A number that is not finite is refused; a file of before is then left as it was.
         """
         state = {**self.get_seed_state(seed), EPISODES: self.episodes.totals[seed]}
         write_checkpoint(path, state, {**self.identity(), **self._counts(seed)})
 
     def save_policy(self, path: str | Path) -> None:
-        """Write only what acting needs to one safetensors file, atomically; ``load(..., policy_only=True)`` reads it.
-
-        Raises:
-            ValueError: if there is no policy yet.
-            NotFinite: as :meth:`save`.
-        """
+        """Write only what acting needs to one file, atomically; ``load(..., policy_only=True)`` reads it."""
         write_checkpoint(path, self.get_policy(), {**self.identity(), **self._counts(), POLICY_ONLY: True})
 
     def _counts(self, seed: int = 0) -> dict[str, int]:
         return {STEP: self.step, UPDATES: self.updates, SEED: self.seeds[seed]}
 
-    def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
+    def get_seed_state(self, seed: int) -> dict[str, Tensor]:
         """:meth:`get_state` of the seed with this index."""
         del seed  # the only one
         return self.get_state()
 
-    def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
+    def set_seed_states(self, states: Sequence[dict[str, Tensor]]) -> None:
         """Resume from :meth:`get_seed_state` of all seeds."""
         self.set_state(states[0])
 
     def load(self, *paths: str | Path, policy_only: bool = False) -> None:
-        """Resume from :meth:`save`; no code is run from the files.
+        """Resume from the checkpoint of every seed, of :meth:`save`; no code is run from the files.
 
-        Args:
-            *paths: the checkpoint of every seed.
-            policy_only: load the policy alone, to act in any number of environments; :meth:`save_policy` is enough.
+        With ``policy_only`` load the policy alone, to act in any number of environments; :meth:`save_policy` is enough.
 
         Raises:
             ValueError: if a file is missing or broken, belongs to another algorithm, environment or network, has
@@ -638,7 +569,7 @@ class Agent(ABC):
 def _of_seed(losses: Mapping[str, Any], seed: int) -> dict[str, float]:
     """The numbers of one seed."""
     return {
-        name: float(value[seed]) if isinstance(value, torch.Tensor) and value.dim() else float(value)
+        name: float(value[seed]) if isinstance(value, Tensor) and value.dim() else float(value)
         for name, value in losses.items()
     }
 
@@ -649,21 +580,21 @@ class FrontAgent(Agent):
     An algorithm defines what :class:`Agent` says except :meth:`act`, and
 
     - :meth:`conditions` and :attr:`condition_names`: what its policies are conditioned on, such as commands or weights.
-    - :meth:`policies`: what acts under conditions.
+    - :meth:`policies`: what acts under conditions, such as a :class:`PolicyOfFront`.
 
-    With V vehicles a policy drives all of them, and its front has their V d objectives.
+    With V vehicles a policy drives all of them, and its front has their V d objectives: those of each vehicle in turn.
     """
 
     known_utility = False
 
     @property
     def front_objectives(self) -> tuple[str, ...]:
-        """Names of the V d objectives of a front: those of each vehicle in turn."""
+        """Names of the V d objectives of a front."""
         return joint_objectives(self.env.objectives, self.env.vehicles)
 
     @property
     def front_scales(self) -> NDArray[np.float64]:
-        """(V d,) :attr:`scales` of each vehicle in turn."""
+        """(V d,) their :attr:`scales`."""
         return np.tile(np.asarray(self.scales, dtype=np.float64), self.env.vehicles)
 
     @property
@@ -680,7 +611,7 @@ class FrontAgent(Agent):
         """What acts in N environments under ``conditions`` (N, m), or in all of them under one condition (1, m)."""
 
     def policy(self, condition: ArrayLike) -> Policy:
-        """The policy of one row (m,) of a front's ``conditions``, for any number of environments."""
+        """That of one row (m,) of a front's ``conditions``, for any number of environments."""
         return self.policies(np.asarray(condition, dtype=np.float32)[None])
 
     def act(
@@ -693,15 +624,7 @@ class FrontAgent(Agent):
     def evaluate_policies(
         self, conditions: ArrayLike, env: VectorEnv, *, episodes: int, seed: int, gamma: float
     ) -> list[Evaluation]:
-        """Evaluate the greedy policy under each of ``conditions`` (K, m), all on the same seeds.
-
-        Args:
-            conditions: rows of a front's ``conditions``.
-            env: a raw environment; not the one that trains.
-            episodes: per policy.
-            seed: of the first episode.
-            gamma: discount of the reported returns.
-        """
+        """Evaluate the greedy policy under each of ``conditions`` (K, m), all on the same seeds, as :meth:`front`."""
         rows = np.asarray(conditions, dtype=np.float32)
         return evaluate_each(
             lambda chosen: self.policies(rows[chosen]), len(rows), env, episodes=episodes, seed=seed, gamma=gamma
@@ -716,39 +639,29 @@ class FrontAgent(Agent):
             seed: of the first episode.
             gamma: discount of the returns by which policies dominate each other.
         """
-        conditions = self.conditions()
+        conditions, names = self.conditions(), tuple(self.condition_names)
         evaluations = self.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=gamma)
-        return Front.of_evaluations(
-            evaluations, conditions, tuple(self.condition_names), gamma=gamma, seed=seed
-        ).non_dominated()
+        return Front.of_evaluations(evaluations, conditions, names, gamma=gamma, seed=seed).non_dominated()
 
     def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
         """The front and its indicators."""
         front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
-        found = measure_front(
-            front,
-            reference_point=plan.reference_point,
-            reference_front=plan.reference_front,
-            scales=self.env.joint_scales,
-        )
+        points = {"reference_point": plan.reference_point, "reference_front": plan.reference_front}
+        metrics = measure_front(front, **points, scales=self.env.joint_scales)
         vehicles = self.env.vehicles
         for v, best in enumerate(front.returns.max(axis=0).reshape(vehicles, -1)):
             names = (vehicle_prefix(v, vehicles) + return_of(name) for name in self.env.objectives)
-            found |= dict(zip(names, best.tolist(), strict=True))
-        return {evaluation_prefix(FRONT) + name: value for name, value in found.items()}, front
+            metrics |= dict(zip(names, best.tolist(), strict=True))
+        return {evaluation_prefix(FRONT) + name: value for name, value in metrics.items()}, front
 
 
-class PolicyOfFront(ABC):
-    """An agent that learns a front, under conditions: base of what :meth:`FrontAgent.policies` returns.
+@dataclass(frozen=True)
+class PolicyOfFront:
+    """An agent that learns a front, under conditions: a policy (:class:`mo_deepdrive.evaluation.policy.Policy`)."""
 
-    It is a policy in the sense of :class:`mo_deepdrive.evaluation.policy.Policy`; a subclass has the conditions and
-    defines :meth:`act`.
-
-    Attributes:
-        agent: whose networks act.
-    """
-
-    agent: FrontAgent
+    agent: FrontAgent  # which acts by ``agent.act_under(conditions, observations, accrued_reward, generator)``
+    conditions: NDArray[np.float32]  # (N, ...), one per environment, or (1, ...) for all
+    utilities: ClassVar[tuple[Utility, ...]] = ()
 
     @property
     def env(self) -> EnvAdapter:
@@ -765,13 +678,10 @@ class PolicyOfFront(ABC):
         """Device of the networks."""
         return self.agent.device
 
-    @property
-    def utilities(self) -> tuple[Utility, ...]:
-        """None is known."""
-        return ()
-
-    @abstractmethod
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
+        agent: Any = self.agent
+        actions: NDArray[Any] = agent.act_under(self.conditions, observations, accrued_reward, generator)
+        return actions

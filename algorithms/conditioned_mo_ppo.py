@@ -74,18 +74,18 @@ O. Klimov, "Proximal policy optimization algorithms", arXiv:1707.06347, 2017.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import torch
 from pydantic import Field
+from torch import Tensor
 
 from algorithms.actor_critic import ActorCritic
 from algorithms.agent import DRAWS, FrontAgent, PolicyOfFront
 from algorithms.hyperparameters import Count, Fraction, NonNegative, PositiveFraction, ProximalSettings
 from algorithms.learning.advantages import generalised_advantages
-from algorithms.learning.checkpoints import PARTNERS, PRICE, RHO
+from algorithms.learning.checkpoints import PARTNERS
 from algorithms.learning.losses import Loss, mean, policy_change
 from algorithms.learning.preferences import (
     CHEBYSHEV,
@@ -99,27 +99,19 @@ from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS, ve
 from mo_deepdrive.evaluation.policy import SMALLEST_DISCOUNT
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
     from algorithms.actor_critic import PolicyLearner
-    from algorithms.learning.guides import Guide
     from algorithms.learning.learner import Networks
     from algorithms.learning.storage import Rollout, RolloutStorage, Samples
     from mo_deepdrive.evaluation.policy import AccruedReward
 
 
-class ConditionedMOPPO(FrontAgent, ActorCritic):
+class ConditionedMOPPO(FrontAgent, ActorCritic):  # type: ignore[misc]  # it acts under a preference
     """MO-PPO conditioned on preferences: every vehicle has one of its own, and a policy, or all share one.
 
-    Args:
-        env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
-        guides: what begins episodes.
-        share_policy: one policy, learnt from what all vehicles do, instead of one for each.
-        **options: ``seed``, ``device``, ``compiled`` and the hyperparameters, as of
-            :class:`algorithms.actor_critic.ActorCritic`.
+    The arguments are those of :class:`algorithms.actor_critic.ActorCritic` without ``utility`` and ``partners``.
 
     Attributes:
         preferences: what a condition means; ``agent.policy(agent.preferences.condition("linear", {"distance": 1}))``
@@ -127,8 +119,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         ideal: (S, d) z.
 
     Raises:
-        ValueError: for unknown or invalid hyperparameters or spaces, an environment that emits magnitudes, or guides
-            that cannot drive here.
+        ValueError: as there, and for an environment that emits magnitudes.
     """
 
     name = "conditioned_mo_ppo"
@@ -157,8 +148,8 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         centralised_critic: Literal[False] = False
         """False: the critic sees what the actor sees."""
 
-    def __init__(self, env: VectorEnv, *, guides: Sequence[Guide] = (), share_policy: bool = False, **options: Any):
-        super().__init__(env, guides=guides, share_policy=share_policy, **options)
+    def __init__(self, env: VectorEnv, **options: Any):
+        super().__init__(env, **options)
         if self.env.cost_sign != "maximise":
             raise ValueError(f"cost_sign = {self.env.cost_sign!r}: algorithm {self.name!r} needs 'maximise'")
 
@@ -178,28 +169,19 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         """Width of S_t of eq. 6."""
         return self.env.observation_size + self.preferences.width
 
-    def inputs(
-        self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, preference: Any = None
-    ) -> torch.Tensor:
-        """S_t of eq. 6, scaled: (..., input_size).
-
-        Args:
-            observations: (..., o) s_t.
-            accrued: (..., d) R_t.
-            discounts: (...) gamma^t.
-            preference: p (..., m), and z (..., d).
-        """
+    def inputs(self, observations: Tensor, accrued: Tensor, discounts: Tensor, preference: Any = None) -> Tensor:
+        """S_t of eq. 6, scaled: (..., input_size), under a preference: p (..., m), and z (..., d)."""
         rows, ideal = preference
         features = self.preferences.features(rows, accrued, discounts, ideal)
         return torch.cat([observations / self.observation_scales, features], dim=-1)
 
     @property
-    def value_scales(self) -> torch.Tensor:
+    def value_scales(self) -> Tensor:
         """(K,) ones: X_t is in units of the scales already."""
         size = self.has_objectives * len(self.env.objectives) + self.has_increases
         return torch.ones(size, device=self.device)
 
-    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, Tensor]:
         """What a policy did; where its preference changed within an episode, that of before ends there, truncated."""
         rollout = super().rollout_of(learner, storage)
         preferences = rollout["preferences"]
@@ -207,16 +189,14 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         switched[:, :-1] = (preferences[:, 1:] != preferences[:, :-1]).any(-1)
         return {**rollout, "truncated": rollout["truncated"] | (switched & ~rollout["terminated"])}
 
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """B_t (T, N) and Y_t (T, N, K) of eqs. 7 and 8, from V(S_t) and V(S_{t+1}) (T, N, K)."""
         gamma, ended = self.config.gamma, rollout.ended.unsqueeze(-1)
         deltas = self.components(rollout) + gamma * next_values - values  # eq. 7
         advantages = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)  # eq. 8
         return (self.component_weights(rollout.preferences) * advantages).sum(-1), advantages + values
 
-    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: Tensor) -> Loss:
         """L of eq. 9."""
         config, weights = self.config, samples.weights
         log_prob, entropies = networks.actor(samples.inputs, samples.actions)
@@ -230,17 +210,14 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         parts = {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
         return Loss(total, {**parts, **policy_change(log_ratio, config.clip, weights)})
 
-    def components(self, rollout: Rollout) -> torch.Tensor:
+    def components(self, rollout: Rollout) -> Tensor:
         """X_t (T, N, K)."""
         preferences, parts = rollout.preferences, []
         if self.has_objectives:
             parts.append(rollout.rewards / self.preferences.scales.to(rollout.rewards))
         if self.has_increases:
-            u, z, discounts = (
-                self.preferences.utility,
-                rollout.ideal,
-                rollout.discounts[:-1].clamp(min=SMALLEST_DISCOUNT),
-            )
+            u, z = self.preferences.utility, rollout.ideal
+            discounts = rollout.discounts[:-1].clamp(min=SMALLEST_DISCOUNT)
             # Equation 5, in double precision because gamma^t becomes small.
             before = rollout.accrued[:-1].double()
             after = before + discounts.unsqueeze(-1) * rollout.rewards
@@ -248,7 +225,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
             parts.append(increases.to(rollout.rewards.dtype).unsqueeze(-1))
         return torch.cat(parts, dim=-1)
 
-    def component_weights(self, preferences: torch.Tensor) -> torch.Tensor:
+    def component_weights(self, preferences: Tensor) -> Tensor:
         """k(p) (..., K) of preferences (..., m)."""
         linear = self.preferences.is_family(preferences, LINEAR).unsqueeze(-1)
         parts = []
@@ -282,24 +259,17 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
 
     # ------------------------------------------------------------------------------------------------------- the front
 
-    @torch.inference_mode()
-    def choose_actions(
+    def act_under(
         self,
-        observations: NDArray[np.float32],
         preferences: NDArray[np.float32],
+        observations: NDArray[np.float32],
         accrued_reward: AccruedReward,
         generator: torch.Generator | None,
     ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o) under preferences (N, V, m); greedy without generator.
-
-        Args:
-            observations: (N, V, o).
-            preferences: (N, V, m).
-            accrued_reward: of the running episodes.
-            generator: samples actions; None acts greedily.
-        """
-        preference = torch.from_numpy(preferences).to(self.device), self.ideal[0]
-        return self._act(observations, accrued_reward, preference, generator)
+        """Actions (N, V) or (N, V, k) for observations (N, V, o) under preferences (N, V, m) or (1, V, m)."""
+        rows = np.broadcast_to(preferences, (len(observations), *preferences.shape[1:])).copy()
+        preference = torch.from_numpy(rows).to(self.device), self.ideal[0]
+        return ActorCritic.act(self, observations, accrued_reward, generator, preference)
 
     @property
     def condition_names(self) -> tuple[str, ...]:
@@ -313,7 +283,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
         rows = self.preferences.draw(count * vehicles, np.random.default_rng(0))
         return rows.reshape(count, -1)
 
-    def policies(self, conditions: NDArray[np.float32]) -> PreferencePolicy:
+    def policies(self, conditions: NDArray[np.float32]) -> PolicyOfFront:
         """What acts under preferences of every vehicle, (N, V m) or (N, V, m), or under the same (1, ...) everywhere.
 
         Raises:
@@ -328,7 +298,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
             )
         preferences = rows.reshape(len(rows), vehicles, -1)
         self.preferences.check(preferences)
-        return PreferencePolicy(self, preferences)
+        return PolicyOfFront(self, preferences)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
@@ -342,53 +312,22 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):
             "preferences": list(self.preferences.names),
             "objective_scales": self.scales.tolist(),
             "budgets": dict(config.budgets),
-            **({RHO: config.rho} if CHEBYSHEV in self.preferences.used else {}),
-            **({PRICE: config.price} if COMFORT_BUDGET in self.preferences.used else {}),
+            **({"rho": config.rho} if CHEBYSHEV in self.preferences.used else {}),
+            **({"price": config.price} if COMFORT_BUDGET in self.preferences.used else {}),
             "gamma": self.accrued_discount,
         }
 
-    def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
-        """Learners, environments, the preferences of running episodes and the ideal point."""
+    @property
+    def running(self) -> dict[str, Tensor]:
+        """The preferences of running episodes and the ideal point."""
         training = self.training
-        return {
-            **super().get_seed_state(seed),
-            "preferences": training.current[seed],
-            "seen_any": training.seen_any[seed],
-            "ideal": self.ideal[seed],
-        }
+        return {"preferences": training.current, "seen_any": training.seen_any, "ideal": self.ideal}
 
-    def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
-        """Resume from :meth:`get_seed_state` of all seeds."""
-        super().set_seed_states(states)
-        for seed, state in enumerate(states):
-            self.training.current[seed], self.training.seen_any[seed] = state["preferences"], state["seen_any"]
-            self.ideal[seed] = state["ideal"]
-
-    def get_policy(self, seed: int = 0) -> dict[str, torch.Tensor]:
+    def get_policy(self, seed: int = 0) -> dict[str, Tensor]:
         """The actors' weights and the ideal point, on which they depend."""
         return {**super().get_policy(seed), "ideal": self.ideal[seed]}
 
-    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+    def set_policy(self, state: dict[str, Tensor]) -> None:
         """Act as the agent of :meth:`get_policy` or :meth:`~algorithms.agent.Agent.get_state`."""
         super().set_policy(state)
         self.ideal[0] = state["ideal"]
-
-
-@dataclass(frozen=True)
-class PreferencePolicy(PolicyOfFront):
-    """The network under fixed preferences.
-
-    Attributes:
-        agent: whose networks act.
-        preferences: (N, V, m), one row per environment, or (1, V, m) for all.
-    """
-
-    agent: ConditionedMOPPO
-    preferences: NDArray[np.float32]
-
-    def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
-        rows = np.broadcast_to(self.preferences, (len(observations), *self.preferences.shape[1:])).copy()
-        return self.agent.choose_actions(observations, rows, accrued_reward, generator)

@@ -28,6 +28,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
+from torch import Tensor
 
 from algorithms.hyperparameters import Fraction, Positive, ProximalSettings
 from algorithms.learning.advantages import generalised_advantages
@@ -49,17 +50,7 @@ if TYPE_CHECKING:
 JointUtility = Literal["sum", "worst_off", "gini"]
 
 
-def total(utilities: torch.Tensor) -> torch.Tensor:
-    """The sum: nobody counts for more than another (utilitarian)."""
-    return utilities.sum(dim=-1)
-
-
-def worst_off(utilities: torch.Tensor) -> torch.Tensor:
-    """The least one (egalitarian)."""
-    return utilities.amin(dim=-1)
-
-
-def generalised_gini(utilities: torch.Tensor) -> torch.Tensor:
+def generalised_gini(utilities: Tensor) -> Tensor:
     """The sum of 2^-k u_k over the utilities u_1 <= u_2 <= ... from the worst-off on.
 
     Between the two others: a gain counts for more where it goes to somebody worse off (Weymark 1981, "Generalized Gini
@@ -69,16 +60,14 @@ def generalised_gini(utilities: torch.Tensor) -> torch.Tensor:
     return (utilities.sort(dim=-1).values * weights).sum(dim=-1)
 
 
-JOINT_UTILITIES: dict[JointUtility, Callable[[torch.Tensor], torch.Tensor]] = {
-    "sum": total,
-    "worst_off": worst_off,
+JOINT_UTILITIES: dict[JointUtility, Callable[[Tensor], Tensor]] = {
+    "sum": lambda utilities: utilities.sum(dim=-1),  # nobody counts for more than another (utilitarian)
+    "worst_off": lambda utilities: utilities.amin(dim=-1),  # only the least one counts (egalitarian)
     "gini": generalised_gini,
 }
 
 
-def joint_utility(
-    name: JointUtility, utilities: Sequence[Callable[[torch.Tensor], torch.Tensor]], returns: torch.Tensor
-) -> torch.Tensor:
+def joint_utility(name: JointUtility, utilities: Sequence[Callable[[Tensor], Tensor]], returns: Tensor) -> Tensor:
     """J(u_1(R_1), ..., u_V(R_V)) (...) of the returns (..., V, d) of V vehicles."""
     each = [utility(returns[..., v, :]) for v, utility in enumerate(utilities)]
     return JOINT_UTILITIES[name](torch.stack(each, dim=-1))
@@ -115,16 +104,14 @@ class MAPPO(PPO):
         self.returns = torch.zeros(*shape, len(self.env.objectives), device=self.device)
         self.team_ended = torch.zeros(shape, dtype=torch.bool, device=self.device)
 
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """A_t (T, N) and y_t (T, N, 1) of eqs. 2 and 3, from the team's r_t, v(S_t) and v(S_{t+1}) (T, N, 1)."""
         gamma, ended = self.config.gamma, rollout.ended.unsqueeze(-1)
         deltas = rollout.rewards + gamma * next_values - values  # eq. 2
         advantages = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)
         return advantages.squeeze(-1), advantages + values  # eq. 3
 
-    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: Tensor) -> Loss:
         """L of eq. 5: the actor learns from the steps in which its vehicle acted, the critic from all."""
         config, weights = self.config, samples.weights
         log_prob, entropies = networks.actor(samples.inputs, samples.actions)
@@ -182,29 +169,18 @@ class MAPPO(PPO):
             "truncated": truncated,
         }
 
-    def _states(self, observations: torch.Tensor, returns: torch.Tensor, ended: torch.Tensor) -> torch.Tensor:
+    def _states(self, observations: Tensor, returns: Tensor, ended: Tensor) -> Tensor:
         """S (..., s) from scaled observations (..., V, o), returns (..., V, d) and who has ended (..., V)."""
         parts = observations.flatten(-2), (returns / self.objective_scales).flatten(-2)
         return torch.cat([*parts, ended.to(observations.dtype)], dim=-1)
 
-    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+    def rollout_of(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, Tensor]:
         """What a policy did, with the team's rewards, states and ends; the same for vehicles that share a policy."""
         vehicles = len(learner.vehicles)
         team = {name: each.repeat_interleave(vehicles, dim=2) for name, each in self._team.items()}
         return {**super().rollout_of(learner, storage), **team}
 
-    # ----------------------------------------------------------------------------------------------------- checkpoints
-
-    def get_seed_state(self, seed: int) -> dict[str, torch.Tensor]:
-        """Learners, environments and the teams' running episodes."""
-        return {
-            **super().get_seed_state(seed),
-            "team.returns": self.returns[seed],
-            "team.ended": self.team_ended[seed],
-        }
-
-    def set_seed_states(self, states: Sequence[dict[str, torch.Tensor]]) -> None:
-        """Resume from :meth:`get_seed_state` of all seeds."""
-        super().set_seed_states(states)
-        for seed, state in enumerate(states):
-            self.returns[seed], self.team_ended[seed] = state["team.returns"], state["team.ended"]
+    @property
+    def running(self) -> dict[str, Tensor]:
+        """The teams' running episodes."""
+        return {"team.returns": self.returns, "team.ended": self.team_ended}

@@ -46,6 +46,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from algorithms.actor_critic import ActorCritic
 from algorithms.hyperparameters import AccruedSettings, ActorCriticSettings
@@ -84,15 +85,13 @@ class MOA2C(ActorCritic):
         return bool(self.config.observe_discount)
 
     @property
-    def value_scales(self) -> torch.Tensor:
+    def value_scales(self) -> Tensor:
         """(K,) units of what the critic predicts: returns, or with expected_utility their utility."""
         if self.config.advantage == "expected_utility":
             return torch.full((1,), self.config.utility_scale, device=self.device)
         return self.objective_scales
 
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5, or 7 and 8, from v(S_t) and v(S_{t+1}), as y_t."""
         config, u, ended = self.config, rollout.utility, rollout.ended
         gamma, c, decay = config.gamma, config.accrued_ratio, config.gae_lambda
@@ -113,7 +112,7 @@ class MOA2C(ActorCritic):
         differences = u(rollout.next_accrued + rest) - u(accrued + discounts * values)  # eq. 4
         return generalised_advantages(differences, ended, c * decay), targets  # eq. 5
 
-    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: Tensor) -> Loss:
         """L of eq. 6."""
         log_prob, entropies = networks.actor(samples.inputs, samples.actions)
         errors = (samples.targets - networks.critic(samples.states)).square().mean(-1)
@@ -124,8 +123,7 @@ class MOA2C(ActorCritic):
         return Loss(total, {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy})
 
     def diagnose(self, learner: PolicyLearner, seed: int) -> None:
-        """Call the utility, and its gradient where that is used, with a check."""
-        for v in learner.vehicles:
-            self.utilities[v](self.collector.storage.ended_values[seed, :, :, v])
+        """Call the utility's gradient, too, where that is used."""
+        super().diagnose(learner, seed)
         if self.config.advantage == "utility_gradient":
             check_utility_gradient(self.utilities[learner.vehicles[0]], learner.expected_return[seed])

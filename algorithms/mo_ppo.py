@@ -34,6 +34,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from algorithms.hyperparameters import AccruedSettings, ProximalSettings
 from algorithms.learning.advantages import generalised_advantages, utility_gradient
@@ -55,9 +56,7 @@ class MOPPO(MOA2C):
     class Config(AccruedSettings, ProximalSettings):
         """Hyperparameters of MO-PPO, described in AccruedSettings, ProximalSettings and ActorCriticSettings."""
 
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5, or 8 and 9, from v(S_t) and v(S_{t+1}), as y_t."""
         config, u, ended = self.config, rollout.utility, rollout.ended
         gamma, c, decay = config.gamma, config.accrued_ratio, config.gae_lambda
@@ -78,7 +77,7 @@ class MOPPO(MOA2C):
         differences = u(rollout.next_accrued + rest) - u(accrued + discounts * values)  # eq. 4
         return generalised_advantages(differences, ended, c * decay), targets  # eq. 5
 
-    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: Tensor) -> Loss:
         """L of eq. 7."""
         config, weights = self.config, samples.weights
         log_prob, entropies = networks.actor(samples.inputs, samples.actions)

@@ -45,51 +45,47 @@ next steps (lambda < 1) the advantages are biased.
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
 from pydantic import model_validator
+from torch import Tensor
 
 from algorithms.actor_critic import ActorCritic
 from algorithms.hyperparameters import ActorCriticSettings, Count, PositiveFraction
 from algorithms.learning.advantages import generalised_advantages, normalise
 from algorithms.learning.learner import Networks
 from algorithms.learning.losses import Loss, mean
-from algorithms.learning.return_distributions import CategoricalGrid, Particles, ReturnDistribution
 from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from typing_extensions import Self
 
     from algorithms.actor_critic import PolicyLearner
     from algorithms.learning.storage import Rollout, RolloutStorage
+    from mo_deepdrive.utilities import Utility
 
 
 WIDE = 10.0  # bound of particles, in nominal scales
+MAX_CELLS = 4096  # of a grid
+MAX_RETURNS = 2**20  # whose utilities are computed at a time
+SMOOTHING = 0.01  # of distances between scaled returns, at 0
 
 
 class MOCACSamples(NamedTuple):
-    """M samples of one policy.
+    """M samples of one policy; the other fields are those of :class:`algorithms.learning.storage.Samples`."""
 
-    Attributes:
-        inputs: (M, i) what the actor saw.
-        states: (M, c) what the critic saw.
-        actions: (M,) or (M, k).
-        advantages: (M,) A_t.
-        shifts: (M, d) the sums of rewards of eq. 5.
-        discounts: (M,) g^{e-t}; 0 where the episode terminates at e.
-        following: (M, K) outputs for Z'(S_e).
-        weights: (M,) 1 where the vehicle acted, 0 elsewhere; None if it acted in all.
-    """
-
-    inputs: torch.Tensor
-    states: torch.Tensor
-    actions: torch.Tensor
-    advantages: torch.Tensor
-    shifts: torch.Tensor
-    discounts: torch.Tensor
-    following: torch.Tensor
-    weights: torch.Tensor | None = None
+    inputs: Tensor
+    states: Tensor
+    actions: Tensor
+    advantages: Tensor
+    shifts: Tensor  # (M, d) the sums of rewards of eq. 5
+    discounts: Tensor  # (M,) g^{e-t}; 0 where the episode terminates at e
+    following: Tensor  # (M, K) outputs for Z'(S_e)
+    weights: Tensor | None = None
 
 
 class MOCAC(ActorCritic):
@@ -154,7 +150,7 @@ class MOCAC(ActorCritic):
         )
 
     @property
-    def value_scales(self) -> torch.Tensor:
+    def value_scales(self) -> Tensor:
         """(K,) one for every output of the critic, which has no unit."""
         return torch.ones(self.distribution.outputs, device=self.device)
 
@@ -165,7 +161,7 @@ class MOCAC(ActorCritic):
 
     # ------------------------------------------------------------------------------------------------------ the update
 
-    def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, torch.Tensor]:
+    def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, Tensor]:
         """One gradient step of eq. 6 on a rollout, then one of the weights of Z'; the parts of the loss."""
         losses = super().learn_once(learner, storage)
         slow = learner.parameters("target_critic")
@@ -197,20 +193,15 @@ class MOCAC(ActorCritic):
             rollout.inputs[:-1], rollout.states[:-1], rollout.actions, advantages, *targets, weights=weights
         )
 
-    def _expected(
-        self, rollout: Rollout, outputs: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor
-    ) -> torch.Tensor:
+    def _expected(self, rollout: Rollout, outputs: Tensor, accrued: Tensor, discounts: Tensor) -> Tensor:
         """E[u(R + D Z)] (T, N) for outputs (T, N, K) of the critic, R (T, N, d) and D (T, N)."""
         parts = (outputs.flatten(0, 1), accrued.flatten(0, 1), discounts.flatten())
-        found: torch.Tensor = self.distribution.expected_utility(rollout.utility, *parts)
-        return found.view_as(discounts)
+        return self.distribution.expected_utility(rollout.utility, *parts).view_as(discounts)
 
-    def targets(self, rollout: Rollout, following: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def targets(self, rollout: Rollout, following: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Equation 5: the sum of rewards (T, N, d), g^{e-t} (T, N), 0 after termination, and Z'(S_e) (T, N, K).
 
-        Args:
-            rollout: T steps of N environments.
-            following: (T, N, K) outputs for Z' behind the steps in which an episode is truncated, and the last.
+        ``following`` (T, N, K) are outputs for Z' behind the steps in which an episode is truncated, and the last.
         """
         gamma, on, stays = self.config.gamma, ~rollout.ended, (~rollout.terminated).to(rollout.rewards.dtype)
         shifts, discounts, sources = [rollout.rewards[-1]], [gamma * stays[-1]], [following[-1]]
@@ -220,13 +211,11 @@ class MOCAC(ActorCritic):
             sources.append(torch.where(on[t].unsqueeze(-1), sources[-1], following[t]))
         return torch.stack(shifts[::-1]), torch.stack(discounts[::-1]), torch.stack(sources[::-1])
 
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """A_t (T, N) of eq. 4 from V(S_t) and V(S_{t+1}) (T, N), and V(S_{t+1}): the critic's targets are of eq. 5."""
         return generalised_advantages(next_values - values, rollout.ended, self.config.gae_lambda), next_values
 
-    def loss(self, networks: Networks, samples: MOCACSamples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: MOCACSamples, entropy_coefficient: Tensor) -> Loss:
         """L of eq. 6."""
         log_prob, entropies = networks.actor(samples.inputs, samples.actions)
         distances = self.distribution.distance(
@@ -238,11 +227,6 @@ class MOCAC(ActorCritic):
         total = policy_loss + self.config.value_coefficient * value_loss - entropy_coefficient * entropy
         return Loss(total, {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy})
 
-    def diagnose(self, learner: PolicyLearner, seed: int) -> None:
-        """Call the utility with a check."""
-        for v in learner.vehicles:
-            self.utilities[v](self.collector.storage.ended_values[seed, :, :, v])
-
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def identity(self) -> dict[str, Any]:
@@ -250,3 +234,139 @@ class MOCAC(ActorCritic):
         config = self.config
         size = config.atoms if config.critic == "categorical" else config.particles
         return {**super().identity(), "critic": [config.critic, size, config.v_min, config.v_max]}
+
+
+# ------------------------------------------------------------------------------------------ distributions of the return
+
+
+def _check_bounds(minimum: Sequence[float], maximum: Sequence[float]) -> None:
+    if any(low >= high for low, high in zip(minimum, maximum, strict=True)):
+        raise ValueError(f"v_min = {list(minimum)} must be below v_max = {list(maximum)} in every objective")
+
+
+class ReturnDistribution(ABC):
+    """A family of joint distributions of d returns, parametrised by the outputs of a network."""
+
+    outputs: int  # width of the network's output
+
+    @abstractmethod
+    def support(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
+        """The returns that have mass, (M, n, d) or (1, n, d) where all rows share them, and their masses (M, n)."""
+
+    @abstractmethod
+    def distance(self, outputs: Tensor, shifts: Tensor, discounts: Tensor, following: Tensor) -> Tensor:
+        """D(target, prediction) (M,) of the predictions ``outputs`` (M, outputs).
+
+        The target is the distribution of shift (M, d) + discount (M,) Z, of which ``following`` are the outputs.
+        """
+
+    def expected_utility(self, utility: Utility, outputs: Tensor, accrued: Tensor, discounts: Tensor) -> Tensor:
+        """E[u(R + D Z)] (M,), from the outputs (M, outputs) for Z, R (M, d) and D (M,)."""
+        returns, masses = self.support(outputs)
+        rows = max(1, MAX_RETURNS // returns[0].numel())
+        found = []
+        for first in range(0, len(outputs), rows):
+            part = slice(first, first + rows)
+            rest = returns if len(returns) == 1 else returns[part]
+            final = accrued[part].unsqueeze(1) + discounts[part, None, None] * rest
+            found.append((masses[part] * utility(final)).sum(-1))
+        return torch.cat(found)
+
+
+class CategoricalGrid(ReturnDistribution):
+    """Masses on a regular grid of A atoms per objective, softmax of A^d logits (Reymond et al. 2023, section 4).
+
+    The joint form of Bellemare, Dabney and Munos (2017). The loss is the cross entropy between the target, projected
+    onto the grid by :func:`project`, and the prediction. ``minimum`` and ``maximum`` (d,) are the first and last atoms.
+    """
+
+    def __init__(self, minimum: Sequence[float], maximum: Sequence[float], atoms: int, device: torch.device):
+        self.objectives, self.atoms = len(minimum), atoms
+        self.outputs = atoms**self.objectives
+        if self.outputs > MAX_CELLS:
+            raise ValueError(
+                f"atoms = {atoms} for {self.objectives} objectives makes a grid of {atoms}^{self.objectives} = "
+                f"{self.outputs:,} cells; at most {MAX_CELLS:,} are allowed: choose fewer atoms, or critic: particles"
+            )
+        _check_bounds(minimum, maximum)
+        # (A, d): one column of atoms per objective, and all their combinations (1, A^d, d).
+        columns = [torch.linspace(low, high, atoms) for low, high in zip(minimum, maximum, strict=True)]
+        self.values = torch.stack(columns, dim=1).to(device)
+        points = torch.stack(torch.meshgrid(*columns, indexing="ij"), dim=-1)
+        self.points = points.reshape(1, self.outputs, self.objectives).to(device)
+
+    def support(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
+        """The grid's points (1, A^d, d), and softmax of the logits."""
+        return self.points, outputs.softmax(-1)
+
+    def distance(self, outputs: Tensor, shifts: Tensor, discounts: Tensor, following: Tensor) -> Tensor:
+        """-m . log p for the projected targets m."""
+        targets = project(following.softmax(-1), shifts, discounts, self.values)
+        return -(targets * outputs.log_softmax(-1)).sum(-1)
+
+
+def project(masses: Tensor, shifts: Tensor, discounts: Tensor, values: Tensor) -> Tensor:
+    """The distribution of shift + discount Z, with Z on a grid, back onto that grid: (M, A^d).
+
+    Every atom is clipped to the grid, and its mass shared among the 2^d corners of its cell by multilinear
+    interpolation: for an atom b of an objective, in units of the spacing from its first atom, atom i receives the
+    factor max(0, 1 - abs(b - i)). The means of atoms inside the grid are kept, and variances never become smaller.
+
+    The last objective of the masses (M, A^d) varies fastest; ``values`` (A, d) are evenly spaced atoms.
+    """
+    atoms, d = values.shape
+    number = torch.arange(atoms, dtype=values.dtype, device=values.device)
+    spacing = (values[-1] - values[0]) / (atoms - 1)
+    result = masses.reshape(len(masses), atoms, -1)
+    for k in range(d):
+        moved = shifts[:, k, None] + discounts.unsqueeze(-1) * values[:, k]
+        position = ((moved - values[0, k]) / spacing[k]).clamp(0.0, atoms - 1.0)
+        factors = (1.0 - (position.unsqueeze(1) - number.unsqueeze(-1)).abs()).clamp(min=0.0)  # (M, A to, A from)
+        # The first objective's axis is contracted and becomes the last, so that after d rounds the order is as before.
+        result = (factors @ result).transpose(1, 2).reshape(len(masses), atoms, -1)
+    return result.reshape(len(masses), -1)
+
+
+class Particles(ReturnDistribution):
+    """K equally likely joint returns, trained by the energy distance to the target's (Székely and Rizzo 2013).
+
+    Distances are measured in units of ``scales`` (d,), and targets are clipped to the bounds (d,).
+    """
+
+    def __init__(self, number: int, scales: Tensor, minimum: Sequence[float], maximum: Sequence[float]):
+        _check_bounds(minimum, maximum)
+        self.number, self.scales = number, scales
+        self.minimum, self.maximum = (scales.new_tensor(bound) / scales for bound in (minimum, maximum))
+        self.outputs = number * len(scales)
+
+    def support(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
+        """The particles (M, K, d), each of mass 1 / K."""
+        particles = outputs.unflatten(-1, (self.number, -1))
+        return self.scales * particles, torch.full_like(particles[..., 0], 1.0 / self.number)
+
+    def distance(self, outputs: Tensor, shifts: Tensor, discounts: Tensor, following: Tensor) -> Tensor:
+        """:func:`energy_score` between returns divided by their scales."""
+        moved = discounts[:, None, None] * following.unflatten(-1, (self.number, -1))
+        targets = ((shifts / self.scales).unsqueeze(1) + moved).clamp(self.minimum, self.maximum)
+        return energy_score(outputs.unflatten(-1, (self.number, -1)), targets)
+
+
+def energy_score(particles: Tensor, targets: Tensor) -> Tensor:
+    """``2 E|X - Y| - E|X - X'|`` (M,).
+
+    This is the energy distance between particles and targets but for ``E|Y - Y'|``, which does not depend on the
+    particles. It is linear in the distribution of Y, so that single outcomes give unbiased gradients, and smallest
+    where X and Y have the same distribution (Gneiting and Raftery 2007, section 4.3). With
+    ``|z| = sqrt(z . z + 0.01^2)``, which has a gradient at 0, it is a maximum mean discrepancy with a multiquadric
+    kernel, as in Zhang et al. (2021).
+
+    X are the particles (M, K, d), and Y the targets (M, J, d), without a gradient.
+    """
+
+    def distance(others: Tensor) -> Tensor:
+        # |x - y|^2 = |x|^2 + |y|^2 - 2 x . y, so that nothing is (M, K, J, d).
+        squares = particles.square().sum(-1).unsqueeze(-1) + others.square().sum(-1).unsqueeze(-2)
+        squares = torch.baddbmm(squares, particles, others.transpose(1, 2), alpha=-2.0)
+        return (squares.clamp(min=0.0) + SMOOTHING**2).sqrt().mean((-2, -1))
+
+    return 2.0 * distance(targets) - distance(particles)

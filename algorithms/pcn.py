@@ -40,7 +40,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import torch
 from pydantic import Field
-from torch import nn
+from torch import Tensor, nn
 
 from algorithms.agent import DRAWS, FrontAgent, PolicyOfFront
 from algorithms.hyperparameters import (
@@ -51,22 +51,23 @@ from algorithms.hyperparameters import (
     Positive,
     PositiveFraction,
     Scales,
+    linear_schedule,
     schedules,
 )
 from algorithms.learning.actors import check_outputs
 from algorithms.learning.checkpoints import strip_prefix
-from algorithms.learning.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.learning.learner import NORM, Learner, Networks
 from algorithms.learning.losses import Loss
 from algorithms.learning.networks import CommandNetwork
-from algorithms.learning.optimiser import linear_schedule
 from mo_deepdrive.evaluation import metrics
-from mo_deepdrive.evaluation.pareto import farthest_point_subset
+from mo_deepdrive.evaluation.pareto import crowding_distances, farthest_point_subset, non_dominated
 from mo_deepdrive.evaluation.policy import SMALLEST_DISCOUNT, AccruedReward
 from mo_deepdrive.support.faults import check_numbers
 from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from gymnasium.vector import VectorEnv
     from numpy.typing import ArrayLike, NDArray
 
@@ -119,17 +120,11 @@ class PCNConfig(Settings):
 class PCN(FrontAgent):
     """Pareto Conditioned Networks.
 
-    Args:
-        env: a vector environment with vector rewards and one vehicle, from
-            `mo_deepdrive.evaluation.env_adapter.make_env`.
-        **options: ``seed``, ``device`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
+    The arguments are those of :class:`algorithms.agent.Agent` without ``utility``, for an environment of one vehicle.
 
     Attributes:
-        bounds: two vectors (d,), the lowest and highest returns-to-go in the buffer.
+        bounds: (2, d) the lowest and highest returns-to-go in the buffer.
         inputs: shift and scale (2, o + d + 1) of observations and commands before they enter the network.
-
-    Raises:
-        ValueError: for unknown or invalid hyperparameters or spaces.
     """
 
     name = "pcn"
@@ -154,20 +149,14 @@ class PCN(FrontAgent):
         self.scales = self.env.chosen_objective_scales(config.objective_scales)
         # Random episodes say little of the returns of good ones: scales that are known are better.
         self._standardises = not (self.env.native or config.objective_scales)
-        self.network = CommandNetwork(
-            self.env.observation_size,
-            d + 1,
-            config.hidden,
-            self.env.actions,
-            self.initial,
-            standardised=self._standardises,
-        )
+        sizes = self.env.observation_size, d + 1, config.hidden, self.env.actions
+        self.network = CommandNetwork(*sizes, self.initial, standardised=self._standardises)
         self.learner = Learner([Networks(network=self.network)], math.inf, self.name)
         self.learners = [self.learner]
         self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
-        self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
+        self.bounds = np.zeros((2, d), dtype=np.float32)
         # Draws commands, random actions and batches.
-        self.draws = self.update_generator(DRAWS)
+        self.draws = torch.Generator().manual_seed(self.seed_of(DRAWS))
         self._collected = 0  # episodes
         # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
@@ -184,7 +173,7 @@ class PCN(FrontAgent):
     def begin(self) -> None:
         """Fill the buffer with episodes of random actions."""
         while self._collected < self.config.warmup_episodes:
-            self.draws = self.update_generator(DRAWS)
+            self.draws.manual_seed(self.seed_of(DRAWS))
             self._collect(None)
         if self._standardises:
             self._standardise()
@@ -203,10 +192,11 @@ class PCN(FrontAgent):
 
         The command error is that of all episodes, also of those that exploration ended with random actions.
         """
-        config, self.draws = self.config, self.update_generator(DRAWS)
+        config = self.config
+        self.draws.manual_seed(self.seed_of(DRAWS))
         learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
-        policy = self._sample_commands()
-        attained = self._collect(policy)
+        commands = self._sample_commands()
+        attained = self._collect(commands)
         rate = torch.tensor(learning_rate)
         steps = [self.learner.minimise(self.loss, self._batch(), [], rate) for _ in range(config.gradient_steps)]
         losses = {name: float(torch.cat([step[name] for step in steps]).mean()) for name in steps[0]}
@@ -215,18 +205,18 @@ class PCN(FrontAgent):
         return {
             **losses,
             metrics.LEARNING_RATE: learning_rate,
-            metrics.COMMAND_ERROR: float((np.abs(attained - policy.desired) / self.scales).mean()),
+            metrics.COMMAND_ERROR: float((np.abs(attained - commands[:, :-1]) / self.scales).mean()),
             metrics.NON_DOMINATED: float(len(self.buffer.best())),
         }
 
-    def _batch(self) -> dict[str, torch.Tensor]:
+    def _batch(self) -> dict[str, Tensor]:
         """A batch of the buffer (1, n, ...), as :meth:`loss` takes it."""
         observations, actions, returns, left = self.buffer.sample(self.config.batch_size, self.draws)
         seen, asked = self._scaled(observations, returns, left)
         batch = {"observations": seen, "commands": asked, "actions": actions}
         return {name: torch.from_numpy(each).unsqueeze(0) for name, each in batch.items()}
 
-    def loss(self, networks: Networks, samples: dict[str, torch.Tensor]) -> Loss:
+    def loss(self, networks: Networks, samples: dict[str, Tensor]) -> Loss:
         """L of eq. 1 or 2."""
         outputs = networks.network(samples["observations"], samples["commands"])
         if self.env.continuous:
@@ -240,33 +230,32 @@ class PCN(FrontAgent):
         updates = total_timesteps / (self.env.num_envs * self.config.horizon_scale)
         return int(updates * self.config.gradient_steps)
 
-    def _sample_commands(self) -> CommandPolicy:
-        """One command per environment, by eq. 3."""
+    def _sample_commands(self) -> NDArray[np.float32]:
+        """One command (N, d + 1) per environment, by eq. 3."""
         config, n = self.config, self.env.num_envs
-        best = self.buffer.best()
-        returns = self.buffer.returns[best]
-        chosen = torch.randint(len(best), (n,), generator=self.draws).numpy()
+        returns, lengths = self._best_episodes()
+        chosen = torch.randint(len(returns), (n,), generator=self.draws).numpy()
         objective = torch.randint(returns.shape[1], (n,), generator=self.draws).numpy()
         noise = config.return_noise * torch.rand(n, generator=self.draws).numpy()
         desired = returns[chosen].astype(np.float32)
         desired[np.arange(n), objective] += noise * returns.std(axis=0)[objective]
-        horizon = np.maximum(self.buffer.lengths[best][chosen] - config.horizon_reduction, 1)
-        return CommandPolicy(self, desired, horizon.astype(np.float32))
+        horizon = np.maximum(lengths[chosen] - config.horizon_reduction, 1)
+        return np.column_stack([desired, horizon.astype(np.float32)])
 
-    def _collect(self, policy: CommandPolicy | None) -> NDArray[np.float32]:
-        """Add one episode per environment to the buffer, of ``policy`` or random; returns their discounted returns."""
+    def _collect(self, commands: NDArray[np.float32] | None) -> NDArray[np.float32]:
+        """Add one episode per environment, under commands or random, to the buffer; their discounted returns (N, d)."""
         env, n, d = self.env, self.env.num_envs, len(self.scales)
         accrued_reward = AccruedReward.begin(n, 1, d)
-        random_from = np.full(n, np.inf) if policy is None else self._random_from(policy)
+        random_from = np.full(n, np.inf) if commands is None else self._random_from(commands[:, -1])
         observations = env.reset(self.env_seed + n * self.updates)
         over = np.zeros(n, dtype=np.bool_)
         steps: list[tuple[NDArray[Any], ...]] = []
         for _ in env.decisions():
             previous = steps[-1][1][:, None] if steps else None
-            if policy is None:
+            if commands is None:
                 actions = self._random_actions(previous)
             else:
-                actions = policy.act(observations, accrued_reward, self.generator)
+                actions = self.act_under(commands, observations, accrued_reward, self.generator)
                 random = (random_from <= len(steps)) & ~over
                 if random.any():
                     actions[random] = self._random_actions(previous)[random]
@@ -299,12 +288,12 @@ class PCN(FrontAgent):
         self.episodes.add(torch.ones(sums.shape[:-1], dtype=torch.bool), sums)
         return discounted
 
-    def _random_from(self, policy: CommandPolicy) -> NDArray[np.float64]:
+    def _random_from(self, horizon: NDArray[np.float32]) -> NDArray[np.float64]:
         """(N,) the decision from which on actions are random; infinite where they follow the command to the end."""
         if not self.config.exploration:
-            return np.full(self.env.num_envs, np.inf)
-        chosen, when = torch.rand(2, self.env.num_envs, generator=self.draws, dtype=torch.float64).numpy()
-        return np.where(chosen < self.config.exploration, np.floor(when * policy.horizon), np.inf)
+            return np.full(len(horizon), np.inf)
+        chosen, when = torch.rand(2, len(horizon), generator=self.draws, dtype=torch.float64).numpy()
+        return np.where(chosen < self.config.exploration, np.floor(when * horizon), np.inf)
 
     def _random_actions(self, previous: NDArray[Any] | None) -> NDArray[Any]:
         """Random actions (N, 1) or (N, 1, k), some of which repeat the ``previous`` ones."""
@@ -328,6 +317,26 @@ class PCN(FrontAgent):
 
     # ---------------------------------------------------------------------------------------------------------- acting
 
+    def act_under(
+        self,
+        commands: NDArray[np.float32],
+        observations: NDArray[np.float32],
+        accrued_reward: AccruedReward,
+        generator: torch.Generator | None,
+    ) -> NDArray[Any]:
+        """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None.
+
+        The commands (N, d + 1), or (1, d + 1) for all, are the return and the decisions of the whole episode.
+        """
+        asked = commands[:, :-1]
+        # Equation 4, applied t times, and then the clip.
+        discounts = accrued_reward.discounts.clip(min=SMALLEST_DISCOUNT)
+        desired = (asked - accrued_reward.value[:, 0]) / discounts
+        horizon = np.maximum(commands[:, -1] - accrued_reward.decisions[:, 0], 1.0)
+        low, high = self.bounds
+        desired = np.minimum(np.maximum(desired, np.minimum(low, asked)), np.maximum(high, asked))
+        return self.choose_actions(observations[:, 0], desired, horizon, generator)[:, None]
+
     def choose_actions(
         self,
         observations: NDArray[np.float32],
@@ -335,14 +344,7 @@ class PCN(FrontAgent):
         horizon: NDArray[np.float32],
         generator: torch.Generator | None,
     ) -> NDArray[Any]:
-        """Actions (N,) or (N, k) under the commands ``desired`` (N, d) and ``horizon`` (N,).
-
-        Args:
-            observations: (N, o).
-            desired: discounted return that is still to be collected.
-            horizon: decisions in which to collect it.
-            generator: samples actions; None acts greedily.
-        """
+        """Actions (N,) or (N, k) for observations (N, o), to get ``desired`` (N, d) in ``horizon`` (N,) decisions."""
         outputs = self.network.respond(*self._scaled(observations, desired, horizon))
         check_outputs(torch.from_numpy(outputs))
         if self.env.continuous:
@@ -358,51 +360,10 @@ class PCN(FrontAgent):
         uniform = 1.0 - torch.rand((len(outputs), 1), generator=generator, device=self.device).cpu().numpy()
         return np.asarray((cumulative < uniform * cumulative[:, -1:]).sum(axis=1))
 
-    def command(self, desired: ArrayLike, horizon: ArrayLike) -> CommandPolicy:
-        """The policy that follows the commands ``desired`` (N, d) and ``horizon`` (N,), one per environment.
-
-        Raises:
-            ValueError: if a command has the wrong shape, or asks for returns far outside those of the buffer.
-        """
-        low, high = self.bounds
-        returns = np.atleast_2d(np.asarray(desired, dtype=np.float32))
-        left = np.atleast_1d(np.asarray(horizon, dtype=np.float32))
-        if returns.shape != (len(left), len(self.scales)):
-            raise ValueError(
-                f"desired return of shape {returns.shape} and horizon of shape {left.shape}: "
-                f"expected (n, {len(self.scales)}) and (n,)"
-            )
-        if not (left >= 1.0).all():
-            raise ValueError(f"horizon = {left.min():g} must be at least 1 decision")
-        for i, objective in enumerate(self.env.objectives):
-            least, most = low[i] - self.scales[i], high[i] + self.scales[i]
-            outside = returns[~((returns[:, i] >= least) & (returns[:, i] <= most)), i]
-            if len(outside):
-                raise ValueError(
-                    f"desired return of {objective} = {outside[0]:g} is outside the range of past episodes; "
-                    f"it must be between {least:g} and {most:g}"
-                )
-        return CommandPolicy(self, returns, left)
-
-    def policy(self, condition: ArrayLike) -> CommandPolicy:
-        """The policy of one row (d + 1,) of a front's ``conditions``, for any number of environments.
-
-        Raises:
-            ValueError: as :meth:`command`.
-        """
-        *desired, horizon = np.asarray(condition, dtype=np.float32).tolist()
-        return self.command([desired], [horizon])
-
     def eval(self, obs: NDArray[Any], desired_return: ArrayLike, desired_horizon: float) -> Any:
-        """The greedy action for one observation.
+        """The greedy action, as the environment takes it, for one observation as it gives it.
 
-        Args:
-            obs: as one environment gives it.
-            desired_return: (d,) discounted return that is still to be collected.
-            desired_horizon: decisions in which to collect it.
-
-        Returns:
-            An action as the environment takes it.
+        The discounted return (d,) is what is still to be collected, in so many decisions.
         """
         observations = self.env.policy_observations(np.asarray(obs)[None])[:, 0].astype(np.float32)
         desired = np.reshape(np.asarray(desired_return, dtype=np.float32), (1, -1))
@@ -411,21 +372,12 @@ class PCN(FrontAgent):
 
     # ------------------------------------------------------------------------------------------------------- the front
 
-    def commands(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Commands (K, d) and (K,) of the front: returns and lengths of the buffer's non-dominated episodes.
-
-        Raises:
-            ValueError: if the buffer is empty and no policy was loaded.
-        """
-        returns, lengths = self._best_episodes()
-        chosen = farthest_point_subset(returns, self.config.max_policies, self.scales)
-        return returns[chosen].astype(np.float32), lengths[chosen].astype(np.float32)
-
     def _best_episodes(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Discounted returns (K, d) and lengths (K,) of the non-dominated episodes: the buffer's, else the loaded."""
         if self._attained is not None and not len(self.buffer):
             return self._attained
-        return self.buffer.attained()
+        best = self.buffer.best()
+        return self.buffer.returns[best], self.buffer.lengths[best]
 
     @property
     def condition_names(self) -> tuple[str, ...]:
@@ -433,16 +385,33 @@ class PCN(FrontAgent):
         return (*self.env.objectives, HORIZON)
 
     def conditions(self) -> NDArray[np.float32]:
-        """(K, d + 1) :meth:`commands`."""
-        return np.column_stack(self.commands())
+        """(K, d + 1) commands: returns and lengths of the buffer's non-dominated episodes."""
+        returns, lengths = self._best_episodes()
+        chosen = farthest_point_subset(returns, self.config.max_policies, self.scales)
+        return np.column_stack([returns[chosen], lengths[chosen]]).astype(np.float32)
 
-    def policies(self, conditions: NDArray[np.float32]) -> CommandPolicy:
-        """The policy that follows commands (N, d + 1), one per environment.
+    def policies(self, conditions: ArrayLike) -> PolicyOfFront:
+        """The policy that follows commands (N, d + 1), one per environment, or the same (1, d + 1) in all.
 
         Raises:
-            ValueError: as :meth:`command`.
+            ValueError: if a command has the wrong shape, or asks for returns far outside those of the buffer.
         """
-        return self.command(conditions[:, :-1], conditions[:, -1])
+        commands = np.asarray(conditions, dtype=np.float32)
+        if commands.ndim != 2 or commands.shape[1] != len(self.scales) + 1:
+            names = ", ".join(self.condition_names)
+            raise ValueError(f"commands of shape {commands.shape} must be (n, {len(self.scales) + 1}): {names}")
+        if not (commands[:, -1] >= 1.0).all():
+            raise ValueError(f"horizon = {commands[:, -1].min():g} must be at least 1 decision")
+        for desired, objective, scale, low, high in zip(
+            commands.T, self.env.objectives, self.scales, *self.bounds, strict=False
+        ):
+            outside = desired[~((desired >= low - scale) & (desired <= high + scale))]
+            if len(outside):
+                raise ValueError(
+                    f"desired return of {objective} = {outside[0]:g} is outside the range of past episodes; "
+                    f"it must be between {low - scale:g} and {high + scale:g}"
+                )
+        return PolicyOfFront(self, commands)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
@@ -455,7 +424,7 @@ class PCN(FrontAgent):
             "gamma": self.accrued_discount,
         }
 
-    def get_state(self) -> dict[str, torch.Tensor]:
+    def get_state(self) -> dict[str, Tensor]:
         """Network, optimiser, buffer and counts."""
         return {
             "counts": torch.tensor([self.updates, self._collected]),
@@ -464,19 +433,19 @@ class PCN(FrontAgent):
             **{f"store.{name}": tensor for name, tensor in self.buffer.get_state().items()},
         }
 
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+    def set_state(self, state: dict[str, Tensor]) -> None:
         """Resume from :meth:`get_state`."""
         self.set_policy(state)
         self.updates, self._collected = state["counts"].tolist()
         self.learner.set_state(state)
 
-    def _policy_tensors(self) -> dict[str, torch.Tensor]:
+    def _policy_tensors(self) -> dict[str, Tensor]:
         """What acting under a command needs."""
         network = self.learner.get_weights("network")
         inputs = {"inputs": torch.from_numpy(self.inputs)} if self._standardises else {}
-        return {"bounds": torch.from_numpy(np.stack(self.bounds)), **inputs, **network}
+        return {"bounds": torch.from_numpy(self.bounds), **inputs, **network}
 
-    def get_policy(self) -> dict[str, torch.Tensor]:
+    def get_policy(self) -> dict[str, Tensor]:
         """The network, and in place of the buffer the returns and lengths that commands are made of."""
         if self._attained is None and not len(self.buffer):
             return self._policy_tensors()
@@ -485,50 +454,152 @@ class PCN(FrontAgent):
         return {**self._policy_tensors(), **{f"attained.{name}": tensor for name, tensor in attained.items()}}
 
     def save_policy(self, path: str | Any) -> None:
-        """Write only what acting needs, as :meth:`Agent.save_policy`.
-
-        Raises:
-            ValueError: if the buffer is empty.
-        """
+        """Write only what acting needs, as :meth:`Agent.save_policy`; an empty buffer is refused."""
         self._best_episodes()
         super().save_policy(path)
 
-    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+    def set_policy(self, state: dict[str, Tensor]) -> None:
         """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
         self._attained = None
         if "attained.returns" in state:
             returns, lengths = state["attained.returns"].numpy(), state["attained.lengths"].numpy()
             self._attained = returns.astype(np.float64), lengths.astype(np.int64)
         self.learner.set_weights(state)
-        low, high = state["bounds"].numpy()
-        self.bounds = low, high
+        self.bounds = state["bounds"].numpy()
         if self._standardises:
             self.inputs = state["inputs"].numpy()
         self.buffer.set_state(strip_prefix(state, "store."))
 
 
-@dataclass(frozen=True)
-class CommandPolicy(PolicyOfFront):
-    """PCN under one command per environment.
+# ----------------------------------------------------------------------------------------------- the buffer (section 4)
 
-    Attributes:
-        agent: whose network acts.
-        desired: (N, d) discounted return of the whole episode.
-        horizon: (N,) decisions in which to collect it.
+
+@dataclass(frozen=True)
+class Episode:
+    """One episode of T decisions."""
+
+    observations: NDArray[np.float32]  # (T, o) before each action
+    actions: NDArray[Any]  # (T,) or (T, k)
+    returns: NDArray[np.float32]  # (T, d) discounted returns-to-go; the first is the return of the episode
+
+    def __len__(self) -> int:
+        return len(self.returns)
+
+
+def returns_to_go(rewards: NDArray[np.float32], gamma: float) -> NDArray[np.float32]:
+    """Discounted returns-to-go R_t = r_t + gamma R_{t+1} (..., T, d) of ``rewards`` (..., T, d)."""
+    returns = rewards.astype(np.float64)
+    for t in range(returns.shape[-2] - 2, -1, -1):
+        returns[..., t, :] += gamma * returns[..., t + 1, :]
+    return returns.astype(np.float32)
+
+
+class EpisodeBuffer:
+    """The best episodes so far: close to the non-dominated ones, and diverse.
+
+    An episode's score is minus its distance to the nearest non-dominated return, in units of ``scales``. The distance
+    is doubled where the crowding distance is at most ``crowding``, and slightly larger for all but the first of equal
+    returns. When there are more than ``capacity`` episodes, those with the lowest scores are removed; when more than
+    ``capacity`` are non-dominated, a farthest-point subset of them is kept.
     """
 
-    agent: PCN
-    desired: NDArray[np.float32]
-    horizon: NDArray[np.float32]
+    REPEATED = 1e-5  # units of ``scales``
 
-    def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None."""
-        # Equation 4, applied t times, and then the clip.
-        discounts = accrued_reward.discounts.clip(min=SMALLEST_DISCOUNT)
-        desired = (self.desired - accrued_reward.value[:, 0]) / discounts
-        horizon = np.maximum(self.horizon - accrued_reward.decisions[:, 0], 1.0)
-        low, high = self.agent.bounds
-        desired = np.minimum(np.maximum(desired, np.minimum(low, self.desired)), np.maximum(high, self.desired))
-        return self.agent.choose_actions(observations[:, 0], desired, horizon, generator)[:, None]
+    def __init__(self, capacity: int, scales: NDArray[np.float32], crowding: float):
+        self.capacity = capacity
+        self.scales = np.asarray(scales, dtype=np.float64)
+        self.crowding = crowding
+        self.episodes: list[Episode] = []
+        self._arrays: dict[str, NDArray[Any]] = {}
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    @property
+    def returns(self) -> NDArray[np.float64]:
+        """(E, d) discounted return of every episode."""
+        return np.array([episode.returns[0] for episode in self.episodes], dtype=np.float64)
+
+    @property
+    def lengths(self) -> NDArray[np.int64]:
+        """(E,) decisions of every episode."""
+        return np.array([len(episode) for episode in self.episodes], dtype=np.int64)
+
+    def add(self, episodes: list[Episode]) -> None:
+        """Add ``episodes``, then remove the worst."""
+        self.episodes += episodes
+        if len(self.episodes) > self.capacity:
+            kept = self.best()
+            if len(kept) < self.capacity:
+                kept = np.argsort(-self.scores(), kind="stable")[: self.capacity]
+            else:
+                kept = kept[farthest_point_subset(self.returns[kept], self.capacity, self.scales)]
+            self.episodes = [self.episodes[i] for i in kept]
+        self._arrays = {}
+
+    def scores(self) -> NDArray[np.float64]:
+        """(E,) scores; at most 0."""
+        points = self.returns / self.scales
+        best = points[non_dominated(points)]
+        gaps = np.array([np.linalg.norm(best - point, axis=1).min() for point in points])
+        _, first = np.unique(points, axis=0, return_index=True)
+        repeated = np.ones(len(points), dtype=np.bool_)
+        repeated[first] = False
+        gaps[repeated] += self.REPEATED
+        gaps[crowding_distances(points) <= self.crowding] *= 2.0
+        return -gaps
+
+    def best(self) -> NDArray[np.intp]:
+        """Indices of the episodes with non-dominated returns."""
+        if not self.episodes:
+            raise ValueError("the buffer holds no episode yet: train first, or load a checkpoint")
+        return np.flatnonzero(non_dominated(self.returns))
+
+    def bounds(self) -> NDArray[np.float32]:
+        """(2, d) lowest and highest return-to-go."""
+        returns = self._flat()["returns"]
+        return np.stack([returns.min(axis=0), returns.max(axis=0)])
+
+    def decisions(self) -> NDArray[np.float32]:
+        """(D, o + d + 1) observation, return-to-go and number of decisions left at every time step."""
+        flat = self._flat()
+        left = np.repeat(flat["starts"] + flat["lengths"], flat["lengths"]) - np.arange(len(flat["returns"]))
+        return np.column_stack([flat["observations"], flat["returns"], left.astype(np.float32)])
+
+    def sample(self, count: int, generator: torch.Generator) -> tuple[NDArray[Any], ...]:
+        """Observations (n, o), actions, returns-to-go (n, d) and decisions left (n,) at random time steps.
+
+        Every episode is equally likely, whatever its length.
+        """
+        flat = self._flat()
+        lengths = flat["lengths"]
+        chosen = torch.randint(len(lengths), (count,), generator=generator).numpy()
+        t = (torch.rand(count, generator=generator).numpy() * lengths[chosen]).astype(np.int64)
+        rows = flat["starts"][chosen] + t
+        left = (lengths[chosen] - t).astype(np.float32)
+        return flat["observations"][rows], flat["actions"][rows], flat["returns"][rows], left
+
+    def _flat(self) -> dict[str, NDArray[Any]]:
+        if not self._arrays:
+            lengths = self.lengths
+            self._arrays = {
+                name: np.concatenate([getattr(episode, name) for episode in self.episodes])
+                for name in ("observations", "actions", "returns")
+            }
+            self._arrays |= {"lengths": lengths, "starts": np.cumsum(lengths) - lengths}
+        return self._arrays
+
+    def get_state(self) -> dict[str, Tensor]:
+        """All episodes as a few tensors."""
+        if not self.episodes:
+            return {}
+        names = ("observations", "actions", "returns", "lengths")
+        return {name: torch.from_numpy(np.ascontiguousarray(self._flat()[name])) for name in names}
+
+    def set_state(self, state: Mapping[str, Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
+        self.episodes, self._arrays = [], {}
+        if state:
+            lengths = state["lengths"].tolist()
+            columns = [state[name].split(lengths) for name in ("observations", "actions", "returns")]
+            self.episodes = [Episode(*(part.numpy() for part in parts)) for parts in zip(*columns, strict=True)]

@@ -22,6 +22,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from algorithms.a2c import A2C
 from algorithms.hyperparameters import Positive, ProximalSettings
@@ -46,16 +47,14 @@ class PPO(A2C):
         value_scale: Positive = 10.0
         """Nominal size of a scalar return, by which the critic's output is multiplied."""
 
-    def advantages(
-        self, rollout: Rollout, values: torch.Tensor, next_values: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def advantages(self, rollout: Rollout, values: Tensor, next_values: Tensor) -> tuple[Tensor, Tensor]:
         """A_t (T, N) and y_t (T, N, 1) of eqs. 1 and 2, from v(s_t) and v(s_{t+1}) (T, N, 1)."""
         gamma, ended = self.config.gamma, rollout.ended.unsqueeze(-1)
         deltas = rollout.utility(rollout.rewards).unsqueeze(-1) + gamma * next_values - values  # eq. 1
         advantages = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)
         return advantages.squeeze(-1), advantages + values  # eq. 2
 
-    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: torch.Tensor) -> Loss:
+    def loss(self, networks: Networks, samples: Samples, entropy_coefficient: Tensor) -> Loss:
         """L of eq. 4."""
         config, weights = self.config, samples.weights
         log_prob, entropies = networks.actor(samples.inputs, samples.actions)

@@ -1,16 +1,21 @@
-"""From what a rule wants, a steer and a speed, to the actions of an environment."""
+"""What scripted drivers share: from what a rule wants, a curvature and a speed, to the actions of an environment."""
 
 from __future__ import annotations
 
+import math
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mo_deepdrive.simulation.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
+from mo_deepdrive.world.actions import CONTINUOUS, action_table
 from mo_deepdrive.world.observation import OWN
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -25,7 +30,6 @@ BRAKING = 2.45  # deceleration (m/s^2) per m/s and unit of brake
 DECISION = 0.1  # s
 THROTTLE = 1.0  # m/s^2, of the discrete actions
 
-SLACK = 0.04
 SOFT_CHANGE = 0.15  # m/s^2 by which the throttle changes in a decision, of continuous actions
 
 
@@ -34,52 +38,76 @@ def braking_distance(speed: Floats) -> Floats:
     return speed * (1.0 / BRAKING + 1.5 * DECISION)
 
 
-def discrete_actions(
-    seen: Floats,
-    steer: Floats,
-    target: Floats,
-    brakes: NDArray[np.bool_],
-    table: Floats,
-    *,
-    slack: float = SLACK,
-    calm: float = 0.0,
-) -> NDArray[Any]:
-    """The actions (N,) whose change of speed is the right one and whose steering comes nearest.
+def forward(heading: Floats) -> Floats:
+    """The direction (..., 2) of a heading (...) (rad)."""
+    return np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+
+
+class Rule:
+    """Base of what drivers are made of: finite numbers of at least 0.1, or 0 for a gap or a distance."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            least = 0.0 if name in ("gap", "stop_distance") else 0.1
+            if not (math.isfinite(value) and value >= least):
+                raise ValueError(f"{name} = {value!r} of a rule must be a finite number of at least {least:g}")
+
+
+class Driver:
+    """Base of scripted drivers, which give actions (N,), or (N, 3) if they are continuous, for observations (N, size).
 
     Args:
-        seen: observations (N, size).
-        steer: (N,) wanted (rad).
-        target: (N,) speed (m/s).
-        brakes: (N,) whether to brake.
-        table: of the action set.
+        action_type: "discrete", "discrete-16" or "continuous".
+
+    Attributes:
+        vehicle: the index of the vehicle that it drives; None for any.
         slack: share of the target speed that may be lost before the vehicle speeds up again.
         calm: by how much a change of the steering counts, where 1 is as much as what it is off.
     """
-    speed, throttle = seen[:, COLUMN["speed"]], seen[:, COLUMN["throttle"]]
-    wanted = np.where(throttle > 0.0, target, target * (1.0 - slack))
-    change = np.where(speed < wanted, INCREASE, np.where(throttle > 0.0, DECREASE, MAINTAIN))
-    change = np.where(brakes, DECREASE, change)
-    offered = (
-        table[:, DECAY] * seen[:, COLUMN["steer"], None]
-        + table[:, OFFSET]
-        + table[:, CURL] / np.maximum(speed, 1.0)[:, None] ** 2
-    )
-    error = np.abs(offered - steer[:, None])
-    if calm:
-        error += calm * np.abs(offered - seen[:, COLUMN["steer"], None])
-    return np.asarray(np.where(table[:, SPEED_CHANGE] == change[:, None], error, np.inf).argmin(axis=1))
+
+    vehicle: int | None = None
+    slack, calm = 0.04, 0.0
+
+    def __init__(self, action_type: str = "discrete"):
+        self._table = None if action_type == CONTINUOUS else action_table(action_type)
+
+    def control(
+        self, seen: Floats, curvature: Floats, target: Floats, brakes: NDArray[np.bool_], room: Floats
+    ) -> NDArray[Any]:
+        """The actions for a wanted curvature (N,) (1/m) and speed (N,) (m/s), or for braking within a room (N,) (m)."""
+        speed, throttle = seen[:, COLUMN["speed"]], seen[:, COLUMN["throttle"]]
+        steer = curvature / CURVATURE_PER_STEER
+        if self._table is not None:
+            return self._nearest(self._table, seen, steer, target, brakes)
+        wanted = np.clip(target - speed, 0.0, THROTTLE) + DRAG * speed
+        wanted = np.where(brakes | (target < speed - 0.5), 0.0, wanted)
+        push = np.clip(wanted, throttle - SOFT_CHANGE, throttle + SOFT_CHANGE)
+        push = np.where(brakes, 0.0, np.clip(push, 0.0, MAX_ACCELERATION))
+        # To rest within the distance that is left: v' = -BRAKING b v, so b = v / (BRAKING distance).
+        brake = np.where(brakes, speed / (BRAKING * np.maximum(room, 0.3 * np.maximum(speed, 0.5))), 0.0)
+        actions = (steer / STEER_RANGE, push / MAX_ACCELERATION, 2.0 * brake / MAX_ACCELERATION - 1.0)
+        return np.clip(np.stack(actions, axis=1), -1.0, 1.0).astype(np.float32)
+
+    def _nearest(
+        self, table: Floats, seen: Floats, steer: Floats, target: Floats, brakes: NDArray[np.bool_]
+    ) -> NDArray[Any]:
+        """The discrete actions whose change of speed is the right one and whose steering comes nearest."""
+        speed, throttle, held = (seen[:, COLUMN[name]] for name in ("speed", "throttle", "steer"))
+        wanted = np.where(throttle > 0.0, target, target * (1.0 - self.slack))
+        change = np.where(speed < wanted, INCREASE, np.where(throttle > 0.0, DECREASE, MAINTAIN))
+        change = np.where(brakes, DECREASE, change)
+        curled = table[:, CURL] / np.maximum(speed, 1.0)[:, None] ** 2
+        offered = table[:, DECAY] * held[:, None] + table[:, OFFSET] + curled
+        error = np.abs(offered - steer[:, None])
+        if self.calm:
+            error += self.calm * np.abs(offered - held[:, None])
+        return np.asarray(np.where(table[:, SPEED_CHANGE] == change[:, None], error, np.inf).argmin(axis=1))
 
 
-def continuous_actions(
-    seen: Floats, steer: Floats, target: Floats, brakes: NDArray[np.bool_], room: Floats
-) -> NDArray[Any]:
-    """The actions (N, 3); the arguments are those of :func:`discrete_actions`, but ``room`` (N,) to stop in (m)."""
-    speed, throttle = seen[:, COLUMN["speed"]], seen[:, COLUMN["throttle"]]
-    wanted = np.clip(target - speed, 0.0, THROTTLE) + DRAG * speed
-    wanted = np.where(brakes | (target < speed - 0.5), 0.0, wanted)
-    push = np.clip(wanted, throttle - SOFT_CHANGE, throttle + SOFT_CHANGE)
-    push = np.where(brakes, 0.0, np.clip(push, 0.0, MAX_ACCELERATION))
-    # To rest within the distance that is left: v' = -BRAKING b v, so b = v / (BRAKING distance).
-    brake = np.where(brakes, speed / (BRAKING * np.maximum(room, 0.3 * np.maximum(speed, 0.5))), 0.0)
-    actions = (steer / STEER_RANGE, push / MAX_ACCELERATION, 2.0 * brake / MAX_ACCELERATION - 1.0)
-    return np.clip(np.stack(actions, axis=1), -1.0, 1.0).astype(np.float32)
+def make_driver(forms: Mapping[str, Callable[..., Driver]], name: str, action_type: str) -> Driver:
+    """The scripted driver of a name, of the form "kind" or "kind_NUMBER"."""
+    for form, make in forms.items():
+        found = re.fullmatch(PREFIX + form.replace("NUMBER", r"(\d+(?:\.\d+)?)").replace("INTEGER", r"(\d+)"), name)
+        if found:
+            return make(*map(float, found.groups()), action_type)
+    raise ValueError(f"there is no scripted driver {name!r}; write {', '.join(PREFIX + form for form in forms)}")

@@ -6,25 +6,21 @@ may brake for a vehicle in front of it. They remember nothing: an action follows
 
 from __future__ import annotations
 
-import re
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.driving.controls import CURVATURE_PER_STEER, PREFIX, continuous_actions, discrete_actions
-from algorithms.driving.left_turn_rules import COLUMN, GapRule, LeftTurner, locate
+from algorithms.driving.controls import Driver, make_driver
+from algorithms.driving.left_turn_rules import COLUMN, GapDriver, GapRule, locate
 from mo_deepdrive.simulation.geometry import HALF_WIDTH
 from mo_deepdrive.simulation.observation import ABSENT_DISTANCE, SIGHT_DISTANCE
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
 from mo_deepdrive.simulation.traffic import ENTRY
-from mo_deepdrive.world.actions import CONTINUOUS, action_table
 from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -40,53 +36,38 @@ CLEARANCE = 3.0  # m that are left to it
 ASIDE = 0.3  # m beside the own box within which a vehicle is in the way
 
 
-class TurningDriver:
-    """Vehicle 0: turns left once vehicle 1 is at least ``gap`` seconds from the crossing at its present speed.
-
-    Args:
-        gap: in s; 0 to go at once.
-        action_type: "discrete", "discrete-16" or "continuous".
-    """
+class TurningDriver(GapDriver):
+    """Vehicle 0: turns left once vehicle 1 is at least ``gap`` seconds from the crossing at its present speed."""
 
     vehicle = 0
 
     def __init__(self, gap: float, action_type: str):
-        self._turner = LeftTurner(GapRule(gap=gap), action_type)
+        super().__init__(GapRule(gap=gap), action_type)
 
-    def __call__(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """Actions (N,) or (N, 3), as the environment takes them, for observations (N, size) of the vehicle."""
+    def __call__(self, observations: NDArray[np.float32], *_: Any) -> NDArray[Any]:
+        """Actions for observations (N, size) of the vehicle."""
         seen = as_in_left_turn(np.asarray(observations, dtype=np.float64))
-        line = self._turner.line(locate(seen)[0])
-        return self._turner.actions(seen, self._turner.may_go(seen, line) | (line < PAST_LINE))
+        line = self.line(locate(seen)[0])
+        return self.actions(seen, self.may_go(seen, line) | (line < PAST_LINE))
 
 
-class StraightDriver:
-    """Vehicle 1: drives straight on.
-
-    Args:
-        speed: in m/s.
-        action_type: "discrete", "discrete-16" or "continuous".
-        yields: whether it brakes for a vehicle in front of it.
-    """
+class StraightDriver(Driver):
+    """Vehicle 1: drives straight on at a speed (m/s), and may brake for a vehicle in front of it."""
 
     vehicle = 1
 
     def __init__(self, speed: float, action_type: str, *, yields: bool):
-        self._speed = speed
-        self._yields = yields
-        self._table = None if action_type == CONTINUOUS else action_table(action_type)
+        super().__init__(action_type)
+        self._speed, self._yields = speed, yields
 
     def __call__(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """Actions (N,) or (N, 3), as the environment takes them, for observations (N, size) of the vehicle."""
+        """Actions for observations (N, size) of the vehicle."""
         seen = np.asarray(observations, dtype=np.float64)
         speed = seen[:, COLUMN["speed"]]
         room = room_ahead(seen) - CLEARANCE
         brakes = (room < speed**2 / (2.0 * COMFORTABLE)) & self._yields
-        steer = -HEADING_GAIN * seen[:, COLUMN["next_angle"]] / CURVATURE_PER_STEER
-        target = np.where(brakes, 0.0, self._speed)
-        if self._table is None:
-            return continuous_actions(seen, steer, target, brakes, np.maximum(room, 0.0))
-        return discrete_actions(seen, steer, target, brakes, self._table)
+        curvature = -HEADING_GAIN * seen[:, COLUMN["next_angle"]]
+        return self.control(seen, curvature, np.where(brakes, 0.0, self._speed), brakes, room)
 
 
 def as_in_left_turn(seen: Floats) -> Floats:
@@ -128,28 +109,13 @@ def absent(seen: Floats) -> NDArray[np.bool_]:
     )
 
 
-Driver = TurningDriver | StraightDriver
-
-# By the first part of a name; the number after it is the gap (s) or the speed (m/s).
-KINDS: dict[str, Callable[[float, str], Driver]] = {
-    "gap": TurningDriver,
-    "straight": partial(StraightDriver, yields=False),
-    "yields": partial(StraightDriver, yields=True),
-}
-NAME = re.compile(rf"{PREFIX}({'|'.join(KINDS)})_(\d+(?:\.\d+)?)")
-
-
-def make_rule(name: str, action_type: str) -> Driver:
-    """The scripted driver of a name.
-
-    Args:
-        name: ``rule:gap_3`` turns left and waits for a gap of 3 s, ``rule:straight_6`` drives straight on at 6 m/s, and
-            ``rule:yields_6`` does so and brakes for a vehicle in front of it; any numbers.
-        action_type: "discrete", "discrete-16" or "continuous".
-    """
-    found = NAME.fullmatch(name)
-    if found is None:
-        forms = ", ".join(f"{PREFIX}{kind}_NUMBER" for kind in KINDS)
-        raise ValueError(f"there is no scripted driver {name!r}; write {forms}, such as {PREFIX}gap_3")
-    kind, number = found.groups()
-    return KINDS[kind](float(number), action_type)
+# ``rule:gap_3`` turns left and waits for a gap of 3 s, ``rule:straight_6`` drives straight on at 6 m/s, and
+# ``rule:yields_6`` does so and brakes for a vehicle in front of it; any numbers.
+make_rule = partial(
+    make_driver,
+    {
+        "gap_NUMBER": TurningDriver,
+        "straight_NUMBER": partial(StraightDriver, yields=False),
+        "yields_NUMBER": partial(StraightDriver, yields=True),
+    },
+)

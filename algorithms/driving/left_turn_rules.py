@@ -12,16 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.driving.controls import (
-    CURVATURE_PER_STEER,
-    THROTTLE,
-    braking_distance,
-    continuous_actions,
-    discrete_actions,
-)
+from algorithms.driving.controls import THROTTLE, Driver, Rule, braking_distance, forward
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
-from mo_deepdrive.world.actions import CONTINUOUS, action_table
 from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 
@@ -48,41 +41,35 @@ MAX_CURVATURE = 0.16  # 1/m, a little above that of the arc
 
 
 @dataclass(frozen=True)
-class GapRule:
-    """What a fixed rule for LeftTurn is made of.
+class GapRule(Rule):
+    """What a fixed rule for LeftTurn is made of."""
 
-    Attributes:
-        gap: it goes once the next oncoming car is this far from the crossing (s); 0 to go at once.
-        approach_speed: on the way to the crossing (m/s).
-        turn_speed: in the crossing (m/s).
-        exit_speed: after it (m/s).
-        stop_distance: from the front of the waiting vehicle to the crossing (m).
-    """
-
-    gap: float
-    approach_speed: float = 2.8
-    turn_speed: float = 6.0
-    exit_speed: float = 8.0
-    stop_distance: float = 0.73
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            least = 0.0 if name in ("gap", "stop_distance") else 0.1
-            if not (math.isfinite(value) and value >= least):
-                raise ValueError(f"{name} = {value!r} of a rule must be a finite number of at least {least:g}")
+    gap: float  # it goes once the next oncoming car is this far from the crossing (s); 0 to go at once
+    approach_speed: float = 2.8  # on the way to the crossing (m/s)
+    turn_speed: float = 6.0  # in the crossing (m/s)
+    exit_speed: float = 8.0  # after it (m/s)
+    stop_distance: float = 0.73  # from the front of the waiting vehicle to the crossing (m)
 
 
-class LeftTurner:
-    """Steers along the path of the left turn, towards the crossing or through it.
+class GapDriver(Driver):
+    """Follows a :class:`GapRule`, as a policy for :func:`mo_deepdrive.evaluation.episodes.evaluate`.
 
-    Args:
-        rule: its speeds, and how long a gap it waits for.
-        action_type: "discrete", "discrete-16" or "continuous".
+    It remembers in which episodes it goes. An episode in which no reward has accrued has only begun.
     """
 
     def __init__(self, rule: GapRule, action_type: str = "discrete"):
+        super().__init__(action_type)
         self.rule = rule
-        self.table = None if action_type == CONTINUOUS else action_table(action_type)
+        self._goes = np.zeros(0, dtype=np.bool_)
+
+    def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], _discounts: NDArray[Any]) -> NDArray[Any]:
+        """Actions for observations (N, size) and accrued rewards (N, d)."""
+        seen = np.asarray(observations, dtype=np.float64)
+        if len(self._goes) != len(seen):
+            self._goes = np.zeros(len(seen), dtype=np.bool_)
+        self._goes &= np.any(accrued != 0.0, axis=1)
+        self._goes |= self.may_go(seen, self.line(locate(seen)[0]))
+        return self.actions(seen, self._goes)
 
     def may_go(self, seen: Floats, line: Floats) -> NDArray[np.bool_]:
         """Whether vehicles are at the line (N,) and no oncoming car comes within the gap."""
@@ -97,60 +84,24 @@ class LeftTurner:
         return np.asarray(WAYPOINTS[0, 1] - self.rule.stop_distance - front[:, 1])
 
     def actions(self, seen: Floats, goes: NDArray[np.bool_]) -> NDArray[Any]:
-        """Actions (N,), or (N, 3) if they are continuous.
-
-        Args:
-            seen: observations (N, size).
-            goes: (N,) whether to go through the crossing; else the vehicle waits before it.
-        """
+        """Actions for observations (N, size) of vehicles that go through the crossing (N,), or wait before it."""
         front, heading = locate(seen)
-        line = self.line(front)
+        line, rule = self.line(front), self.rule
         speed = seen[:, COLUMN["speed"]]
-        centre = front - HALF_LENGTH * _forward(heading)
+        centre = front - HALF_LENGTH * forward(heading)
         turning = front[:, 1] > WAYPOINTS[0, 1] - 1.5
         left = centre[:, 0] < WAYPOINTS[0, 0] - 0.8 * RADIUS
-        rolling = np.where(
-            left, self.rule.exit_speed, np.where(turning, self.rule.turn_speed, self.rule.approach_speed)
-        )
-        waiting = np.minimum(self.rule.approach_speed, np.where(line > 0.3, 1.5 * line, 0.0))
+        rolling = np.where(left, rule.exit_speed, np.where(turning, rule.turn_speed, rule.approach_speed))
+        waiting = np.minimum(rule.approach_speed, np.where(line > 0.3, 1.5 * line, 0.0))
         target = np.where(goes, rolling, waiting)
         brakes = ~goes & (line <= braking_distance(speed))
-        steer = path_curvature(centre, heading, speed) / CURVATURE_PER_STEER
-        if self.table is None:
-            return continuous_actions(seen, steer, target, brakes, line)
-        return discrete_actions(seen, steer, target, brakes, self.table)
-
-
-class GapDriver:
-    """A driver that follows a :class:`GapRule`, as a policy for :func:`mo_deepdrive.evaluation.episodes.evaluate`.
-
-    It remembers in which episodes it goes. An episode in which no reward has accrued has only begun.
-
-    Args:
-        rule: the rule.
-        action_type: "discrete", "discrete-16" or "continuous".
-    """
-
-    def __init__(self, rule: GapRule, action_type: str = "discrete"):
-        self._turner = LeftTurner(rule, action_type)
-        self._goes = np.zeros(0, dtype=np.bool_)
-
-    def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], _discounts: NDArray[Any]) -> NDArray[Any]:
-        """Actions (N,), or (N, 3) if they are continuous, for observations (N, size) and accrued rewards (N, d)."""
-        seen = np.asarray(observations, dtype=np.float64)
-        if len(self._goes) != len(seen):
-            self._goes = np.zeros(len(seen), dtype=np.bool_)
-        self._goes &= np.any(accrued != 0.0, axis=1)
-        self._goes |= self._turner.may_go(seen, self._turner.line(locate(seen)[0]))
-        return self._turner.actions(seen, self._goes)
+        return self.control(seen, path_curvature(centre, heading, speed), target, brakes, line)
 
 
 def free_time(seen: Floats, lead_time: Floats) -> Floats:
     """The time (N,) until the next oncoming car reaches the crossing at its present speed (s); inf if none does.
 
-    Args:
-        seen: observations (N, size).
-        lead_time: (N,) what the vehicle takes to the lane of these cars (s); those that have left by then do not count.
+    Cars that have left by ``lead_time`` (N,) (s), when the vehicle is in their lane, do not count.
     """
     least = np.full(len(seen), np.inf)
     for name in ("oncoming_1", "oncoming_2"):
@@ -182,9 +133,9 @@ def locate(seen: Floats) -> tuple[Floats, Floats]:
     angle = np.arctan2(first[:, 1], first[:, 0])
     error = np.where(rear_in_crossing, np.arcsin(ratio) - angle, (aside - angle * distance) / (distance + HALF_LENGTH))
     heading = np.where(leg == 2, math.pi / 2 + error, heading)
-    forward = _forward(heading)
-    to_left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    return WAYPOINTS[leg] - first[:, :1] * forward - first[:, 1:] * to_left, heading
+    ahead = forward(heading)
+    to_left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    return WAYPOINTS[leg] - first[:, :1] * ahead - first[:, 1:] * to_left, heading
 
 
 def _seen_from(seen: Floats, which: str) -> Floats:
@@ -199,14 +150,8 @@ def _seen_from(seen: Floats, which: str) -> Floats:
 
 
 def path_curvature(centre: Floats, heading: Floats, speed: Floats) -> Floats:
-    """The curvature (N,) (1/m) that leads vehicles along the path of the left turn.
-
-    Args:
-        centre: (N, 2) (m).
-        heading: (N,) (rad).
-        speed: (N,) (m/s).
-    """
-    ahead = centre + (PREVIEW * speed)[:, None] * _forward(heading)
+    """The curvature (N,) (1/m) that leads vehicles along the path of the left turn."""
+    ahead = centre + (PREVIEW * speed)[:, None] * forward(heading)
     middle = np.array([WAYPOINTS[0, 0] - RADIUS, WAYPOINTS[1, 1] - EXIT_OFFSET - RADIUS])
     x, y = (ahead - middle).T
     before, beyond = y < 0.0, (x < 0.0) & (y >= 0.0)
@@ -216,7 +161,3 @@ def path_curvature(centre: Floats, heading: Floats, speed: Floats) -> Floats:
     curvature = np.where(before | beyond, 0.0, 1.0 / RADIUS)
     wanted = curvature + HEADING_GAIN * (angle - heading) + OFFSET_GAIN * offset
     return np.asarray(np.clip(wanted, -MAX_CURVATURE, MAX_CURVATURE))
-
-
-def _forward(heading: Floats) -> Floats:
-    return np.stack([-np.sin(heading), np.cos(heading)], axis=1)

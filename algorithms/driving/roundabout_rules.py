@@ -8,24 +8,17 @@ within ``gap`` seconds, unless it is turning off.
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.driving.controls import (
-    CURVATURE_PER_STEER,
-    PREFIX,
-    braking_distance,
-    continuous_actions,
-    discrete_actions,
-)
+from algorithms.driving.controls import Driver, Rule, braking_distance, forward, make_driver
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.neighbours import NEIGHBOURS
 from mo_deepdrive.simulation.roads import NEXT_POINT, POINT_AFTER
 from mo_deepdrive.simulation.state import STANDSTILL_GAP
-from mo_deepdrive.world.actions import CONTINUOUS, action_table
 from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 
@@ -56,8 +49,6 @@ OFFSET_GAIN = 0.042  # curvature (1/m) per m of error
 MAX_CURVATURE = 0.16  # 1/m
 
 LOOK_AHEAD = np.arange(0.0, 27.0, 2.0)  # m along the lane, where others are ahead
-SLACK = 0.25  # share of the target speed that may be lost before it speeds up again
-CALM = 0.12  # by how much a change of the steering counts, beside what it is off
 REACH = 0.5  # m from the middle of somebody's front or rear to what is first in the way
 STANDING = 3.3  # m/s, the least speed by which the time to the entry is counted
 TURNS_OFF = 0.5  # rad from the direction of the circle, outwards, from which on somebody is leaving it
@@ -69,28 +60,14 @@ STOP_GAIN = 1.4  # 1/s, of the speed before the line over the distance to it
 
 
 @dataclass(frozen=True)
-class RoundaboutRule:
-    """What a fixed rule for the roundabout is made of.
+class RoundaboutRule(Rule):
+    """What a fixed rule for the roundabout is made of."""
 
-    Attributes:
-        gap: it enters if nobody with right of way is this close to the end of the entry (s); 0 gives way to nobody.
-        approach_speed: on the way to the roundabout (m/s).
-        inside_speed: inside (m/s).
-        exit_speed: after it (m/s).
-        headway: to the one ahead (s).
-    """
-
-    gap: float = 3.0
-    approach_speed: float = 4.2
+    gap: float = 3.0  # it enters if nobody with right of way is this close to the end of the entry (s)
+    approach_speed: float = 4.2  # on the way to the roundabout (m/s)
     inside_speed: float = 4.0
     exit_speed: float = 4.5
-    headway: float = 0.9
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            least = 0.0 if name == "gap" else 0.1
-            if not (math.isfinite(value) and value >= least):
-                raise ValueError(f"{name} = {value!r} of a rule must be a finite number of at least {least:g}")
+    headway: float = 0.9  # to the one ahead (s)
 
 
 def _tables() -> Floats:
@@ -122,24 +99,17 @@ def lane(route: NDArray[np.intp], along: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Place:
-    """Where N vehicles are, in the coordinates of the routes from the first arm.
+    """Where N vehicles are, in the coordinates of the routes from the first arm."""
 
-    Attributes:
-        route: (N,) indices of routes.
-        along: (N,) from the start of the route to the projection of the front (m).
-        front: (N, 2) (m).
-        heading: (N,) (rad).
-    """
-
-    route: NDArray[np.intp]
-    along: Floats
-    front: Floats
-    heading: Floats
+    route: NDArray[np.intp]  # (N,) indices of routes
+    along: Floats  # (N,) from the start of the route to the projection of the front (m)
+    front: Floats  # (N, 2) (m)
+    heading: Floats  # (N,) (rad)
 
     @property
     def forward(self) -> Floats:
-        """(N, 2) the direction of the heading."""
-        return np.stack([-np.sin(self.heading), np.cos(self.heading)], axis=-1)
+        """(N, 2)."""
+        return forward(self.heading)
 
 
 def locate(seen: Floats) -> Place:
@@ -198,26 +168,13 @@ def lane_curvature(place: Place, speed: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Others:
-    """The nearest others of N vehicles, in the coordinates of :class:`Place`.
+    """The nearest others of N vehicles, in the coordinates of :class:`Place`."""
 
-    Attributes:
-        centre: (N, 5, 2) (m).
-        heading: (N, 5) (rad).
-        speed: (N, 5) (m/s).
-        prior: (N, 5) whether they have right of way over the vehicle.
-        present: (N, 5).
-    """
-
-    centre: Floats
-    heading: Floats
-    speed: Floats
-    prior: NDArray[np.bool_]
-    present: NDArray[np.bool_]
-
-    @property
-    def forward(self) -> Floats:
-        """(N, 5, 2) the direction of the heading."""
-        return np.stack([-np.sin(self.heading), np.cos(self.heading)], axis=-1)
+    centre: Floats  # (N, 5, 2) (m)
+    heading: Floats  # (N, 5) (rad)
+    speed: Floats  # (N, 5) (m/s)
+    prior: NDArray[np.bool_]  # (N, 5) whether they have right of way over the vehicle
+    present: NDArray[np.bool_]  # (N, 5)
 
 
 def locate_others(seen: Floats, place: Place) -> Others:
@@ -242,7 +199,7 @@ def room_ahead(place: Place, others: Others) -> Floats:
     stations = place.along[:, None] + LOOK_AHEAD
     line = lane(rows, stations)
     least = np.full(len(place.along), np.inf)
-    reach = HALF_LENGTH * others.forward
+    reach = HALF_LENGTH * forward(others.heading)
     for point, half in ((others.centre, HALF_LENGTH), (others.centre + reach, REACH), (others.centre - reach, REACH)):
         dx = point[..., 0, None] - line[0][:, None]
         dy = point[..., 1, None] - line[1][:, None]
@@ -267,24 +224,17 @@ def time_to_entry(others: Others) -> Floats:
     return np.asarray(np.where(comes, time, np.inf).min(axis=1))
 
 
-class RoundaboutDriver:
-    """Drives through the roundabout by a rule.
+class RoundaboutDriver(Driver):
+    """Drives any vehicle through the roundabout by a rule; a blind one sees the lane alone, and nobody on it."""
 
-    Args:
-        rule: its gap and its speeds.
-        action_type: "discrete", "discrete-16" or "continuous".
-        blind: whether it sees the lane alone, and nobody on it.
-    """
-
-    vehicle = None  # it drives any
+    slack, calm = 0.25, 0.12
 
     def __init__(self, rule: RoundaboutRule, action_type: str = "discrete", *, blind: bool = False):
-        self.rule = rule
-        self._blind = blind
-        self._table = None if action_type == CONTINUOUS else action_table(action_type)
+        super().__init__(action_type)
+        self.rule, self._blind = rule, blind
 
     def __call__(self, observations: NDArray[Any], *_: Any) -> NDArray[Any]:
-        """Actions (...) or (..., 3), as the environment takes them, for observations (..., size)."""
+        """Actions (...) or (..., 3) for observations (..., size)."""
         size = observations.shape[-1]
         actions = self._actions(np.asarray(observations, dtype=np.float64).reshape(-1, size))
         return actions.reshape(*observations.shape[:-1], *actions.shape[1:])
@@ -307,10 +257,7 @@ class RoundaboutDriver:
             room = np.where(waits, np.minimum(room, line), room)
         slack = np.where(seen[:, COLUMN["brake"]] > 0.0, RELEASE, np.minimum(BRAKE_SLACK, 0.1 + target))
         brakes = (speed > target + slack) & (speed < BRAKE_LIMIT)
-        steer = lane_curvature(place, speed) / CURVATURE_PER_STEER
-        if self._table is None:
-            return continuous_actions(seen, steer, target, brakes, np.maximum(room, 0.0))
-        return discrete_actions(seen, steer, target, brakes, self._table, slack=SLACK, calm=CALM)
+        return self.control(seen, lane_curvature(place, speed), target, brakes, room)
 
 
 # Drivers of three characters, by name.
@@ -321,7 +268,6 @@ TYPES = {
 }
 # From what the drawn ones are, uniform, in the order of the fields.
 DRAWN = ((2.5, 6.0), (2.8, 4.2), (3.3, 5.0), (4.0, 7.0), (0.6, 1.8))
-NAME = re.compile(rf"{PREFIX}(?:(enters|drawn)_(\d+(?:\.\d+)?)|({'|'.join(TYPES)}))")
 
 
 def drawn_rule(number: int) -> RoundaboutRule:
@@ -330,20 +276,12 @@ def drawn_rule(number: int) -> RoundaboutRule:
     return RoundaboutRule(*(float(rng.uniform(*span)) for span in DRAWN))
 
 
-def make_rule(name: str, action_type: str) -> RoundaboutDriver:
-    """The scripted driver of a name, which drives any vehicle.
-
-    Args:
-        name: ``rule:hurried``, ``rule:balanced`` or ``rule:careful``; ``rule:enters_3`` is the balanced one with a gap
-            of 3 s, any number; ``rule:drawn_7`` is the rule that is drawn for the number 7.
-        action_type: "discrete", "discrete-16" or "continuous".
-    """
-    found = NAME.fullmatch(name)
-    if found is None or (found[1] == "drawn" and not found[2].isdigit()):
-        forms = ", ".join([*(PREFIX + kind for kind in TYPES), f"{PREFIX}enters_NUMBER", f"{PREFIX}drawn_NUMBER"])
-        raise ValueError(f"there is no scripted driver {name!r}; write {forms}")
-    if found[3]:
-        rule = TYPES[found[3]]
-    else:
-        rule = drawn_rule(int(found[2])) if found[1] == "drawn" else RoundaboutRule(gap=float(found[2]))
-    return RoundaboutDriver(rule, action_type)
+# ``rule:enters_3`` is the balanced one with a gap of 3 s, ``rule:drawn_7`` the rule that is drawn for the number 7.
+make_rule = partial(
+    make_driver,
+    {
+        **{kind: partial(RoundaboutDriver, rule) for kind, rule in TYPES.items()},
+        "enters_NUMBER": lambda gap, action_type: RoundaboutDriver(RoundaboutRule(gap=gap), action_type),
+        "drawn_INTEGER": lambda number, action_type: RoundaboutDriver(drawn_rule(int(number)), action_type),
+    },
+)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.driving.intersection_rules import as_in_left_turn
-from algorithms.driving.left_turn_rules import GapRule, LeftTurner
+from algorithms.driving.left_turn_rules import GapDriver, GapRule
 from algorithms.driving.roundabout_rules import ROUNDABOUTS, RoundaboutDriver, RoundaboutRule
 from mo_deepdrive.world.action_sequences import idle
 from mo_deepdrive.world.actions import CONTINUOUS, action_names
@@ -33,12 +33,10 @@ STEERS, ACCELERATIONS = (-1.0, -0.3, 0.0, 0.3, 1.0), (0.25, 0.5, 1.0)  # of cont
 
 
 class Timed:
-    """Goes after a fixed time, whatever comes.
+    """Goes after a fixed time ``wait`` (s), whatever comes.
 
-    Args:
-        wait: seconds before it goes.
-        decision: seconds per decision.
-        drives: gives actions for observations and whether to go, else it waits.
+    ``drives`` gives actions for observations (N, o) or (N, V, o) and whether to go, else it waits; ``decision`` is the
+    time (s) of one.
     """
 
     def __init__(self, wait: float, decision: float, drives: Callable[[NDArray[Any], bool], NDArray[Any]]):
@@ -52,74 +50,55 @@ class Timed:
         return self._drives(observations, self._past >= self._decisions)
 
 
-class BlindTurner:
-    """Turns left along the lanes, and sees nobody on them.
+def blind_turner(action_type: str, *, others: bool) -> Callable[[NDArray[Any], bool], NDArray[Any]]:
+    """Turns left along the lanes and sees nobody on them, alone or as one of two vehicles."""
+    driver = GapDriver(GapRule(gap=0.0), action_type)
 
-    Args:
-        action_type: "discrete", "discrete-16" or "continuous".
-        others: whether it is one of two vehicles, whose observations have a second axis.
-    """
-
-    def __init__(self, action_type: str, *, others: bool):
-        self._turner = LeftTurner(GapRule(gap=0.0), action_type)
-        self._others = others
-
-    def __call__(self, observations: NDArray[Any], goes: bool) -> NDArray[Any]:
-        """Actions for observations (N, o) or (N, V, o)."""
+    def drives(observations: NDArray[Any], goes: bool) -> NDArray[Any]:
         seen = np.asarray(observations, dtype=np.float64)
-        if self._others:
-            seen = as_in_left_turn(seen[:, 0])
-        actions = self._turner.actions(seen, np.full(len(seen), goes))
-        return np.stack([actions] * 2, axis=1) if self._others else actions
+        seen = as_in_left_turn(seen[:, 0]) if others else seen
+        actions = driver.actions(seen, np.full(len(seen), goes))
+        return np.stack([actions] * 2, axis=1) if others else actions
+
+    return drives
 
 
-class BlindFollower:
-    """Follows its lane at a constant speed, and sees nobody on it.
+def blind_follower(speed: float, action_type: str) -> Callable[[NDArray[Any], bool], NDArray[Any]]:
+    """Follows its lane at a constant speed (m/s), and sees nobody on it."""
+    rule = RoundaboutRule(gap=0.0, approach_speed=speed, inside_speed=speed, exit_speed=speed)
+    driver, waiting = RoundaboutDriver(rule, action_type, blind=True), idle(action_type)
 
-    Args:
-        speed: in m/s.
-        action_type: "discrete", "discrete-16" or "continuous".
-    """
-
-    def __init__(self, speed: float, action_type: str):
-        rule = RoundaboutRule(gap=0.0, approach_speed=speed, inside_speed=speed, exit_speed=speed)
-        self._driver = RoundaboutDriver(rule, action_type, blind=True)
-        self._idle = idle(action_type)
-
-    def __call__(self, observations: NDArray[Any], goes: bool) -> NDArray[Any]:
-        """Actions for observations (N, o) or (N, V, o)."""
+    def drives(observations: NDArray[Any], goes: bool) -> NDArray[Any]:
         if goes:
-            return self._driver(observations)
-        return np.broadcast_to(self._idle, (*observations.shape[:-1], *self._idle.shape)).copy()
+            return driver(observations)
+        return np.broadcast_to(waiting, (*observations.shape[:-1], *waiting.shape)).copy()
+
+    return drives
 
 
 def unskilled_policies(config: EnvConfig) -> dict[str, Function]:
-    """The policies by name, as functions for :func:`mo_deepdrive.evaluation.evaluate`.
-
-    Args:
-        config: of the environment.
-    """
-    scenario = config.scenario_data
+    """The policies of an environment by name, as functions for :func:`mo_deepdrive.evaluation.evaluate`."""
+    scenario, action_type = config.scenario_data, config.action_type
     axes = (scenario.vehicles,) if scenario.vehicles > 1 else ()
     found: dict[str, Function] = {
-        "stands still": _holding(idle(config.action_type), axes),
-        "acts at random": partial(_random, np.random.default_rng(0), config.action_type, axes),
+        "stands still": _holding(idle(action_type), axes),
+        "acts at random": partial(_random, np.random.default_rng(0), action_type, axes),
     }
-    if config.action_type == CONTINUOUS:
+    if action_type == CONTINUOUS:
         for steer in STEERS:
             for acceleration in ACCELERATIONS:
                 action = np.array([steer, acceleration, -1.0], dtype=np.float32)
                 found[f"holds steer {steer:g}, acceleration {acceleration:g}"] = _holding(action, axes)
     else:
-        names = action_names(config.action_type)
+        names = action_names(action_type)
         found |= {f"holds '{name}'": _holding(np.array(i), axes) for i, name in enumerate(names) if i}
     decision = 1.0 / config.decision_frequency
     if scenario.lanes:
-        turner = BlindTurner(config.action_type, others=scenario.vehicles > 1)
+        turner = blind_turner(action_type, others=scenario.vehicles > 1)
         found |= {_timed(wait): Timed(wait, decision, turner) for wait in WAITS}
     if scenario.name in ROUNDABOUTS:
         for speed in SPEEDS:
-            follower = BlindFollower(speed, config.action_type)
+            follower = blind_follower(speed, action_type)
             found |= {f"{_timed(wait)} at {speed:g} m/s": Timed(wait, decision, follower) for wait in LONG_WAITS}
     return found
 

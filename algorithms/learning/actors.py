@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from algorithms.learning.networks import make_network
 from mo_deepdrive.support.faults import NotFinite
@@ -27,15 +27,8 @@ LOWEST_LOG_STD, HIGHEST_LOG_STD = -5.0, 1.0  # where it depends on the state
 LOG_STD_GAIN = 0.3
 
 
-def check_outputs(outputs: torch.Tensor) -> None:
-    """Refuse outputs of a policy's network from which no action can be chosen.
-
-    Args:
-        outputs: (N, ...) of N environments.
-
-    Raises:
-        NotFinite: naming the environment.
-    """
+def check_outputs(outputs: Tensor) -> None:
+    """Refuse outputs (N, ...) of a policy's network that are not finite, naming the environment."""
     wrong = ~outputs.isfinite()
     if wrong.any():
         environment = int(wrong.nonzero()[0, 0])
@@ -44,26 +37,11 @@ def check_outputs(outputs: torch.Tensor) -> None:
         )
 
 
-def softmax_log_prob_and_entropy(logits: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Log p_a and the entropy of p = softmax(z), each (...), for logits z (..., n) and actions a (...)."""
-    log_p = logits.log_softmax(-1)
-    return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), -(log_p.exp() * log_p).sum(-1)
-
-
-def gaussian_log_density_and_entropy(
-    mean: torch.Tensor, log_std: torch.Tensor, actions: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Log N(a; m, sigma) and the entropy, each (...), for m and a (..., k) and log sigma (..., k) or (k,)."""
-    z = (actions - mean) / log_std.exp()
-    log_density = (-0.5 * z.square() - log_std - 0.5 * LOG_TWO_PI).sum(-1)
-    return log_density, (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1).expand_as(log_density)
-
-
 class Actor(nn.Module, ABC):
     """A policy; calling it gives the log-probability of actions and its entropy.
 
     Args:
-        body: network from (..., inputs) to the parameters of the distribution.
+        body: network from (..., inputs) to the parameters (..., n) of the distribution, its outputs.
         noise: how many random numbers :meth:`choose` takes for an action.
     """
 
@@ -75,28 +53,28 @@ class Actor(nn.Module, ABC):
         self.noise = noise
 
     @abstractmethod
-    def draw(self, noise: torch.Tensor, generator: torch.Generator) -> None:
+    def draw(self, noise: Tensor, generator: torch.Generator) -> None:
         """Fill ``noise`` (..., noise) with the random numbers of :meth:`choose`."""
 
     @abstractmethod
-    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
-        """Actions (...) or (..., k) for outputs (..., n) of the body and random numbers (..., noise)."""
+    def choose(self, outputs: Tensor, noise: Tensor) -> Tensor:
+        """Actions (...) or (..., k) for outputs and random numbers (..., noise)."""
 
     @abstractmethod
-    def best(self, outputs: torch.Tensor) -> torch.Tensor:
-        """The most probable actions (...) or (..., k) for outputs (..., n) of the body."""
+    def best(self, outputs: Tensor) -> Tensor:
+        """The most probable actions (...) or (..., k)."""
 
     @abstractmethod
-    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Log-probability of ``actions`` and entropy, each (...), for outputs (..., n) of the body."""
+    def evaluate(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Log-probability of ``actions`` and entropy, each (...)."""
 
-    def act(self, x: torch.Tensor, generator: torch.Generator | None) -> torch.Tensor:
+    def act(self, x: Tensor, generator: torch.Generator | None) -> Tensor:
         """One action per row of x (N, ..., inputs): the most probable one without a generator.
 
         Raises:
             NotFinite: naming the environment, for outputs of the network that are not finite.
         """
-        outputs: torch.Tensor = self.body(x)
+        outputs: Tensor = self.body(x)
         check_outputs(outputs)
         if generator is None:
             return self.best(outputs)
@@ -104,37 +82,34 @@ class Actor(nn.Module, ABC):
         self.draw(noise, generator)
         return self.choose(outputs, noise)
 
-    def forward(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Log-probability of ``actions`` and entropy of the policy, each (...)."""
+    def forward(self, x: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """:meth:`evaluate` for inputs x (..., inputs)."""
         return self.evaluate(self.body(x), actions)
 
 
 class CategoricalActor(Actor):
-    """Softmax policy over n discrete actions; actions are int64 tensors of shape (...).
-
-    Args:
-        body: network from (..., inputs) to n logits.
-    """
+    """Softmax policy over n discrete actions, whose logits are the outputs; actions are int64 tensors (...)."""
 
     def __init__(self, body: nn.Module):
         super().__init__(body, noise=1)
 
-    def draw(self, noise: torch.Tensor, generator: torch.Generator) -> None:
+    def draw(self, noise: Tensor, generator: torch.Generator) -> None:
         """Uniform in [0, 1)."""
         noise.uniform_(generator=generator)
 
-    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    def choose(self, outputs: Tensor, noise: Tensor) -> Tensor:
         """By inversion: the first action whose cumulative probability is above a uniform number."""
         cumulative = outputs.softmax(-1).cumsum(-1)
         return (cumulative[..., :-1] <= noise * cumulative[..., -1:]).sum(-1)
 
-    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+    def best(self, outputs: Tensor) -> Tensor:
         """The action of the largest logit."""
         return outputs.argmax(-1)
 
-    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """As :func:`softmax_log_prob_and_entropy`."""
-        return softmax_log_prob_and_entropy(outputs, actions)
+    def evaluate(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Log p_a, and the entropy of p = softmax(z)."""
+        log_p = outputs.log_softmax(-1)
+        return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), -(log_p.exp() * log_p).sum(-1)
 
 
 class _Gaussian(Actor):
@@ -144,58 +119,52 @@ class _Gaussian(Actor):
     """
 
     @abstractmethod
-    def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def mean_and_log_std(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """Means (..., k) and log standard deviations (..., k) or (k,) that outputs (..., n) stand for."""
 
-    def draw(self, noise: torch.Tensor, generator: torch.Generator) -> None:
+    def draw(self, noise: Tensor, generator: torch.Generator) -> None:
         """Standard normal."""
         noise.normal_(generator=generator)
 
-    def choose(self, outputs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    def choose(self, outputs: Tensor, noise: Tensor) -> Tensor:
         """M + sigma x."""
         mean, log_std = self.mean_and_log_std(outputs)
         return mean + log_std.exp() * noise
 
-    def best(self, outputs: torch.Tensor) -> torch.Tensor:
+    def best(self, outputs: Tensor) -> Tensor:
         """The mean."""
         return self.mean_and_log_std(outputs)[0]
 
-    def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """As :func:`gaussian_log_density_and_entropy`."""
-        return gaussian_log_density_and_entropy(*self.mean_and_log_std(outputs), actions)
+    def evaluate(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Log N(a; m, sigma), and its entropy."""
+        mean, log_std = self.mean_and_log_std(outputs)
+        z = (actions - mean) / log_std.exp()
+        log_density = (-0.5 * z.square() - log_std - 0.5 * LOG_TWO_PI).sum(-1)
+        return log_density, (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1).expand_as(log_density)
 
 
 class GaussianActor(_Gaussian):
-    """Gaussian policy with one log standard deviation per axis.
-
-    Args:
-        body: network from (..., inputs) to the means of the actions.
-        actions: k.
-    """
+    """Gaussian policy over k axes: the outputs are the means, and each axis has one log standard deviation."""
 
     def __init__(self, body: nn.Module, actions: int):
         super().__init__(body, noise=actions)
         self.log_std = nn.Parameter(torch.full((actions,), INITIAL_LOG_STD))
 
-    def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def mean_and_log_std(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """The outputs, and a parameter."""
         return outputs, self.log_std
 
 
 class StateGaussianActor(_Gaussian):
-    """Gaussian policy whose standard deviation, too, depends on the state.
+    """Gaussian policy over k axes whose standard deviation, too, depends on the state.
 
     What explores in one state, or under one preference, can be certain in another.
-
-    Args:
-        body: network from (..., inputs) to k means, then k numbers of which the deviations are made.
-        actions: k.
     """
 
     def __init__(self, body: nn.Module, actions: int):
         super().__init__(body, noise=actions)
 
-    def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def mean_and_log_std(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """Both halves of the outputs (..., 2 k)."""
         mean, log_std = outputs.split(self.noise, dim=-1)
         return mean, (LOG_STD_GAIN * log_std + INITIAL_LOG_STD).clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD)
@@ -206,13 +175,11 @@ def make_actor(
 ) -> Actor:
     """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many.
 
-    With ``config.state_dependent_std`` the network has two outputs per axis.
-
     Raises:
         ValueError: as :func:`algorithms.learning.networks.make_network`.
     """
-    outputs = 2 * actions if continuous and config.state_dependent_std else actions
-    body = make_network(config, inputs, outputs, generator, output_gain=0.01)
+    of_state = continuous and config.state_dependent_std
+    body = make_network(config, inputs, 2 * actions if of_state else actions, generator, output_gain=0.01)
     if not continuous:
         return CategoricalActor(body)
-    return StateGaussianActor(body, actions) if config.state_dependent_std else GaussianActor(body, actions)
+    return StateGaussianActor(body, actions) if of_state else GaussianActor(body, actions)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from mo_deepdrive.support.faults import NotFinite
 
@@ -12,16 +13,13 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
-def generalised_advantages(deltas: torch.Tensor, ended: torch.Tensor, decay: float) -> torch.Tensor:
+def generalised_advantages(deltas: Tensor, ended: Tensor, decay: float) -> Tensor:
     """A_t = delta_t + decay A_{t+1}, or delta_t where the episode ends at t (Schulman et al. 2016, eq. 16).
 
     Args:
         deltas: (T, ...) temporal differences, without a gradient.
         ended: (T, ...) whether the episode ends at t, by termination or truncation; the last axis may be 1.
         decay: gamma * lambda, or lambda where the differences are discounted already.
-
-    Returns:
-        (T, ...) advantages.
     """
     decays = decay * (~ended).to(deltas.dtype)
     advantages = [deltas[-1]]
@@ -30,22 +28,17 @@ def generalised_advantages(deltas: torch.Tensor, ended: torch.Tensor, decay: flo
     return torch.stack(advantages[::-1])
 
 
-def bootstrapped(
-    following: torch.Tensor, final_values: torch.Tensor, terminated: torch.Tensor, truncated: torch.Tensor
-) -> torch.Tensor:
+def bootstrapped(following: Tensor, final_values: Tensor, terminated: Tensor, truncated: Tensor) -> Tensor:
     """v(S_{t+1}) (T, ..., K): 0 after termination, the value of the true final state after truncation.
 
-    Args:
-        following: (T, ..., K) v of the states in which decisions 1 to T were taken.
-        final_values: (T, ..., K) v of the states after each step; read where ``truncated``.
-        terminated: (T, ...).
-        truncated: (T, ...).
+    ``following`` (T, ..., K) is v of the states in which decisions 1 to T were taken, and ``final_values`` that of the
+    states after each step, which is read where ``truncated`` (T, ...).
     """
     values = torch.where(truncated.unsqueeze(-1), final_values, following)
     return values.masked_fill(terminated.unsqueeze(-1), 0.0)
 
 
-def normalise(advantages: torch.Tensor, weights: torch.Tensor | None) -> torch.Tensor:
+def normalise(advantages: Tensor, weights: Tensor | None) -> Tensor:
     """``advantages`` with mean 0 and standard deviation 1 under ``weights`` of their shape; None weighs all alike."""
     if weights is None:
         return (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
@@ -55,18 +48,14 @@ def normalise(advantages: torch.Tensor, weights: torch.Tensor | None) -> torch.T
     return (advantages - mean) / (deviation + 1e-8)
 
 
-def utility_gradient(utility: Utility, expected_return: torch.Tensor) -> torch.Tensor:
+def utility_gradient(utility: Utility, expected_return: Tensor) -> Tensor:
     """Gradient of the utility at the expected return (d,): the weights (d,) of the objectives under SER."""
-    gradient: torch.Tensor = torch.func.grad(utility.unchecked())(expected_return)
+    gradient: Tensor = torch.func.grad(utility.unchecked())(expected_return)
     return gradient
 
 
-def check_utility_gradient(utility: Utility, expected_return: torch.Tensor) -> None:
-    """Refuse a utility whose gradient at the expected return (d,) is not finite, as that of a root at 0.
-
-    Raises:
-        NotFinite: naming both.
-    """
+def check_utility_gradient(utility: Utility, expected_return: Tensor) -> None:
+    """Refuse a utility whose gradient at the expected return (d,) is not finite, as that of a root at 0."""
     gradient = utility_gradient(utility, expected_return)
     if not gradient.isfinite().all():
         at = dict(zip(utility.objectives, expected_return.tolist(), strict=True))

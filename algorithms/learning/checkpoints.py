@@ -15,7 +15,7 @@ from mo_deepdrive.support.faults import NotFinite
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import torch
+    from torch import Tensor
 
 FORMAT = 1
 POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the policy alone
@@ -23,26 +23,18 @@ PARTNERS = "partners"  # entry of the identity: what identifies the drivers of v
 GUIDES = "guides"  # entry of the identity: what identifies the guides of vehicles that learn, and when they drive
 # Entries of the identity: environment steps taken, updates, and the seed of the run.
 STEP, UPDATES, SEED = "step", "updates", "seed"
-OBJECTIVE_SCALES, ACCRUED_GAMMA = "objective_scales", "accrued_gamma"  # entries: what observed returns are in units of
-SHARED = "share_policy"  # entry: whether one policy drives all vehicles
-RHO, PRICE = "rho", "price"  # entries: of Chebyshev and budgeted utilities
 RESIDENT = "resident"  # entry: whether the worlds were on the device
 
 
-def strip_prefix(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+def strip_prefix(state: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     """The entries whose names start with ``prefix``, without it."""
     return {name.removeprefix(prefix): tensor for name, tensor in state.items() if name.startswith(prefix)}
 
 
-def write_checkpoint(path: str | Path, tensors: Mapping[str, torch.Tensor], identity: Mapping[str, Any]) -> None:
-    """Write named tensors and the identity of their agent, atomically.
-
-    Raises:
-        NotFinite: naming the first tensor that is not finite; the file is as it was.
-    """
-    for name, tensor in tensors.items():
-        if (wrong := _not_finite(tensor)) is not None:
-            raise NotFinite(f"a checkpoint would have {name!r} with {wrong}; every number must be finite")
+def write_checkpoint(path: str | Path, tensors: Mapping[str, Tensor], identity: Mapping[str, Any]) -> None:
+    """Write named tensors and the identity of their agent, atomically; none if a number is not finite."""
+    if wrong := _not_finite(tensors):
+        raise NotFinite(f"a checkpoint would have {wrong}; every number must be finite")
     plain = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     metadata = {"checkpoint": json.dumps({"format": FORMAT, **identity})}
     atomic_write(Path(path), to_safetensors(plain, metadata=metadata))
@@ -50,7 +42,7 @@ def write_checkpoint(path: str | Path, tensors: Mapping[str, torch.Tensor], iden
 
 def read_checkpoint(
     path: str | Path, identity: Mapping[str, Any], may_differ: tuple[str, ...] = (), *, whole: bool = False
-) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The tensors of a checkpoint and the identity of the agent that wrote it.
 
     Args:
@@ -58,10 +50,6 @@ def read_checkpoint(
         identity: of the agent that reads; every entry must equal that in the file.
         may_differ: entries that need not be equal.
         whole: refuse a file that holds the policy alone.
-
-    Raises:
-        ValueError: if the file is missing or broken, its identity differs, it holds the policy alone, or a number is
-            not finite.
     """
     try:
         with safe_open(path, framework="pt") as file:
@@ -77,25 +65,20 @@ def read_checkpoint(
     for key, value in {"format": FORMAT, **identity}.items():
         if key not in may_differ and found.get(key) != value:
             raise ValueError(f"checkpoint {path} has {key} = {found.get(key)!r}; this agent has {value!r}")
-    for name, tensor in tensors.items():
-        if (wrong := _not_finite(tensor)) is not None:
-            raise ValueError(f"checkpoint {path} has {name!r} with {wrong}; every number must be finite")
+    if wrong := _not_finite(tensors):
+        raise ValueError(f"checkpoint {path} has {wrong}; every number must be finite")
     return tensors, found
-
-
-def _has_part(name: str, parts: tuple[str, ...]) -> bool:
-    return any(part in name for part in parts)
 
 
 def check_tensors(
     path: str | Path,
-    tensors: Mapping[str, torch.Tensor],
-    expected: Mapping[str, torch.Tensor],
+    tensors: Mapping[str, Tensor],
+    expected: Mapping[str, Tensor],
     varying: tuple[str, ...] = (),
     *,
     whole: bool,
-) -> dict[str, torch.Tensor]:
-    """Check the names, shapes and types of the tensors of a checkpoint.
+) -> dict[str, Tensor]:
+    """The tensors of a checkpoint that are expected, whose shapes and types must be, or whose names vary.
 
     Args:
         path: the file, for messages.
@@ -103,15 +86,13 @@ def check_tensors(
         expected: those of the agent that reads.
         varying: parts of the names of tensors whose shapes and types are not checked.
         whole: refuse tensors that are not expected.
-
-    Returns:
-        The tensors that are expected or not checked.
-
-    Raises:
-        ValueError: naming the tensor, what it is and what it must be.
     """
+
+    def varies(name: str) -> bool:
+        return any(part in name for part in varying)
+
     for name, tensor in expected.items():
-        if _has_part(name, varying):
+        if varies(name):
             continue
         stored = tuple(tensors[name].shape) if name in tensors else None
         if stored != tuple(tensor.shape):
@@ -122,15 +103,16 @@ def check_tensors(
             raise ValueError(
                 f"checkpoint {path} has {name!r} of {tensors[name].dtype}; this agent needs {tensor.dtype}"
             )
-    known = {name: tensor for name, tensor in tensors.items() if name in expected or _has_part(name, varying)}
+    known = {name: tensor for name, tensor in tensors.items() if name in expected or varies(name)}
     if whole and len(known) < len(tensors):
         unknown = min(tensors.keys() - known.keys())
         raise ValueError(f"checkpoint {path} has {unknown!r}, which this agent does not know")
     return known
 
 
-def _not_finite(tensor: torch.Tensor) -> float | None:
-    """The first number of a tensor that is not finite; None if all are."""
-    if not tensor.is_floating_point() or bool(tensor.isfinite().all()):
-        return None
-    return float(tensor[~tensor.isfinite()][0])
+def _not_finite(tensors: Mapping[str, Tensor]) -> str:
+    """The first tensor that is not finite, with the first such number; nothing if all are."""
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point() and not tensor.isfinite().all():
+            return f"{name!r} with {float(tensor[~tensor.isfinite()][0])}"
+    return ""

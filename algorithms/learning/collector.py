@@ -1,45 +1,141 @@
-"""The collection loop of all actor-critics: T steps of the worlds of all seeds, as one rollout."""
+"""The collection loop of all actor-critics: T steps of the worlds of all seeds, as one rollout.
+
+The worlds of S seeds, N for each, are tensors (S, N, V, ...): a vector environment, or worlds on a device.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from algorithms.learning.checkpoints import strip_prefix
 from algorithms.learning.storage import EpisodeSums, RolloutStorage
 from mo_deepdrive.evaluation.policy import AccruedReward
+from mo_deepdrive.simulation.philox import STREAM
+from mo_deepdrive.simulation.state import ARRIVED
 from mo_deepdrive.support.faults import LARGEST, check_vehicles
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from algorithms.learning.preferences import TrainingPreferences
-    from algorithms.learning.worlds import DeviceWorlds, EnvWorlds, WorldStep
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+    from mo_deepdrive.world.config import EnvConfig
 
 WORLDS = "worlds."  # prefix of their part of a state
 
 
+class WorldStep(NamedTuple):
+    """One step of all worlds, (S, N, V, ...), overwritten by the next."""
+
+    observations: Tensor  # (..., o) for the next action; where an episode ended, the first of the next one
+    final: Tensor  # (..., o) after the step; where an episode ended, its last
+    rewards: Tensor  # (..., d)
+    terminated: Tensor  # whether the vehicle's episode ended in this step
+    truncated: Tensor
+    acted: Tensor  # False where the vehicle had finished already
+    succeeded: Tensor  # whether an episode that ended in this step reached its goal
+
+
+class EnvWorlds:
+    """The worlds of one seed: a vector environment on the CPU, of which the i-th is seeded with ``seed + i``."""
+
+    def __init__(self, env: EnvAdapter, seed: int):
+        self._env, self._seed = env, seed
+
+    def reset(self) -> Tensor:
+        """Begin the first episodes; observations (1, N, V, o)."""
+        return torch.from_numpy(self._env.reset(self._seed)).unsqueeze(0)
+
+    def step(self, actions: Tensor) -> WorldStep:
+        """Act: indices (1, N, V), or (1, N, V, k) with each axis in [-1, 1], to which it is clipped."""
+        step = self._env.step(actions[0].numpy())
+        taken = (step.observations, step.final, step.rewards, step.terminated, step.truncated, step.acted)
+        return WorldStep(*(torch.from_numpy(np.asarray(each)).unsqueeze(0) for each in (*taken, step.succeeded)))
+
+    def check(self) -> dict[int, str]:
+        """Nothing: a step refuses what it cannot do."""
+        return {}
+
+    def get_state(self, seed: int) -> dict[str, Tensor]:
+        """What continues, as named tensors; empty for other libraries' environments, which cannot be saved."""
+        del seed
+        return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in self._env.get_state().items()}
+
+    def set_state(self, states: Sequence[Mapping[str, Tensor]], step: int) -> Tensor | None:
+        """Resume after ``step`` steps; observations (1, N, V, o) if new episodes had to begin, else None."""
+        if not self._env.native:
+            # They begin new episodes, with different seeds.
+            return torch.from_numpy(self._env.reset(self._seed + step)).unsqueeze(0)
+        self._env.set_state({name: tensor.numpy() for name, tensor in states[0].items()})
+        return None
+
+
+class DeviceWorlds:
+    """N worlds for each of S seeds, on one device; the episodes of a seed are the same whatever the others are."""
+
+    def __init__(self, config: EnvConfig, seeds: Sequence[int], num_envs: int, device: torch.device):
+        from mo_deepdrive.device.worlds import TensorWorlds  # not earlier: few trainings need it
+
+        self._seeds, self._num_envs = list(seeds), num_envs
+        self._worlds = TensorWorlds(config, len(seeds) * num_envs, device)
+
+    def reset(self) -> Tensor:
+        """Begin the first episodes; observations (S, N, V, o)."""
+        count = len(self._seeds)
+        self._worlds.begin(np.repeat(self._seeds, self._num_envs), np.tile(np.arange(self._num_envs), count))
+        return self._by_seed(self._worlds.observations)
+
+    def step(self, actions: Tensor) -> WorldStep:
+        """Act: indices (S, N, V), or (S, N, V, k) with each axis in [-1, 1], to which it is clipped."""
+        worlds = self._worlds
+        worlds.step(actions.flatten(0, 1))
+        # A vehicle keeps its flags until the reset; here they mark the step of the end.
+        terminated, truncated = worlds.terminated & worlds.acted, worlds.truncated & worlds.acted
+        succeeded = (terminated | truncated) & (worlds.ends == ARRIVED)
+        taken = (worlds.observations, worlds.final_observations, worlds.rewards, terminated, truncated, worlds.acted)
+        return WorldStep(*map(self._by_seed, (*taken, succeeded)))
+
+    def check(self) -> dict[int, str]:
+        """Wait for the device; what a step could not do, by the index of the seed."""
+        fault = int(self._worlds.fault.item())
+        try:
+            self._worlds.check(fault)
+        except ValueError as error:
+            return {fault // 4 // self._num_envs: str(error)}
+        return {}
+
+    def _by_seed(self, tensor: Tensor) -> Tensor:
+        return tensor.view(len(self._seeds), self._num_envs, *tensor.shape[1:])
+
+    def get_state(self, seed: int) -> dict[str, Tensor]:
+        """What continues of the worlds of the seed with this index, as named tensors of bytes."""
+        first, last = seed * self._num_envs, (seed + 1) * self._num_envs
+        arrays = {"state": self._worlds.read_states(), "streams": self._worlds.read_streams()}
+        return {name: torch.from_numpy(each[first:last, ..., None].view(np.uint8)) for name, each in arrays.items()}
+
+    def set_state(self, states: Sequence[Mapping[str, Tensor]], step: int) -> Tensor | None:
+        """Resume from the states of all seeds."""
+        del step
+        state, streams = (np.concatenate([each[name].numpy() for each in states]) for name in ("state", "streams"))
+        self._worlds.write_states(state.view(self._worlds.read_states().dtype)[..., 0])
+        self._worlds.write_streams(streams.view(STREAM)[..., 0])
+        return None
+
+
 class Running(NamedTuple):
-    """The running episodes of S seeds; the collector changes them in place.
+    """The running episodes of S seeds, (S, N, V, ...); the collector changes them in place."""
 
-    Attributes:
-        observations: (S, N, V, o).
-        accrued: (S, N, V, d) R_t.
-        discounts: (S, N, V) g^t.
-        returns: (S, N, V, d) undiscounted.
-        lengths: (S, N, V) decisions.
-    """
-
-    observations: torch.Tensor
-    accrued: torch.Tensor
-    discounts: torch.Tensor
-    returns: torch.Tensor
-    lengths: torch.Tensor
+    observations: Tensor  # (..., o)
+    accrued: Tensor  # (..., d) R_t
+    discounts: Tensor  # g^t
+    returns: Tensor  # (..., d) undiscounted
+    lengths: Tensor  # decisions
 
     def arrays(self, seed: int) -> tuple[NDArray[np.float32], AccruedReward]:
         """Observations (N, V, o) and the past of a seed, for drivers that take arrays."""
@@ -47,40 +143,19 @@ class Running(NamedTuple):
         return observations, AccruedReward(value, discounts, decisions)
 
 
-class Decides(Protocol):
-    """What drives in a rollout."""
-
-    @property
-    def input_size(self) -> int:
-        """I."""
-
-    @property
-    def output_size(self) -> int:
-        """N of the actors' networks."""
-
-    def inputs(
-        self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, preference: Any
-    ) -> torch.Tensor:
-        """What actors see (S, N, V, i), scaled."""
-
-    def decide(self, t: int, at: RolloutStorage, now: Running) -> None:
-        """Write ``actions`` of step t into its place in the rollout, and there ``outputs`` and ``led``."""
-
-
 class Collector:
     """Steps worlds and keeps what continues from one rollout to the next: observations and running episodes.
 
     Args:
-        policy: what drives.
+        policy: an :class:`algorithms.actor_critic.ActorCritic`, of which ``inputs`` gives what actors see, and
+            ``decide`` writes actions, outputs and who is led into their place in the rollout.
         env: one with the shapes of the worlds.
         worlds: of S seeds.
         shape: S, T (the length of a rollout) and N.
+        outputs: of an actor's network.
         sums: to which the episodes are added that end.
-        preferences: under which vehicles act; None if there are none.
 
     Attributes:
-        storage: the rollout.
-        now: the running episodes.
         accrued_discounts: (V,) g, discount of the accrued rewards.
         shares: (V, d) by which rewards are multiplied before they are accrued and learnt from; the returns of episodes
             are the environment's.
@@ -89,10 +164,11 @@ class Collector:
 
     def __init__(
         self,
-        policy: Decides,
+        policy: Any,
         env: EnvAdapter,
         worlds: EnvWorlds | DeviceWorlds,
         shape: tuple[int, int, int],
+        outputs: int,
         sums: EpisodeSums,
         preferences: TrainingPreferences | None = None,
         *,
@@ -104,7 +180,7 @@ class Collector:
         self.sums, self.preferences, self.static = sums, preferences, static
         device = sums.totals.device
 
-        def zeros(*sizes: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        def zeros(*sizes: int, dtype: torch.dtype = torch.float32) -> Tensor:
             return torch.zeros(sizes, dtype=dtype, device=device)
 
         step, longer, flags = (seeds, steps, num_envs, v), (seeds, steps + 1, num_envs, v), {"dtype": torch.bool}
@@ -123,7 +199,7 @@ class Collector:
             ended_values=zeros(*step, d),
             ended_sums=zeros(*step, 2 + d, dtype=torch.float64),
             led=zeros(*step, **flags),
-            outputs=zeros(*step, policy.output_size),
+            outputs=zeros(*step, outputs),
         )
         self._steps = [self.storage.at(t) for t in range(steps)]
         self._final = zeros(*step, o)  # observations after each step
@@ -146,11 +222,7 @@ class Collector:
             each.zero_()
 
     def collect(self) -> None:
-        """Run all worlds for T steps.
-
-        Raises:
-            NotFinite: for rewards or observations of environments on the CPU that are not finite.
-        """
+        """Run all worlds for T steps; numbers of environments on the CPU that are not finite are refused."""
         # Of the many small operations on a CPU, the inference mode makes each one shorter.
         with torch.no_grad() if self.static else torch.inference_mode():
             self._collect()
@@ -205,28 +277,20 @@ class Collector:
             now.lengths.masked_fill_(begins, 0)
 
     def check(self, seed: int) -> None:
-        """Refuse a rollout of the seed with this index whose rewards or their accrued sums are not finite.
-
-        Raises:
-            NotFinite: naming the environment, the vehicle and the objective.
-        """
+        """Refuse a rollout of the seed with this index whose rewards or their accrued sums are not finite."""
         for what, values in (("reward", self.storage.rewards[seed]), ("accrued reward", self.storage.accrued[seed])):
             if not (values.abs() <= LARGEST).all():
                 check_vehicles(what, values.cpu().numpy(), self.env.name, self.env.objectives)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
-    def get_state(self, seed: int) -> dict[str, torch.Tensor]:
+    def get_state(self, seed: int) -> dict[str, Tensor]:
         """What continues from one rollout to the next of the seed with this index, the worlds included."""
         state = {name: tensor[seed] for name, tensor in self.now._asdict().items()}
         return state | {f"{WORLDS}{name}": each for name, each in self.worlds.get_state(seed).items()}
 
-    def set_state(self, states: Sequence[Mapping[str, torch.Tensor]], step: int) -> None:
-        """Resume from the states of all seeds after ``step`` steps of each.
-
-        Raises:
-            ValueError: for what no world can have.
-        """
+    def set_state(self, states: Sequence[Mapping[str, Tensor]], step: int) -> None:
+        """Resume from the states of all seeds after ``step`` steps of each."""
         for seed, state in enumerate(states):
             for name, tensor in self.now._asdict().items():
                 tensor[seed] = state[name]

@@ -9,6 +9,7 @@ from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
+from torch import Tensor
 from torch.utils import _pytree as pytree
 
 if TYPE_CHECKING:
@@ -29,16 +30,8 @@ def has_compiler(device: str) -> bool:
 
 
 @contextmanager
-def pure(what: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
-    """Refuse that tensors are changed in place.
-
-    Args:
-        what: is calculated.
-        tensors: by name.
-
-    Raises:
-        ValueError: naming the tensor.
-    """
+def pure(what: str, tensors: Mapping[str, Tensor]) -> Iterator[None]:
+    """Refuse that tensors are changed in place where something is calculated."""
     versions = [each._version for each in tensors.values()]
     yield
     for (name, each), version in zip(tensors.items(), versions, strict=True):
@@ -52,11 +45,8 @@ class Compiled:
     """A function of trees of tensors, compiled at its first call with arguments of these shapes.
 
     It is traced with all that autograd does, of which the compiler then sees nothing but operations. What is no tensor,
-    and tensors that are no arguments, stay what they were when it was traced; tensors in its results are new.
-
-    Args:
-        function: gives a tree of tensors, and may change its arguments in place.
-        enabled: whether it is compiled; else it is called as it is. "auto" calls it as it is, too, if it cannot be.
+    and tensors that are no arguments, stay what they were when it was traced; tensors in its results are new, and its
+    arguments may be changed in place. It is called as it is unless ``enabled``, or with "auto" if compiling fails.
     """
 
     def __init__(self, function: Callable[..., Any], *, enabled: bool | Literal["auto"]):
@@ -65,11 +55,7 @@ class Compiled:
 
     @torch.no_grad()
     def __call__(self, *arguments: Any) -> Any:
-        """The function's result.
-
-        Raises:
-            ValueError: if it cannot be compiled.
-        """
+        """The function's result."""
         if not self._enabled:
             return self._function(*arguments)
         leaves, form = pytree.tree_flatten(arguments)
@@ -85,7 +71,7 @@ class Compiled:
         compiled, form = self._compiled[key]
         return pytree.tree_unflatten(compiled(*leaves), form)
 
-    def _compile(self, leaves: list[torch.Tensor], form: pytree.TreeSpec) -> tuple[Callable[..., Any], pytree.TreeSpec]:
+    def _compile(self, leaves: list[Tensor], form: pytree.TreeSpec) -> tuple[Callable[..., Any], pytree.TreeSpec]:
         # Not earlier: it takes a second.
         from torch._dynamo import lookup_backend
         from torch._subclasses.fake_tensor import FakeTensorMode
@@ -94,7 +80,7 @@ class Compiled:
 
         forms: list[pytree.TreeSpec] = []
 
-        def flat(*leaves: torch.Tensor) -> list[Any]:
+        def flat(*leaves: Tensor) -> list[Any]:
             found, form_of_found = pytree.tree_flatten(self._function(*pytree.tree_unflatten(leaves, form)))
             forms.append(form_of_found)
             return found
@@ -124,6 +110,6 @@ def origin(error: Exception) -> str:
     )
 
 
-def _copy(tensor: torch.Tensor) -> torch.Tensor:
+def _copy(tensor: Tensor) -> Tensor:
     """A tensor of the same strides, for operations depend on them."""
     return torch.empty_strided(tensor.shape, tensor.stride(), dtype=tensor.dtype, device=tensor.device).copy_(tensor)

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.func import functional_call, vmap
 from torch.utils._pytree import tree_map
 
@@ -51,13 +51,12 @@ class Learner:
     parameters are views of one matrix, so that a step of Adam is one operation.
 
     Args:
-        networks: of each seed, alike but for their parameters, on the device. Those of the first seed are moved into
-            the matrix, and remain its networks.
+        networks: of each seed, alike but for their parameters, on the device.
         max_grad_norm: to which the norm of a seed's gradient is clipped; infinite for no limit.
         name: in checkpoints.
 
     Attributes:
-        networks: of the first seed; for the others they lend their structure.
+        networks: of the first seed, in the matrix; for the others they lend their structure.
         vector: (S, P) the parameters.
         count: (S, 1) steps of Adam; the rest of its state is ``mean`` and ``mean_square``, as ``vector``.
         compiled, computes_compiled: whether gradient steps, and what :meth:`compute` computes, go through
@@ -90,26 +89,25 @@ class Learner:
         self._mapped: set[Any] = set()  # functions that have been called for several seeds
 
     @property
-    def state(self) -> tuple[torch.Tensor, ...]:
+    def state(self) -> tuple[Tensor, ...]:
         """What a gradient step changes: parameters, the means of Adam, and its numbers of steps."""
         return self.vector, self.mean, self.mean_square, self.count
 
-    def _views(self, vector: torch.Tensor) -> dict[str, torch.Tensor]:
+    def _views(self, vector: Tensor) -> dict[str, Tensor]:
         """The parameters by name, (...) of a vector (P,) or (S, ...) of a matrix."""
         parts = vector[..., : sum(self._sizes)].split(self._sizes, dim=-1)
         return {
             name: part.unflatten(-1, shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)
         }
 
-    def parameters(self, network: str) -> dict[str, torch.Tensor]:
+    def parameters(self, network: str) -> dict[str, Tensor]:
         """Those of one network of all seeds by name, (S, ...), as views."""
         return {name: each for name, each in self._views(self.vector).items() if name.startswith(f"{network}.")}
 
     def compute(self, function: Callable[..., Any], arguments: Any, *shared: Any) -> Any:
         """:meth:`call` with the parameters as they are, without a gradient."""
         if self.seeds == 1 and not self.computes_compiled:  # they are those of the networks
-            found = function(self.networks, tree_map(_only, arguments), *shared)
-            return tree_map(_with_axis, found)
+            return tree_map(_with_axis, function(self.networks, tree_map(_only, arguments), *shared))
         return self._function(self.call, function, self.computes_compiled)(self.vector, arguments, *shared)
 
     def _function(
@@ -120,23 +118,15 @@ class Learner:
             self._functions[key] = Compiled(partial(method, function), enabled=compiled)
         return self._functions[key]
 
-    def call(self, function: Callable[..., Any], vector: torch.Tensor, arguments: Any, *shared: Any) -> Any:
+    def call(self, function: Callable[..., Any], vector: Tensor, arguments: Any, *shared: Any) -> Any:
         """What ``function(networks, arguments, *shared)`` gives for every seed, a tree of tensors (S, ...).
 
-        Args:
-            function: of one seed, whose networks have its parameters.
-            vector: (S, P), as :attr:`vector`.
-            arguments: a tree of tensors (S, ...), of which every seed gets its part.
-            *shared: tensors that all seeds get.
-
-        Raises:
-            ValueError: at its first call, if there are several seeds and ``torch.func.vmap`` cannot call it.
+        The networks have a seed's row of ``vector`` (S, P), and its part of ``arguments``, a tree of tensors (S, ...).
         """
         parameters = self._views(vector)
         if self.seeds == 1:
-            own = tree_map(_only, (parameters, arguments))
-            found = functional_call(self.networks, own[0], (function, own[1], *shared))
-            return tree_map(_with_axis, found)
+            own, part = tree_map(_only, (parameters, arguments))
+            return tree_map(_with_axis, functional_call(self.networks, own, (function, part, *shared)))
         every = vmap(lambda own, part: functional_call(self.networks, own, (function, part, *shared)))
         try:
             found = every(parameters, arguments)
@@ -153,17 +143,17 @@ class Learner:
     def minimise(
         self,
         loss: Callable[..., Loss],
-        samples: Mapping[str, torch.Tensor],
-        rows: Sequence[torch.Tensor],
-        learning_rate: torch.Tensor,
-        *shared: torch.Tensor,
-    ) -> dict[str, torch.Tensor]:
+        samples: Mapping[str, Tensor],
+        rows: Sequence[Tensor],
+        learning_rate: Tensor,
+        *shared: Tensor,
+    ) -> dict[str, Tensor]:
         """One step of every seed down the gradient of its loss, whose norm is clipped.
 
         A seed whose gradient is 0, or not finite, stays where it is.
 
         Args:
-            loss: ``loss(networks, samples, *shared)`` of one seed.
+            loss: ``loss(networks, samples, *shared)`` of one seed, which must not change its samples in place.
             samples: by name, (S, M, ...).
             rows: [(S, m)] which of the samples the loss is of; empty for all.
             learning_rate: of Adam, a scalar.
@@ -171,23 +161,20 @@ class Learner:
 
         Returns:
             The parts of the loss and the norm of the gradient, (S,).
-
-        Raises:
-            ValueError: for a loss that changes its samples in place, or cannot be calculated for several seeds at once.
         """
         step = self._function(self._step, loss, self.compiled)
-        found: dict[str, torch.Tensor] = step(self.state, dict(samples), list(rows), learning_rate, *shared)
+        found: dict[str, Tensor] = step(self.state, dict(samples), list(rows), learning_rate, *shared)
         return found
 
     def _step(
         self,
         loss: Callable[..., Loss],
-        state: tuple[torch.Tensor, ...],
-        samples: dict[str, torch.Tensor],
-        rows: Sequence[torch.Tensor],
-        learning_rate: torch.Tensor,
-        *shared: torch.Tensor,
-    ) -> dict[str, torch.Tensor]:
+        state: tuple[Tensor, ...],
+        samples: dict[str, Tensor],
+        rows: Sequence[Tensor],
+        learning_rate: Tensor,
+        *shared: Tensor,
+    ) -> dict[str, Tensor]:
         vector, mean, mean_square, count = state
         for chosen in rows:
             samples = {name: self._at(each, chosen) for name, each in samples.items()}
@@ -209,7 +196,7 @@ class Learner:
         vector -= torch.where(moves, update, 0.0)
         return {**{name: part.detach() for name, part in parts.items()}, NORM: norms.squeeze(1)}
 
-    def _at(self, samples: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+    def _at(self, samples: Tensor, rows: Tensor) -> Tensor:
         """The samples (S, m, ...) of (S, M, ...) at ``rows`` (S, m)."""
         if self.seeds == 1:
             return samples[0].index_select(0, rows[0]).unsqueeze(0)
@@ -217,26 +204,26 @@ class Learner:
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
-    def get_state(self, seed: int = 0) -> dict[str, torch.Tensor]:
+    def get_state(self, seed: int = 0) -> dict[str, Tensor]:
         """Weights and the optimiser's state of the seed with this index, as named tensors."""
         size = sum(self._sizes)
         state = dict(self._views(self.vector[seed]))
-        state |= {f"{name}": each for name, each in self.networks.named_buffers()}
+        state |= dict(self.networks.named_buffers())
         adam = {"step": self.count[seed, 0], "exp_avg": self.mean[seed], "exp_avg_sq": self.mean_square[seed]}
         return state | {f"optimiser.{name}": each[:size] if each.dim() else each for name, each in adam.items()}
 
-    def set_state(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
+    def set_state(self, state: Mapping[str, Tensor], seed: int = 0) -> None:
         """Resume from :meth:`get_state`."""
         adam, size = strip_prefix(state, "optimiser."), sum(self._sizes)
         self.set_weights(state, seed)
         self.count[seed] = adam["step"]
         self.mean[seed, :size], self.mean_square[seed, :size] = adam["exp_avg"], adam["exp_avg_sq"]
 
-    def get_weights(self, network: str, seed: int = 0) -> dict[str, torch.Tensor]:
+    def get_weights(self, network: str, seed: int = 0) -> dict[str, Tensor]:
         """The part of :meth:`get_state` that one network consists of."""
         return {name: each for name, each in self.get_state(seed).items() if name.startswith(f"{network}.")}
 
-    def set_weights(self, state: Mapping[str, torch.Tensor], seed: int = 0) -> None:
+    def set_weights(self, state: Mapping[str, Tensor], seed: int = 0) -> None:
         """Take those weights that are in a state."""
         with torch.no_grad():
             for name, each in {**self._views(self.vector[seed]), **dict(self.networks.named_buffers())}.items():
@@ -249,25 +236,20 @@ class Learner:
             each[seed] = 0.0
 
 
-def _only(tensor: torch.Tensor) -> torch.Tensor:
+def _only(tensor: Tensor) -> Tensor:
     """That of the only seed."""
     return tensor[0]
 
 
-def _with_axis(tensor: torch.Tensor) -> torch.Tensor:
+def _with_axis(tensor: Tensor) -> Tensor:
     return tensor.unsqueeze(0)
 
 
-def _linear(layer: nn.Linear, most_parts: int, x: torch.Tensor) -> torch.Tensor:
+def _linear(layer: nn.Linear, most_parts: int, x: Tensor) -> Tensor:
     """X W^T + b, for which many rows x (M, inputs) are parted.
 
     The gradient dL/dW = sum_m g_m x_m^T is then a sum of products that a GPU calculates at the same time; as a single
     product of two long and narrow matrices it would leave most of the GPU idle.
-
-    Args:
-        layer: with W and b.
-        most_parts: at most so many.
-        x: (..., inputs).
     """
     rows = len(x) if x.dim() == 2 else 0
     parts = min(rows // ROWS, most_parts, rows & -rows)  # the last one is the greatest power of two that divides rows

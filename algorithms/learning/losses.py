@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION
 
@@ -15,31 +16,23 @@ LARGEST_LOG_RATIO = 80.0  # whose exponential is finite in single precision
 
 
 class Loss(NamedTuple):
-    """A loss of one seed.
+    """A loss of one seed."""
 
-    Attributes:
-        total: scalar, what is minimised.
-        parts: scalars by the names of metrics, for logs.
-    """
-
-    total: torch.Tensor
-    parts: dict[str, torch.Tensor]
+    total: Tensor  # scalar, what is minimised
+    parts: dict[str, Tensor]  # scalars by the names of metrics, for logs
 
 
-def mean(values: torch.Tensor, weights: torch.Tensor | None) -> torch.Tensor:
+def mean(values: Tensor, weights: Tensor | None) -> Tensor:
     """The weighted mean of ``values`` (M,); 0 if all weights are."""
     if weights is None:
         return values.mean()
     return (weights * values).sum() / weights.sum().clamp(min=torch.finfo(weights.dtype).tiny)
 
 
-def policy_change(log_ratio: torch.Tensor, clip: float, weights: torch.Tensor | None) -> dict[str, torch.Tensor]:
-    """The fraction of clipped samples, and E[rho - 1 - log rho], an estimate of KL(pi_old || pi), in a gradient step.
+def policy_change(log_ratio: Tensor, clip: float, weights: Tensor | None) -> dict[str, Tensor]:
+    """The fraction of samples that are clipped to epsilon, and E[rho - 1 - log rho] for log rho (M,).
 
-    Args:
-        log_ratio: (M,) log rho of samples of pi_old.
-        clip: epsilon.
-        weights: of the samples.
+    The latter is an estimate of KL(pi_old || pi) in a gradient step.
     """
     log_ratio = log_ratio.detach()
     ratio = log_ratio.clamp(max=LARGEST_LOG_RATIO).exp()

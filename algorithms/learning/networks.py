@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from algorithms.learning.threads import limited_threads
 from mo_deepdrive.support.importing import import_named
@@ -114,14 +114,8 @@ class CommandNetwork(nn.Module):
     Observation and command each pass a linear layer and a sigmoid; their product passes a multilayer perceptron
     (Reymond et al. 2022, figure 2).
 
-    Args:
-        inputs: o, width of an observation.
-        commands: width of a command.
-        hidden: width of the embeddings, then of the layers after them.
-        outputs: width of the result.
-        generator: draws the initial weights.
-        standardised: whether inputs have mean 0 and standard deviation 1. The embeddings before the sigmoid then begin
-            with a variance near 1, else with a smaller one.
+    ``hidden`` are the widths of the embeddings, then of the layers after them. With ``standardised`` inputs, of mean 0
+    and standard deviation 1, the embeddings before the sigmoid begin with a variance near 1, else with a smaller one.
     """
 
     FEW_ROWS = 64
@@ -143,11 +137,10 @@ class CommandNetwork(nn.Module):
         self.command = mlp(commands, (), hidden[0], generator, output_gain=gains[1])
         self.body = mlp(hidden[0], hidden[1:], outputs, generator, output_gain=0.01)
         self._tensors = [*self.parameters()]
-        self._arrays: tuple[int, list[NDArray[np.float32]]] | None = None
 
-    def forward(self, observations: torch.Tensor, commands: torch.Tensor) -> torch.Tensor:
+    def forward(self, observations: Tensor, commands: Tensor) -> Tensor:
         """(n, outputs) for scaled observations (n, o) and commands (n, c)."""
-        outputs: torch.Tensor = self.body(self.observation(observations).sigmoid() * self.command(commands).sigmoid())
+        outputs: Tensor = self.body(self.observation(observations).sigmoid() * self.command(commands).sigmoid())
         return outputs
 
     def respond(self, observations: NDArray[np.float32], commands: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -155,12 +148,10 @@ class CommandNetwork(nn.Module):
 
         On few rows the time goes into calling operations, and NumPy's take half as long as torch's.
         """
-        device = self._tensors[0].device
-        if len(observations) > self.FEW_ROWS or device.type != "cpu":
+        if len(observations) > self.FEW_ROWS:
             with torch.inference_mode():
-                found = self(torch.from_numpy(observations).to(device), torch.from_numpy(commands).to(device))
-                return np.asarray(found.cpu().numpy())
-        seen, seen_bias, asked, asked_bias, *body = self._parameter_arrays()
+                return np.asarray(self(torch.from_numpy(observations), torch.from_numpy(commands)))
+        seen, seen_bias, asked, asked_bias, *body = (tensor.detach().numpy() for tensor in self._tensors)
         # sigmoid(x) = (1 + tanh(x / 2)) / 2
         x = np.tanh(0.5 * (observations @ seen.T + seen_bias)) + 1.0
         x *= np.tanh(0.5 * (commands @ asked.T + asked_bias)) + 1.0
@@ -168,10 +159,3 @@ class CommandNetwork(nn.Module):
         for weight, bias in zip(body[:-2:2], body[1:-2:2], strict=True):
             x = np.maximum(x @ weight.T + bias, 0.0)
         return np.asarray(x @ body[-2].T + body[-1])
-
-    def _parameter_arrays(self) -> list[NDArray[np.float32]]:
-        """The parameters as arrays in the same memory, which an optimiser moves when it is made."""
-        address = self._tensors[0].data_ptr()
-        if self._arrays is None or self._arrays[0] != address:
-            self._arrays = address, [tensor.detach().numpy() for tensor in self._tensors]
-        return self._arrays[1]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import torch
 from pydantic import Field, model_validator
+from torch import Tensor
 
 from algorithms.hyperparameters import NonNegative, Positive
 from mo_deepdrive.evaluation.policy import SMALLEST_DISCOUNT
@@ -64,18 +65,10 @@ class Preferences:
     A preference is a row (m,) of numbers: an indicator of each family of the mixture if there are several, d weights
     unless all are budgets, and a budget for each budgeted objective. What a family does not use is 0.
 
-    Args:
-        config: families and what they are drawn from.
-        objectives: names of the d objectives.
-        scales: (d,) s.
-
     Attributes:
         names: of the m components.
         weight_columns, budget_columns: of a row.
         factors, divisors: (m,) by which networks see the components multiplied and divided.
-
-    Raises:
-        ValueError: if a budget or an emphasis is for an unknown objective.
     """
 
     def __init__(self, config: PreferenceSettings, objectives: Sequence[str], scales: NDArray[np.float32]):
@@ -113,17 +106,11 @@ class Preferences:
     def to(self, device: torch.device) -> None:
         """Move its tensors to a device."""
         for name, each in vars(self).items():
-            if isinstance(each, torch.Tensor):
+            if isinstance(each, Tensor):
                 setattr(self, name, each.to(device))
 
-    def rows(self, family: torch.Tensor, weights: torch.Tensor, budgets: torch.Tensor) -> torch.Tensor:
-        """Preferences (..., m) of families, weights and budgets.
-
-        Args:
-            family: (...) positions in :attr:`used`.
-            weights: (..., d) for linear and Chebyshev families.
-            budgets: (..., b) for comfort budgets, as shares of the largest.
-        """
+    def rows(self, family: Tensor, weights: Tensor, budgets: Tensor) -> Tensor:
+        """Preferences (..., m) of families (...), which are positions in ``used``, weights, and shares of budgets."""
         positions = torch.arange(len(self.used), device=family.device)
         indicators = (family.unsqueeze(-1) == positions).to(weights.dtype)
         has_budgets = indicators[..., -1:] if self.used[-1] == COMFORT_BUDGET else torch.zeros_like(indicators[..., :1])
@@ -132,13 +119,7 @@ class Preferences:
         return torch.cat([*parts, budgets * self.largest * has_budgets], dim=-1)
 
     def draw(self, count: int, rng: np.random.Generator, *, emphasis: bool = True) -> NDArray[np.float32]:
-        """(count, m) preferences from the distribution of training.
-
-        Args:
-            count: number of preferences.
-            rng: draws them.
-            emphasis: whether that of the config applies; without it all objectives are alike.
-        """
+        """(count, m) preferences from the distribution of training; without ``emphasis`` all objectives are alike."""
         rows = np.zeros((count, len(self.names)), dtype=np.float32)
         family = rng.choice(len(FAMILIES), size=count, p=self.shares)
         if len(self.used) > 1:
@@ -175,34 +156,29 @@ class Preferences:
         row = np.zeros(len(self.names), dtype=np.float32)
         if len(self.used) > 1:
             row[self.used.index(chosen)] = 1.0
-        what, given, other, allowed, part = (
-            ("budgets", budgets, weights, [self.objectives[i] for i in self.budgeted], self.budget_columns)
-            if chosen == COMFORT_BUDGET
-            else ("weights", weights, budgets, list(self.objectives), self.weight_columns)
-        )
+        budgeted = chosen == COMFORT_BUDGET
+        key, given, other = ("budgets", budgets, weights) if budgeted else ("weights", weights, budgets)
         if given is None or other is not None:
-            raise ValueError(f"family {family!r} needs {what} and nothing else")
+            raise ValueError(f"family {family!r} needs {key} and nothing else")
+        allowed = [*self.config.budgets] if budgeted else self.objectives
         for name, value in given.items():
             if name not in allowed:
-                raise ValueError(f"{what} has {name!r}; it must be one of {', '.join(allowed)}")
+                raise ValueError(f"{key} has {name!r}; it must be one of {', '.join(allowed)}")
             if not (np.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{what} of {name!r} = {value} must be finite and not negative")
-            if chosen == COMFORT_BUDGET and value > self.config.budgets[name]:
-                raise ValueError(f"{what} of {name!r} = {value} must be at most {self.config.budgets[name]}")
+                raise ValueError(f"{key} of {name!r} = {value} must be finite and not negative")
+            if budgeted and value > self.config.budgets[name]:
+                raise ValueError(f"{key} of {name!r} = {value} must be at most {self.config.budgets[name]}")
         numbers = np.array([given.get(name, 0.0) for name in allowed])
-        if chosen != COMFORT_BUDGET:
-            if not numbers.any():
-                raise ValueError(f"weights = {dict(given)} must have a positive number")
-            numbers = numbers / numbers.sum()
-        row[part] = numbers
+        if budgeted:
+            row[self.budget_columns] = numbers
+        elif numbers.any():
+            row[self.weight_columns] = numbers / numbers.sum()
+        else:
+            raise ValueError(f"weights = {dict(given)} must have a positive number")
         return row
 
     def check(self, rows: NDArray[np.float32]) -> None:
-        """Refuse rows (..., m) that no :meth:`draw` gives.
-
-        Raises:
-            ValueError: with the first of them.
-        """
+        """Refuse rows (..., m) that no :meth:`draw` gives."""
         weights, budgets = rows[..., self.weight_columns], rows[..., self.budget_columns]
         families = rows[..., : len(self.used)] if len(self.used) > 1 else np.ones((*rows.shape[:-1], 1))
         budgeted = (families[..., -1] == 1.0) & (self.used[-1] == COMFORT_BUDGET)
@@ -215,7 +191,7 @@ class Preferences:
                 f"and budgets of at most {self.largest.tolist()}, in this order: {', '.join(self.names)}"
             )
 
-    def is_family(self, preferences: torch.Tensor, family: int) -> torch.Tensor:
+    def is_family(self, preferences: Tensor, family: int) -> Tensor:
         """Mask (...) of the preferences (..., m) of a family."""
         if family not in self.used:
             return torch.zeros(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
@@ -223,15 +199,15 @@ class Preferences:
             return torch.ones(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
         return preferences[..., self.used.index(family)] > 0.5
 
-    def weights(self, preferences: torch.Tensor) -> torch.Tensor:
+    def weights(self, preferences: Tensor) -> Tensor:
         """The weights w (..., d) of preferences (..., m); 0 under budgets."""
         return preferences[..., self.weight_columns]
 
-    def gaps(self, returns: torch.Tensor, preferences: torch.Tensor, ideal: torch.Tensor) -> torch.Tensor:
+    def gaps(self, returns: Tensor, preferences: Tensor, ideal: Tensor) -> Tensor:
         """The gaps q of eq. 2 (..., d)."""
         return self.weights(preferences) * (ideal.to(returns) - returns) / self.scales.to(returns)
 
-    def utility(self, returns: torch.Tensor, preferences: torch.Tensor, ideal: torch.Tensor) -> torch.Tensor:
+    def utility(self, returns: Tensor, preferences: Tensor, ideal: Tensor) -> Tensor:
         """u(R; p) (...) of eqs. 1 to 3, for returns (..., d), preferences (..., m) and z (..., d)."""
         scaled = returns / self.scales.to(returns)
         value = torch.zeros(returns.shape[:-1], device=returns.device, dtype=returns.dtype)
@@ -255,17 +231,8 @@ class Preferences:
         d = len(self.objectives)
         return len(self.names) + d * (CHEBYSHEV in self.used) + len(self.budgeted)
 
-    def features(
-        self, preferences: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor, ideal: torch.Tensor
-    ) -> torch.Tensor:
-        """(p, c_t) of eq. 6, scaled: (..., width).
-
-        Args:
-            preferences: (..., m).
-            accrued: (..., d) R_t.
-            discounts: (...) gamma^t.
-            ideal: (..., d) z.
-        """
+    def features(self, preferences: Tensor, accrued: Tensor, discounts: Tensor, ideal: Tensor) -> Tensor:
+        """(p, c_t) of eq. 6, scaled: (..., width), from R_t (..., d), gamma^t (...) and z (..., d)."""
         left = discounts.unsqueeze(-1).clamp(min=SMALLEST_DISCOUNT)
         parts = [preferences * self.factors / self.divisors]
         if CHEBYSHEV in self.used:
@@ -289,7 +256,6 @@ class TrainingPreferences:
         device: of the tensors.
 
     Attributes:
-        width: m.
         current: (S, N, V, m) of the running episodes.
         ideal: (S, d) z, the best accrued rewards of any episode; 0 before one has ended.
         seen_any: (S,) whether one has.
@@ -333,17 +299,12 @@ class TrainingPreferences:
         self._drawn = self._preferences.rows(family, weights, uniform[..., 2:])
         self._switches = uniform[..., 1] < self._switching
 
-    def follow(self, t: int, lengths: torch.Tensor) -> torch.Tensor:
-        """The preferences (S, N, V, m) of decision t of a rollout; new where episodes begin, and by chance.
-
-        Args:
-            t: the decision.
-            lengths: (S, N, V) decisions of running episodes.
-        """
+    def follow(self, t: int, lengths: Tensor) -> Tensor:
+        """The preferences (S, N, V, m) of decision t of a rollout; new where ``lengths`` are 0, and by chance."""
         changes = (lengths == 0) | self._switches[:, t]
         return self.current.copy_(torch.where(changes.unsqueeze(-1), self._drawn[:, t], self.current))
 
-    def note_episodes(self, values: torch.Tensor, ended: torch.Tensor) -> None:
+    def update_on_episode_end(self, values: Tensor, ended: Tensor) -> None:
         """Raise z to the best accrued rewards (S, T, N, V, d) of the episodes that ended, where a mask says."""
         best = values.masked_fill(~ended.unsqueeze(-1), -torch.inf).amax((1, 2, 3))
         any_ended = ended.flatten(1).any(-1)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
+from torch import Tensor
 
 from mo_deepdrive.evaluation.metrics import LENGTH, SUCCESS, UTILITY, return_of
 
@@ -19,44 +20,30 @@ if TYPE_CHECKING:
 class RolloutStorage:
     """T steps of N environments with V vehicles, of S seeds; every rollout overwrites the last.
 
-    Attributes:
-        inputs: (S, T + 1, N, V, i) what actors see before each step and after the last, scaled.
-        final_inputs: (S, T, N, V, i) what they would see after each step; where an episode ended, in its last state.
-        actions: (S, T, N, V) or (S, T, N, V, k).
-        rewards: (S, T, N, V, d), multiplied by the collector's shares.
-        accrued: (S, T + 1, N, V, d) accrued reward R_t = sum_{i<t} g^i r_i of the running episode.
-        discounts: (S, T + 1, N, V) g^t of the running episode, with the discount g of the accrued reward.
-        terminated, truncated: (S, T, N, V) whether the vehicle's episode ended; both only in the step in which it did.
-        acted: (S, T, N, V); samples in which a vehicle, or its policy, did not act carry no information.
-        preferences: (S, T, N, V, m) under which the vehicles acted; m = 0 where there are none.
-        ended: (S, T, N, V) whether an episode ended.
-        ended_values: (S, T, N, V, d) accrued rewards after each step.
-        ended_sums: (S, T, N, V, 2 + d) after each step: whether the goal was reached, decisions, undiscounted returns.
-        led: (S, T, N, V) whether a guide drove in place of the policy.
-        outputs: (S, T, N, V, n) of the policy's network.
+    All are (S, T, N, V, ...), but the first axis of time has T + 1 where that is said.
     """
 
-    inputs: torch.Tensor
-    final_inputs: torch.Tensor
-    actions: torch.Tensor
-    rewards: torch.Tensor
-    accrued: torch.Tensor
-    discounts: torch.Tensor
-    terminated: torch.Tensor
-    truncated: torch.Tensor
-    acted: torch.Tensor
-    preferences: torch.Tensor
-    ended: torch.Tensor
-    ended_values: torch.Tensor
-    ended_sums: torch.Tensor
-    led: torch.Tensor
-    outputs: torch.Tensor
+    inputs: Tensor  # (..., i), T + 1: what actors see before each step and after the last, scaled
+    final_inputs: Tensor  # (..., i) what they would see after each step; after an episode, in its last state
+    actions: Tensor  # (...) or (..., k)
+    rewards: Tensor  # (..., d), multiplied by the collector's shares
+    accrued: Tensor  # (..., d), T + 1: accrued reward R_t = sum_{i<t} g^i r_i of the running episode
+    discounts: Tensor  # T + 1: g^t of the running episode, with the discount g of the accrued reward
+    terminated: Tensor  # whether the vehicle's episode ended; it and the next only in the step in which it did
+    truncated: Tensor
+    acted: Tensor  # samples in which a vehicle, or its policy, did not act carry no information
+    preferences: Tensor  # (..., m) under which the vehicles acted; m = 0 where there are none
+    ended: Tensor  # whether an episode ended
+    ended_values: Tensor  # (..., d) accrued rewards after each step
+    ended_sums: Tensor  # (..., 2 + d) after each step: whether the goal was reached, decisions, plain returns
+    led: Tensor  # whether a guide drove in place of the policy
+    outputs: Tensor  # (..., n) of the policy's network
 
     def at(self, t: int) -> RolloutStorage:
         """Views of step t, (S, N, V, ...)."""
         return RolloutStorage(**{name: each[:, t] for name, each in vars(self).items()})
 
-    def of_vehicles(self, tensor: torch.Tensor, vehicles: Sequence[int]) -> torch.Tensor:
+    def of_vehicles(self, tensor: Tensor, vehicles: Sequence[int]) -> Tensor:
         """The part (S, T, N k, ...) of k vehicles of a tensor (S, T, N, V, ...), as if each were in a world apart."""
         if len(vehicles) == 1:
             return tensor[:, :, :, vehicles[0]]
@@ -68,81 +55,51 @@ class RolloutStorage:
 
 @dataclass
 class Rollout:
-    """What one policy did and met in T steps of N environments, of one seed.
+    """What one policy did and met in T steps of N environments, of one seed; fields as of :class:`RolloutStorage`."""
 
-    Attributes:
-        inputs: (T + 1, N, i) what the actor saw: S_0 to S_T.
-        states: (T + 1, N, c) what the critic sees in them.
-        final_states: (T, N, c) what the critic sees of the true states after each step; read where ``truncated``.
-        actions: (T, N) or (T, N, k).
-        rewards: (T, N, d).
-        accrued: (T + 1, N, d) R_t.
-        discounts: (T + 1, N) g^t.
-        terminated, truncated, acted: (T, N).
-        preferences: (T, N, m) under which the policy acted; m = 0 where there are none.
-        outputs: (T, N, n) of the actor's network when it acted.
-        expected_return: (d,) E[R], running mean of the accrued rewards of episodes.
-        ideal: (d,) the best accrued rewards of any episode.
-        utility: u of its vehicles; None where none is known.
-    """
-
-    inputs: torch.Tensor
-    states: torch.Tensor
-    final_states: torch.Tensor
-    actions: torch.Tensor
-    rewards: torch.Tensor
-    accrued: torch.Tensor
-    discounts: torch.Tensor
-    terminated: torch.Tensor
-    truncated: torch.Tensor
-    acted: torch.Tensor
-    preferences: torch.Tensor
-    outputs: torch.Tensor
-    expected_return: torch.Tensor
-    ideal: torch.Tensor
-    utility: Any = None
+    inputs: Tensor  # (T + 1, N, i) what the actor saw: S_0 to S_T
+    states: Tensor  # (T + 1, N, c) what the critic sees in them
+    final_states: Tensor  # (T, N, c) what it sees of the true states after each step; read where ``truncated``
+    actions: Tensor  # (T, N) or (T, N, k)
+    rewards: Tensor  # (T, N, d)
+    accrued: Tensor  # (T + 1, N, d) R_t
+    discounts: Tensor  # (T + 1, N) g^t
+    terminated: Tensor  # (T, N)
+    truncated: Tensor
+    acted: Tensor
+    preferences: Tensor  # (T, N, m) under which the policy acted
+    outputs: Tensor  # (T, N, n) of the actor's network when it acted
+    expected_return: Tensor  # (d,) E[R], running mean of the accrued rewards of episodes
+    ideal: Tensor  # (d,) the best accrued rewards of any episode
+    utility: Any = None  # u of its vehicles; None where none is known
 
     @property
-    def ended(self) -> torch.Tensor:
+    def ended(self) -> Tensor:
         """(T, N) where the episode ended."""
         return self.terminated | self.truncated
 
     @property
-    def next_accrued(self) -> torch.Tensor:
+    def next_accrued(self) -> Tensor:
         """(T, N, d) R_{t+1} = R_t + g^t r_t, also where the episode ended."""
         return self.accrued[:-1] + self.discounts[:-1].unsqueeze(-1) * self.rewards
 
 
 class Samples(NamedTuple):
-    """M samples of one policy, as it learns from them.
+    """M samples of one policy, as it learns from them."""
 
-    Attributes:
-        inputs: (M, i) what the actor saw.
-        states: (M, c) what the critic saw; None for what the actor saw, until a loss is calculated.
-        actions: (M,) or (M, k).
-        advantages: (M,) A_t.
-        targets: (M, K) y_t, in the units of the critic's outputs.
-        log_prob: (M,) log-probability of the actions under the policy pi_old that collected them; None if not needed.
-        weights: (M,) 1 where the vehicle acted, 0 elsewhere; None if it acted in all.
-    """
-
-    inputs: torch.Tensor
-    states: Any
-    actions: torch.Tensor
-    advantages: torch.Tensor
-    targets: torch.Tensor
-    log_prob: torch.Tensor | None = None
-    weights: torch.Tensor | None = None
+    inputs: Tensor  # (M, i) what the actor saw
+    states: Any  # (M, c) what the critic saw; None for what the actor saw, until a loss is calculated
+    actions: Tensor  # (M,) or (M, k)
+    advantages: Tensor  # (M,) A_t
+    targets: Tensor  # (M, K) y_t, in the units of the critic's outputs
+    log_prob: Tensor | None = None  # (M,) of the actions under pi_old, which collected them; None if not needed
+    weights: Tensor | None = None  # (M,) 1 where the vehicle acted, 0 elsewhere; None if it acted in all
 
 
 class EpisodeSums:
     """Sums over the episodes that ended since they were last taken, of each vehicle of S seeds.
 
-    Args:
-        seeds, vehicles: S and V.
-        objectives: names of the d objectives.
-        utilities: one per vehicle, unchecked; empty where none is known.
-        device: of the sums.
+    ``utilities`` are one per vehicle, unchecked; none where none is known.
 
     Attributes:
         totals: (S, V, 4 + d) their number, utilities, arrivals, decisions and undiscounted returns.
@@ -154,7 +111,7 @@ class EpisodeSums:
         self._objectives, self._utilities = tuple(objectives), list(utilities)
         self.totals = torch.zeros(seeds, vehicles, 4 + len(objectives), dtype=torch.float64, device=device)
 
-    def add(self, ended: torch.Tensor, sums: torch.Tensor) -> None:
+    def add(self, ended: Tensor, sums: Tensor) -> None:
         """Add the episodes that ended where a mask (S, ..., V) says, of sums (S, ..., V, 2 + d) as in the storage."""
         returns = sums[..., 2:]
         if self._utilities:

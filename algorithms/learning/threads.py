@@ -33,13 +33,8 @@ def set_threads(count: int) -> None:
     torch.set_num_threads(count)
 
 
-def _begin_fork() -> None:
-    """Use one thread in a forked process for all that torch does, not for training alone."""
-    torch.set_num_threads(1)
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_begin_fork)
+if hasattr(os, "register_at_fork"):  # one thread in a forked process for all that torch does, not for training alone
+    os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
 
 
 @contextmanager

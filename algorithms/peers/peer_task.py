@@ -1,29 +1,160 @@
-"""What the adapter of a peer gets, a task, and what it returns, policies."""
+"""What the adapter of a peer gets, a task with environments as peers see them, and what it returns, policies."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
+import gymnasium
 import numpy as np
 import torch
+from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import VectorWrapper
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from algorithms.peers.peer_env import PeerEnv, Recorder
 from mo_deepdrive.evaluation.episodes import evaluate_each
 from mo_deepdrive.evaluation.front import Front
+from mo_deepdrive.evaluation.metrics import STEPS_PER_SECOND, TRAIN, summarise
+from mo_deepdrive.support.faults import check_vehicles
 from mo_deepdrive.world.config import Settings
+from mo_deepdrive.wrappers import VectorEpisodeStatistics
 
 if TYPE_CHECKING:
-    import gymnasium
     from gymnasium.vector import VectorEnv
 
+    from algorithms.agent import Log
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.evaluation.policy import AccruedReward
     from mo_deepdrive.utilities import Utility
+
+
+class Recorder:
+    """Counts the steps of all training environments and logs statistics of finished episodes, for any library."""
+
+    def __init__(self, objectives: tuple[str, ...], utility: Utility | None, interval: int, log: Log):
+        self.steps = 0
+        self._objectives, self._utility = objectives, utility
+        self._interval, self._log = interval, log
+        self._episodes: list[tuple[NDArray[np.float64], int, bool]] = []
+        self._started = perf_counter()
+
+    def step(self, environments: int = 1) -> None:
+        """Count a step of some environments."""
+        before, self.steps = self.steps, self.steps + environments
+        if before // self._interval < self.steps // self._interval:
+            self._write()
+
+    def episode(self, returns: NDArray[np.float64], length: int, success: bool) -> None:
+        """Record a finished episode with undiscounted ``returns`` (d,)."""
+        self._episodes.append((returns, length, success))
+
+    def _write(self) -> None:
+        metrics = {STEPS_PER_SECOND: self.steps / (perf_counter() - self._started)}
+        if self._episodes:
+            returns, lengths, succeeded = (np.array(each) for each in zip(*self._episodes, strict=True))
+            summary = summarise(self._objectives, returns, lengths, succeeded, utility=self._utility)
+            metrics |= {TRAIN + name: value for name, value in summary.items()}
+        self._episodes = []
+        self._log(self.steps, metrics)
+
+
+class RecordedEpisodes(VectorWrapper):  # not generic in Gymnasium 1.2
+    """Our vector environment with one vehicle, for peers that take one; everything but the infos is unchanged."""
+
+    def __init__(self, adapter: EnvAdapter, recorder: Recorder):
+        super().__init__(VectorEpisodeStatistics(adapter.vector_env))
+        self._adapter, self._recorder = adapter, recorder
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Take one step in every environment; a reward that is not finite is refused."""
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        check_vehicles("reward", rewards[:, None], self._adapter.name, self._adapter.objectives)
+        found = infos.pop("episode", None)
+        for row in np.flatnonzero(infos.pop("_episode", ())):
+            success = bool(infos["final_info"]["success"][row])
+            self._recorder.episode(found["r"][row], int(found["l"][row]), success)
+        self._recorder.step(self.num_envs)
+        return observations, rewards, terminated, truncated, infos
+
+
+class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """An environment with observations, actions and rewards in a form that all peers support.
+
+    Observations are float32 vectors divided by ``observation_scales``; actions are integers from 0, or floats in
+    [-1, 1]; vector rewards are float32 and divided by ``reward_scales``. The dynamics are unchanged. ``seed`` is that
+    of the first episode and of the action space; without a recorder nothing is recorded.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        adapter: EnvAdapter,
+        *,
+        observation_scales: NDArray[np.float32],
+        reward_scales: NDArray[np.float32],
+        seed: int,
+        recorder: Recorder | None = None,
+    ):
+        super().__init__(env)
+        self._adapter, self._recorder = adapter, recorder
+        self._observation_scales, self._reward_scales = observation_scales, reward_scales
+        self._first_seed: int | None = seed
+        high = np.full(adapter.observation_size, np.inf, dtype=np.float32)
+        self.observation_space = spaces.Box(-high, high, dtype=np.float32)
+        if adapter.continuous:
+            self.action_space = spaces.Box(-1.0, 1.0, (adapter.actions,), dtype=np.float32, seed=seed)
+        else:
+            self.action_space = spaces.Discrete(adapter.actions, seed=seed)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode; without ``seed``, the first episode uses the constructor's seed."""
+        raw, info = self.env.reset(seed=self._first_seed if seed is None else seed, options=options)
+        self._first_seed = None
+        self._returns = np.zeros(len(self._adapter.objectives))
+        self._length = 0
+        self._decisions = self._adapter.decisions()
+        return self._observation(raw), info
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], Any, bool, bool, dict[str, Any]]:
+        """Take one step; numbers that are not finite and episodes without end are refused."""
+        next(self._decisions)
+        chosen = self._adapter.environment_actions(np.asarray(action)[None, None])[0]
+        raw, reward, terminated, truncated, info = self.env.step(chosen)
+        vector = np.asarray(reward)
+        check_vehicles("reward", vector[None, None], self._adapter.name, self._adapter.objectives)
+        if self._recorder is not None:
+            self._returns += vector
+            self._length += 1
+            if terminated or truncated:
+                self._recorder.episode(self._returns, self._length, bool(info.get("success", False)))
+            self._recorder.step()
+        return (
+            self._observation(raw),
+            (vector / self._reward_scales).astype(np.float32),
+            bool(terminated),
+            bool(truncated),
+            info,
+        )
+
+    def _observation(self, raw: Any) -> NDArray[np.float32]:
+        observations = self._adapter.policy_observations(np.asarray(raw)[None])
+        check_vehicles("observation", observations, self._adapter.name)
+        return np.asarray(observations[0, 0] / self._observation_scales, dtype=np.float32)
+
+
+# Arguments that are lists in YAML, but have to be arrays for morl-baselines.
+ARRAYS = ("scaling_factor", "max_return", "ref_point", "origin")
+
+
+def _with_arrays(arguments: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: np.asarray(value, dtype=np.float32) if name in ARRAYS and value is not None else value
+        for name, value in arguments.items()
+    }
 
 
 class PeerConfig(Settings):
@@ -56,28 +187,16 @@ class ScalarConfig(PeerConfig):
 
 @dataclass(frozen=True)
 class PeerTask:
-    """What a peer learns, and with which settings.
+    """What a peer learns, and with which settings."""
 
-    Attributes:
-        make_single_env: makes one environment with vector rewards; takes ``render_mode``.
-        env: the parallel environments behind the adapter of our own algorithms.
-        config: of the peer.
-        utility: of unscaled returns; None if the peer learns a front.
-        steps: environment steps to train for; peers that train in rounds may take a few more.
-        seed: of the run.
-        device: of its networks.
-        reference_point: (d,) in unscaled discounted returns, for peers that maximise hypervolume; None if not set.
-        recorder: counts steps and logs.
-    """
-
-    make_single_env: Callable[..., gymnasium.Env[Any, Any]]
-    env: EnvAdapter
+    make_single_env: Callable[..., gymnasium.Env[Any, Any]]  # with vector rewards; takes ``render_mode``
+    env: EnvAdapter  # the parallel environments
     config: PeerConfig
-    utility: Utility | None
-    steps: int
+    utility: Utility | None  # of unscaled returns; None if the peer learns a front
+    steps: int  # of the environments; peers that train in rounds may take a few more
     seed: int
     device: str
-    reference_point: NDArray[np.float64] | None
+    reference_point: NDArray[np.float64] | None  # (d,) in unscaled discounted returns
     recorder: Recorder
 
     @property
@@ -118,11 +237,11 @@ class PeerTask:
     def arguments(self, **defaults: Any) -> dict[str, Any]:
         """Arguments of the constructor: common ones and the adapter's ``defaults``, overridden by the user's."""
         common = {"gamma": self.config.gamma, "seed": self.seed, "device": self.device}
-        return {**common, **defaults, **self.config.arguments}
+        return _with_arrays({**common, **defaults, **self.config.arguments})
 
     def train_arguments(self, **defaults: Any) -> dict[str, Any]:
         """Arguments of the training method: the adapter's ``defaults``, overridden by the user's."""
-        return {**defaults, **self.config.train_arguments}
+        return _with_arrays({**defaults, **self.config.train_arguments})
 
     def tensor(self, array: Any) -> torch.Tensor:
         """``array`` as a float32 tensor on the device."""
@@ -139,19 +258,12 @@ class PeerTask:
 
 @dataclass(frozen=True)
 class PolicyInputs:
-    """The inputs of N policies.
+    """The inputs of N policies, in the peer's units."""
 
-    Attributes:
-        observations: (N, o) in the peer's units.
-        accrued: (N, d) accrued rewards in the peer's units, discounted with :attr:`PeerPolicies.gamma`.
-        decisions: (N,) number of decisions in the episode so far.
-        generator: to sample actions; None for greedy actions.
-    """
-
-    observations: NDArray[np.float32]
-    accrued: NDArray[np.float32]
-    decisions: NDArray[np.int64]
-    generator: torch.Generator | None
+    observations: NDArray[np.float32]  # (N, o)
+    accrued: NDArray[np.float32]  # (N, d) accrued rewards, discounted with :attr:`PeerPolicies.gamma`
+    decisions: NDArray[np.int64]  # (N,) in the episode so far
+    generator: torch.Generator | None  # samples actions; None for greedy ones
 
     def select(self, rows: NDArray[Any]) -> PolicyInputs:
         """The inputs of the policies at ``rows``."""
@@ -169,21 +281,16 @@ def as_array(actions: Any) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class PeerPolicies:
-    """K policies that a peer has learned.
-
-    Attributes:
-        task: that they were trained on.
-        choose: chooses their actions.
-        conditions: (K, m) what identifies each policy, such as weights or a desired return, in unscaled units.
-        condition_names: of the m columns.
-        gamma: discount of the accrued rewards in their inputs.
-    """
+    """K policies that a peer has learned, and some of them as a :class:`mo_deepdrive.evaluation.policy.Policy`."""
 
     task: PeerTask
     choose: ActionFunction
+    # (K, m) what identifies each policy, such as weights or a desired return, in unscaled units
     conditions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 0)))
-    condition_names: tuple[str, ...] = ()
-    gamma: float = 1.0
+    condition_names: tuple[str, ...] = ()  # of the m columns
+    gamma: float = 1.0  # discount of the accrued rewards in their inputs
+    # (N,) index of the policy that acts in each environment, or (1,) for one in all of them
+    rows: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, dtype=np.intp))
 
     def __len__(self) -> int:
         return len(self.conditions)
@@ -193,6 +300,21 @@ class PeerPolicies:
         """Environment steps that they have learnt from."""
         return self.task.recorder.steps
 
+    @property
+    def utilities(self) -> tuple[Utility, ...]:
+        """The known utility; empty if the peer learned a front."""
+        return () if self.task.utility is None else (self.task.utility,)
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the generators for sampling."""
+        return torch.device(self.task.device)
+
+    @property
+    def env(self) -> EnvAdapter:
+        """The environment behind the adapter of our own algorithms."""
+        return self.task.env
+
     def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
         """The non-dominated policies in greedy episodes, as of :meth:`algorithms.agent.FrontAgent.front`."""
         evaluations = evaluate_each(self.at, len(self), env, episodes=episodes, seed=seed, gamma=gamma)
@@ -200,60 +322,21 @@ class PeerPolicies:
             evaluations, self.conditions, self.condition_names, gamma=gamma, seed=seed
         ).non_dominated()
 
-    def at(self, rows: NDArray[np.intp]) -> PeerPolicy:
-        """A policy for N environments that acts in each as the policy at the corresponding index."""
-        return PeerPolicy(self, rows)
+    def at(self, rows: NDArray[np.intp]) -> PeerPolicies:
+        """With the policies at these indices acting, of which there is one for each environment."""
+        return replace(self, rows=rows)
 
-    def policy(self, condition: ArrayLike) -> PeerPolicy:
+    def policy(self, condition: ArrayLike) -> PeerPolicies:
         """The policy whose condition is nearest to ``condition`` (m,)."""
         gaps = np.linalg.norm(self.conditions - np.asarray(condition), axis=1)
         return self.at(np.array([gaps.argmin()]))
-
-
-@dataclass(frozen=True)
-class PeerPolicy:
-    """Policies of a peer behind the interface of our own (:class:`mo_deepdrive.evaluation.policy.Policy`).
-
-    Attributes:
-        policies: all policies of the peer.
-        rows: (N,) index of the policy for each environment, or (1,) for one policy in all of them.
-    """
-
-    policies: PeerPolicies
-    rows: NDArray[np.intp]
-
-    @property
-    def step(self) -> int:
-        """Environment steps that it has learnt from."""
-        return self.policies.step
-
-    @property
-    def utilities(self) -> tuple[Utility, ...]:
-        """The known utility; empty if the peer learned a front."""
-        utility = self.policies.task.utility
-        return () if utility is None else (utility,)
-
-    @property
-    def gamma(self) -> float:
-        """Discount of the accrued reward in the inputs."""
-        return self.policies.gamma
-
-    @property
-    def device(self) -> torch.device:
-        """The device of the generators for sampling."""
-        return torch.device(self.policies.task.device)
-
-    @property
-    def env(self) -> EnvAdapter:
-        """The environment behind the adapter of our own algorithms."""
-        return self.policies.task.env
 
     @torch.inference_mode()
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy if ``generator`` is None."""
-        task = self.policies.task
+        task = self.task
         inputs = PolicyInputs(
             observations=(observations[:, 0] / task.observation_scales).astype(np.float32),
             accrued=(accrued_reward.value[:, 0] / task.reward_scales).astype(np.float32),
@@ -261,4 +344,4 @@ class PeerPolicy:
             generator=generator,
         )
         rows = np.broadcast_to(self.rows, len(observations))
-        return as_array(self.policies.choose(rows, inputs))[:, None]
+        return as_array(self.choose(rows, inputs))[:, None]

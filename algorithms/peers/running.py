@@ -14,8 +14,7 @@ import torch
 
 from algorithms.learning.threads import set_threads
 from algorithms.peers import PEERS
-from algorithms.peers.peer_env import Recorder
-from algorithms.peers.peer_task import PeerTask
+from algorithms.peers.peer_task import PeerTask, Recorder
 from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.run_records import final_metrics
 from algorithms.runs.build import make_environment, make_utilities
@@ -39,12 +38,7 @@ LOGGED_ROWS = 100  # of training metrics in a run
 
 
 def prepare(experiment: Experiment, log: Log) -> PeerTask:
-    """The task of the peer in an experiment.
-
-    Args:
-        experiment: whose algorithm is a peer.
-        log: called as ``log(step, metrics)`` during training.
-    """
+    """The task of the peer in an experiment, which calls ``log(step, metrics)`` during training."""
     name = experiment.algorithm.name
     peer, settings, training = PEERS[name], experiment.environment, experiment.training
     reason = peer.unavailable_reason()
@@ -120,7 +114,7 @@ def run_peer(run: Run, console: Console) -> None:
         }
         settings = experiment.evaluation
         report_agent(
-            policies.at(np.zeros(1, dtype=np.intp)) if peer.known_utility else policies,
+            policies,
             experiment,
             console,
             episodes=settings.final_episodes,

@@ -10,8 +10,7 @@ import numpy as np
 import torch
 
 from algorithms import ALGORITHMS
-from algorithms.driving.named_rules import is_rule, scripted_policy
-from algorithms.driving.scripted_policy import ScriptedPolicy
+from algorithms.driving.named_rules import ScriptedPolicy, is_rule, scripted_policy
 from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.learning.guides import Guide
 from algorithms.learning.threads import set_threads

@@ -223,8 +223,9 @@ class _CommandGraph(_Graph):
         agent, command, o = self.agent, given[COMMAND], self.env.observation_size
         low, high = (torch.from_numpy(bound) for bound in agent.bounds)
         wanted = command[:, :-1]
-        # As CommandPolicy: equation 4, applied t times, and then the clip.
-        desired = (wanted - given[ACCRUED][:, v]) / given[DISCOUNT].clamp(min=SMALLEST_DISCOUNT)
+        # As PCN.act_under: equation 4, applied t times, and then the clip.
+        left = given[DISCOUNT].clamp(min=SMALLEST_DISCOUNT)
+        desired = (wanted - given[ACCRUED][:, v]) / left
         desired = desired.maximum(wanted.minimum(low)).minimum(wanted.maximum(high))
         horizon = (command[:, -1:] - given[DECISIONS].to(command.dtype)).clamp(min=1.0)
         shift, scale = torch.from_numpy(agent.inputs)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,7 +28,6 @@ from tests.helpers.agents import (
     make_agent,
     plain_utility,
     recorded,
-    same,
     state,
 )
 
@@ -279,19 +277,6 @@ def test_all_invalid_hyperparameters_are_named_at_once() -> None:
     with pytest.raises(ValueError, match="gamma") as refusal:
         make_agent(A2C, gamma=2.0, steps=0, hiden=[3])
     assert all(name in str(refusal.value) for name in ("'gamma' = 2.0", "'steps' = 0", "'hidden'"))
-
-
-@CLASSES
-def test_the_config_is_plain_data_and_rebuilds_the_same_agent(cls: type[ActorCritic]) -> None:
-    settings = {"seed": 7, "gamma": 0.9, "hidden": [16], "objective_scales": [1.0, 2.0, 3.0, 4.0]}
-    agent = make_agent(cls, **settings)
-    config = json.loads(json.dumps(agent.get_config()))
-    assert config["algorithm"] == cls.name
-    assert settings.items() <= config.items()
-    assert config["gae_lambda"] == 0.95
-    again = make_agent(cls, **{name: value for name, value in config.items() if name != "algorithm"})
-    assert again.get_config() == agent.get_config()
-    assert same(state(again), state(agent))
 
 
 def test_objective_scales_replace_those_of_the_environment() -> None:

@@ -288,7 +288,7 @@ def test_the_expected_return_is_a_running_mean_over_episodes() -> None:
     def note(*returns: list[float]) -> list[float]:
         """One step of as many environments, and one in which no episode ends."""
         ended = torch.tensor([True] * len(returns) + [False]).view(1, 1, -1)
-        learner.note_episodes(torch.tensor([*returns, [9.0] * 4]).view(1, 1, -1, 4), ended)
+        learner.update_on_episode_end(torch.tensor([*returns, [9.0] * 4]).view(1, 1, -1, 4), ended)
         return learner.get_state()["expected_return"].tolist()
 
     assert note() == [0.0] * 4

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from algorithms import MOCAC
-from algorithms.learning.return_distributions import project
+from algorithms.mocac import project
 from tests.helpers.agents import (
     NONLINEAR,
     ONE_WAYPOINT,

@@ -21,8 +21,7 @@ from safetensors.torch import load_file
 from scipy.stats import binomtest
 
 from algorithms import PCN
-from algorithms.learning.episode_buffer import Episode
-from algorithms.pcn import CommandPolicy
+from algorithms.pcn import Episode
 from algorithms.runs.build import build
 from algorithms.runs.config import load_experiment
 from mo_deepdrive.evaluation.env_adapter import make_env
@@ -175,7 +174,7 @@ def test_two_vehicles_are_refused() -> None:
 def test_an_untrained_agent_has_no_commands() -> None:
     agent = small_pcn("deep-sea-treasure")
     with pytest.raises(ValueError, match="holds no episode yet: train first"):
-        agent.commands()
+        agent.conditions()
 
 
 def test_acting_without_a_command_is_refused() -> None:
@@ -199,34 +198,27 @@ def test_a_command_far_outside_the_buffer_is_refused_by_name(seasoned: PCN, whic
     edge = (high if side > 0 else low) + side * seasoned.scales
     command = (low + high) / 2
     command[which] = edge[which] - 1e-3 * side
-    seasoned.command(command[None], [5])
+    seasoned.policies([[*command, 5]])
     command[which] = edge[which] + 1e-3 * side
     with pytest.raises(ValueError, match=f"desired return of objective_{which} = .* must be between"):
-        seasoned.command(command[None], [5])
-    with pytest.raises(ValueError, match=f"desired return of objective_{which} = "):
         seasoned.policy([*command, 5])
     command[which] = np.nan
     with pytest.raises(ValueError, match=f"desired return of objective_{which} = nan"):
-        seasoned.command(command[None], [5])
+        seasoned.policy([*command, 5])
 
 
 @pytest.mark.parametrize(
-    ("desired", "horizon", "message"),
+    ("commands", "message"),
     [
-        ([[1.0, -1.0]], [0.5], "horizon = 0.5 must be at least 1"),
-        ([[1.0, -1.0]], [np.nan], "horizon = nan must be at least 1"),
-        ([[1.0]], [5], "expected (n, 2) and (n,)"),
-        ([[1.0, -1.0]], [5, 6], "expected (n, 2) and (n,)"),
+        ([[1.0, -1.0, 5.0], [1.0, -1.0, 0.5]], "horizon = 0.5 must be at least 1"),
+        ([[1.0, -1.0, np.nan]], "horizon = nan must be at least 1"),
+        ([[1.0, 5.0]], "commands of shape (1, 2) must be (n, 3): objective_0, objective_1, horizon"),
+        ([1.0, -1.0, 5.0], "commands of shape (3,) must be (n, 3)"),
     ],
 )
-def test_commands_of_the_wrong_shape_are_refused(seasoned: PCN, desired: Any, horizon: Any, message: str) -> None:
+def test_commands_of_the_wrong_shape_are_refused(seasoned: PCN, commands: Any, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
-        seasoned.command(desired, horizon)
-
-
-def test_the_commands_of_several_policies_are_checked_too(seasoned: PCN) -> None:
-    with pytest.raises(ValueError, match="horizon = 0 must be at least 1"):
-        seasoned.policies(np.array([[1.0, -1.0, 0.0]], np.float32))
+        seasoned.policies(commands)
 
 
 # What the network is asked.
@@ -241,13 +233,13 @@ def asked_of(gamma: float, low: Any, high: Any, desired: Any, horizon: Any, rewa
         return np.zeros(len(wanted), dtype=np.int64)
 
     bounds = np.array(low, dtype=np.float32), np.array(high, dtype=np.float32)
-    agent: Any = SimpleNamespace(gamma=gamma, bounds=bounds, choose_actions=choose, env=None, device=None)
-    policy = CommandPolicy(agent, np.array(desired, dtype=np.float32), np.array(horizon, dtype=np.float32))
-    assert policy.gamma == gamma
+    agent: Any = SimpleNamespace(bounds=bounds, choose_actions=choose)
+    commands = np.column_stack([desired, horizon]).astype(np.float32)
     _, n, d = rewards.shape
     accrued_reward = AccruedReward.begin(n, 1, d)
     for reward in rewards.astype(np.float32):
-        assert policy.act(np.zeros((n, 1, 3), dtype=np.float32), accrued_reward, None).shape == (n, 1)
+        observations = np.zeros((n, 1, 3), dtype=np.float32)
+        assert PCN.act_under(agent, commands, observations, accrued_reward, None).shape == (n, 1)
         accrued_reward.add(reward[:, None], gamma)
     return asked
 
@@ -421,7 +413,7 @@ def test_episodes_are_random_from_the_drawn_decision_on(place: str, monkeypatch:
 def test_a_share_of_the_episodes_explores_from_a_decision_within_its_horizon(exploration: float) -> None:
     agent = small_pcn("one_waypoint", num_envs=3000, exploration=exploration)
     horizon = np.tile(np.float32([1.0, 5.0, 40.0]), 1000)
-    found = agent._random_from(CommandPolicy(agent, np.zeros((3000, 4), dtype=np.float32), horizon))
+    found = agent._random_from(horizon)
     explores = np.isfinite(found)
     assert explores.mean() == pytest.approx(exploration, abs=0.03)
     assert (found[explores] < horizon[explores]).all()
@@ -493,9 +485,9 @@ def test_sampled_commands_ask_for_more_of_one_objective_in_fewer_decisions(
     deviation = [float(np.sqrt(np.mean((column - column.mean()) ** 2))) for column in returns.T]
     raised: dict[tuple[int, int], list[float]] = {}
     for _ in range(150):
-        policy = seasoned._sample_commands()
-        assert policy.desired.shape == (4, 2)
-        for desired, horizon in zip(policy.desired, policy.horizon, strict=True):
+        commands = seasoned._sample_commands()
+        assert commands.shape == (4, 3)
+        for desired, horizon in zip(commands[:, :2], commands[:, 2], strict=True):
             possible = []
             for k, (wanted, length) in enumerate(zip(returns, lengths, strict=True)):
                 if horizon != max(length - horizon_reduction, 1):
@@ -573,7 +565,7 @@ def test_training_metrics_are_means_over_the_exploring_episodes(
             expected = np.mean([episode.returns[0, i] for episode in episodes])
             assert metrics[f"train/return/objective_{i}"] == pytest.approx(expected, rel=1e-5)
         attained = np.array([episode.returns[0] for episode in rounds[k]])
-        error = np.abs(attained - commands[k - warmup].desired) / agent.scales
+        error = np.abs(attained - commands[k - warmup][:, :-1]) / agent.scales
         assert metrics["policy/command_error"] == pytest.approx(error.mean(), rel=1e-5)
         assert np.isfinite(metrics["loss/policy"])
     assert begun == len(rounds)
@@ -695,8 +687,7 @@ def test_a_front_equals_episodes_run_one_by_one(env_id: str, arguments: dict[str
     front = agent.front(make_env(env_id, 3, arguments), episodes=2, seed=40, gamma=0.99)
     assert (front.gamma, front.episodes, front.seed) == (0.99, 2, 40)
     assert front.condition_names == (*agent.env.objectives, "horizon")
-    desired, horizon = agent.commands()
-    commands = np.column_stack([desired, horizon])
+    commands = agent.conditions()
     driven = []
     for command in commands:
         total, discounted, lengths = (
@@ -716,8 +707,7 @@ def test_a_front_equals_episodes_run_one_by_one(env_id: str, arguments: dict[str
 
 
 def test_the_commands_of_a_front_are_the_returns_of_the_best_episodes(seasoned: PCN) -> None:
-    desired, horizon = seasoned.commands()
-    found = {(*row, length) for row, length in zip(desired.tolist(), horizon.tolist(), strict=True)}
+    found = set(map(tuple, seasoned.conditions().tolist()))
     best = seasoned.buffer.best()
     assert found == {(*seasoned.buffer.returns[k].tolist(), float(seasoned.buffer.lengths[k])) for k in best}
 
@@ -725,10 +715,10 @@ def test_the_commands_of_a_front_are_the_returns_of_the_best_episodes(seasoned: 
 def test_a_front_has_no_more_policies_than_allowed_and_keeps_the_extremes(
     seasoned: PCN, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, _ = seasoned.commands()
+    whole = seasoned.conditions()[:, :-1]
     assert len(whole) > 2
     monkeypatch.setattr(seasoned, "config", seasoned.config.model_copy(update={"max_policies": 2}))
-    part, _ = seasoned.commands()
+    part = seasoned.conditions()[:, :-1]
     assert len(part) == 2
     np.testing.assert_array_equal(part.max(axis=0), whole.max(axis=0))
 

@@ -9,8 +9,7 @@ import mo_gymnasium
 import numpy as np
 
 from algorithms.peers import PeerConfig, PeerTask
-from algorithms.peers.peer_env import Recorder
-from algorithms.peers.peer_task import PeerPolicies
+from algorithms.peers.peer_task import PeerPolicies, Recorder
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"

@@ -13,8 +13,7 @@ import pytest
 import torch
 
 from algorithms.peers import PEERS, PeerTask
-from algorithms.peers.peer_env import Recorder
-from algorithms.peers.peer_task import PeerPolicies
+from algorithms.peers.peer_task import PeerPolicies, Recorder
 from algorithms.runs.config import make_experiment
 from algorithms.runs.jobs import Job, perform
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env

@@ -9,7 +9,7 @@ import pytest
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from algorithms.driving.intersection_rules import SCENARIO, SEEN, as_in_left_turn, make_rule, room_ahead
 from algorithms.driving.left_turn_rules import COLUMN
-from algorithms.driving.scripted_policy import ScriptedPolicy
+from algorithms.driving.named_rules import ScriptedPolicy
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.evaluation import Evaluation

@@ -16,9 +16,8 @@ import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from algorithms.learning.collector import Collector, Running
+from algorithms.learning.collector import Collector, EnvWorlds, Running
 from algorithms.learning.storage import EpisodeSums, RolloutStorage
-from algorithms.learning.worlds import EnvWorlds
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.policy import AccruedReward
 from tests.helpers.toy_env import toy_worlds
@@ -90,7 +89,7 @@ class Drives:
     """Drives by what arrays say; actors would see what the environment gives."""
 
     def __init__(self, act: Act, input_size: int):
-        self.act, self.input_size, self.output_size = act, input_size, 1
+        self.act, self.input_size = act, input_size
 
     def inputs(self, observations: torch.Tensor, *_: Any) -> torch.Tensor:
         return observations
@@ -103,7 +102,7 @@ class Drives:
 def collector_of(adapter: EnvAdapter, act: Act, steps: int, seed: int = SEED) -> Collector:
     sums = EpisodeSums(1, adapter.vehicles, adapter.objectives, [], torch.device("cpu"))
     drives, shape = Drives(act, adapter.observation_size), (1, steps, adapter.num_envs)
-    collector = Collector(drives, adapter, EnvWorlds(adapter, seed), shape, sums, static=False)
+    collector = Collector(drives, adapter, EnvWorlds(adapter, seed), shape, 1, sums, static=False)
     collector.accrued_discounts[:] = GAMMA
     collector.reset()
     return collector

@@ -67,7 +67,7 @@ def handovers(guide: Guide, progress: float, episodes: int) -> Any:
         past,
         torch.Generator().manual_seed(0),
     )
-    return guide.get_state()["handover"].numpy()
+    return guide.handovers[0]
 
 
 @pytest.mark.parametrize(("progress", "share"), [(0.0, 0.6), (0.2, 0.3), (0.3, 0.15), (0.4, 0.0), (0.9, 0.0)])
@@ -87,7 +87,7 @@ def test_the_guide_drives_its_vehicle_until_it_hands_over_and_its_samples_do_not
     agent._draw(0)
     agent.collector.collect()
     rollout = SimpleNamespace(**{name: each[0] for name, each in vars(agent.collector.storage).items()})
-    handover = guide.get_state()["handover"].numpy()
+    handover = guide.handovers[0]
     ended = (rollout.terminated | rollout.truncated)[:, :, 0].numpy().any(axis=0)
     assert (~ended).sum() >= 8  # episodes that run through the whole rollout
     for n in np.flatnonzero(~ended):
@@ -107,7 +107,7 @@ def test_nothing_is_learnt_from_what_the_guide_does(kind: Any) -> None:
     agent.begin()
     guided, other = ([tensor.clone() for tensor in learner.get_weights("actor").values()] for learner in agent.learners)
     agent.update(0.0)
-    assert (guide.get_state()["handover"] > 4).all()
+    assert (guide.handovers[0] > 4).all()
     assert all(map(torch.equal, guided, agent.learners[0].get_weights("actor").values()))
     assert not all(map(torch.equal, other, agent.learners[1].get_weights("actor").values()))
 
@@ -135,7 +135,7 @@ def test_a_policy_needs_no_guide(tmp_path: Path) -> None:
     trained(run.experiment).save(run.checkpoint)
     run.unlock()
     pair.checkpoint.unlink()
-    assert not list(load_policy(run).guides[0])
+    assert not load_policy(run).guides
     with pytest.raises(ValueError, match=r"training.guides.vehicle_0: checkpoint .* cannot be read"):
         build(run.experiment)
 
@@ -204,7 +204,7 @@ def test_a_guide_observes_rewards_that_are_accrued_as_here() -> None:
     guide = Guide(Population([observer], 0), GuideSettings(driver="observer"), 4)
     with pytest.raises(ValueError, match=r"accrued with the discount 0.9; here it is 0.95"):
         agent_with(guide, 4, gamma=0.95)
-    assert list(agent_with(guide, 4, gamma=0.9).guides[0]) == [guide]
+    assert list(agent_with(guide, 4, gamma=0.9).guides) == [guide]
     with pytest.raises(ValueError, match=r"cost_growth = 0.5 must be 0 with a guide that observes the accrued reward"):
         agent_with(guide, 4, gamma=0.9, cost_growth=0.5)
 
@@ -214,7 +214,7 @@ def test_a_guide_that_was_trained_with_a_partner_observes_the_same_discount() ->
     partner = Population([Constant(env)], 1)
     observer = MOPPO(make_env(INTERSECTION, 4), "intersection_linear", gamma=0.9, partners={1: partner})
     guide = Guide(Population([observer], 0), GuideSettings(driver="observer"), 4)
-    assert list(agent_with(guide, 4, gamma=0.9).guides[0]) == [guide]
+    assert list(agent_with(guide, 4, gamma=0.9).guides) == [guide]
 
 
 def test_a_trained_pair_may_be_the_guide() -> None:

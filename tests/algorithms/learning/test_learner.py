@@ -100,12 +100,12 @@ def test_a_restored_learner_takes_the_same_steps_whatever_its_place_among_the_se
 
 
 def test_the_expected_return_is_an_exponentially_weighted_mean_of_episodes() -> None:
-    learner = PolicyLearner([Networks(body=network_of())] * 1, 1.0, (0,), None, 2)
+    learner = PolicyLearner([Networks(actor=network_of(), critic=network_of())], 1.0, (0,), 2)
 
     def note(*values: list[float]) -> list[float]:
         ended = torch.tensor([True] * len(values) + [False] * (3 - len(values))).view(1, 3, 1)
         padded = torch.tensor([*values, *[[99.0, 99.0]] * (3 - len(values))]).view(1, 3, 1, 2)
-        learner.note_episodes(padded, ended)
+        learner.update_on_episode_end(padded, ended)
         return learner.expected_return[0].tolist()
 
     assert note() == [0.0, 0.0]

@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from algorithms.peers import PeerConfig
-from algorithms.peers.peer_env import PeerEnv, RecordedEpisodes, Recorder
+from algorithms.peers.peer_task import PeerEnv, RecordedEpisodes, Recorder
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.peers import FIXED, ONE_WAYPOINT, make_task
 

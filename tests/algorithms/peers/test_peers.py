@@ -29,7 +29,7 @@ def test_every_peer_is_described_consistently() -> None:
         ("morl_baselines.envelope", {"arguments": {"action_type": "continuous"}}, "supports discrete actions"),
         ("morl_baselines.pgmorl", {"arguments": {"action_type": "continuous"}}, "2 to 3 objectives; the environment"),
         ("stable_baselines3.ppo", {}, "needs a known utility"),
-        ("morl_baselines.pcn", {}, "training.num_envs = 2 must be 1: algorithm"),
+        ("morl_baselines.pcn", {}, "has one environment: training.num_envs = 2 must be 1"),
         ("morl_baselines.pcn", {"env_id": "mo-deepdrive-intersection-v0", "arguments": {}}, "supports one vehicle"),
     ],
 )

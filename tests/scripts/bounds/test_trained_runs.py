@@ -29,7 +29,7 @@ def test_every_policy_of_a_front_acts_greedily_once_and_then_sampled(make_run: C
     path = make_run("mo-deepdrive-static-obstacle-v0", algorithm="pcn", fixed_destination=True)
     agent = build(load_experiment(path / "config.yaml"), num_envs=1)
     agent.load(path / "checkpoint.safetensors", policy_only=True)
-    policies = len(agent.commands()[1])
+    policies = len(agent.conditions())
     greedy = record_run(str(path), "static_obstacle", "discrete", 0).sequences
     sampled = record_run(str(path), "static_obstacle", "discrete", 3).sequences
     assert len(greedy) == policies

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.learning import return_distributions
-from algorithms.learning.return_distributions import CategoricalGrid, Particles, energy_score, project
+from algorithms import mocac
+from algorithms.mocac import CategoricalGrid, Particles, energy_score, project
 from mo_deepdrive.utilities import Utility
 
 LOW, HIGH, ATOMS = (-1.0, 0.0, 2.0), (1.0, 4.0, 3.0), 4
@@ -135,6 +135,6 @@ def test_the_expected_utility_is_the_mean_over_the_distribution_in_parts_too(
         for m in range(7)
     ]
     for at_a_time in (2**20, 3 * returns[0].numel(), 1):
-        monkeypatch.setattr(return_distributions, "MAX_RETURNS", at_a_time)
+        monkeypatch.setattr(mocac, "MAX_RETURNS", at_a_time)
         found = distribution.expected_utility(PRODUCT, outputs, accrued, discounts)
         np.testing.assert_allclose(found.numpy(), expected, rtol=1e-3, atol=1e-4)

@@ -11,7 +11,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from algorithms.learning.episode_buffer import Episode, EpisodeBuffer, returns_to_go
+from algorithms.pcn import Episode, EpisodeBuffer, returns_to_go
 from mo_deepdrive.evaluation.pareto import crowding_distances, non_dominated
 
 SCALES = np.array([2.0, 5.0], dtype=np.float32)

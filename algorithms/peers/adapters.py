@@ -1,8 +1,7 @@
-"""Adapters of morl-baselines: how its algorithms are trained, and how the resulting policies act.
+"""Adapters: how algorithms of morl-baselines and Stable-Baselines3 are trained, and how the resulting policies act.
 
 Every adapter trains an algorithm with the library's own training loop and defaults on
-:class:`algorithms.peers.peer_env.PeerEnv`; comments explain exceptions. ``log=False`` because the library only logs to
-Weights & Biases; the recorder logs the training instead.
+:class:`algorithms.peers.peer_task.PeerEnv`; comments explain exceptions.
 """
 
 from __future__ import annotations
@@ -15,40 +14,42 @@ import gymnasium
 import numpy as np
 import torch
 
-from algorithms.peers.peer_task import PeerPolicies, PeerTask, PolicyInputs, WeightedConfig, as_array
+from algorithms.peers.peer_task import (
+    PeerPolicies,
+    PeerTask,
+    PolicyInputs,
+    RecordedEpisodes,
+    ScalarConfig,
+    WeightedConfig,
+    as_array,
+)
 from mo_deepdrive.evaluation.pareto import evenly_spaced_weights, non_dominated
+from mo_deepdrive.wrappers import UtilityReward, VectorScaledObservation, VectorUtilityReward
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
+    from mo_deepdrive.utilities import Utility
+
 EVALUATION_EPISODES = 1  # of the algorithms' own evaluations during training, which are not reported
 # Number of weights for evaluations that the algorithms only log; computing them at the start is slow.
 LOGGED_WEIGHTS = 10
-# Arguments that are lists in YAML, but have to be arrays for the library.
-ARRAYS = ("scaling_factor", "max_return", "ref_point", "origin")
 HORIZON_SCALE = 0.1  # of PCN's and LCN's horizons, as in the library's examples
 NORMAL_EPSILON = 1e-8  # of Gymnasium's normalisation of observations
 UNBOUNDED = 100.0  # the library's own limit of desired returns without a bound
 
 
-def _with_arrays(arguments: dict[str, Any]) -> dict[str, Any]:
-    return {
-        name: np.asarray(value, dtype=np.float32) if name in ARRAYS and value is not None else value
-        for name, value in arguments.items()
-    }
-
-
 def _arguments(task: PeerTask, **defaults: Any) -> dict[str, Any]:
-    """Arguments of an algorithm's constructor."""
-    return _with_arrays(task.arguments(log=False, **defaults))
+    """Arguments of a constructor; morl-baselines only logs to Weights & Biases, and the recorder logs instead."""
+    return task.arguments(log=False, **defaults)
 
 
 def _train(task: PeerTask, agent: Any, **defaults: Any) -> dict[str, Any]:
     """Train an agent, which evaluates itself on an environment that is not recorded; the arguments that it got."""
     defaults = {"eval_env": task.make(recorded=False), "ref_point": _reference(task), **defaults}
-    arguments = _with_arrays(task.train_arguments(**defaults))
+    arguments = task.train_arguments(**defaults)
     agent.train(task.steps, **arguments)
     return arguments
 
@@ -74,14 +75,9 @@ def _networks(
     vectors: Sequence[Any],
     gamma: float = 1.0,
 ) -> PeerPolicies:
-    """One policy per network.
+    """One policy per network, of which ``acts`` has the actions for inputs, and ``vectors`` (d,) the weights.
 
-    Args:
-        task: of the peer.
-        acts: functions from the inputs of a network to its actions.
-        prefix: of the names of the conditions.
-        vectors: (d,) the weights or preferences that each network was trained for.
-        gamma: discount of the accrued rewards in the inputs.
+    ``gamma`` is the discount of the accrued rewards in the inputs, ``prefix`` that of the names of the conditions.
     """
     shape = (task.env.actions,) if task.env.continuous else ()
     kind = np.float32 if task.env.continuous else np.int64
@@ -313,7 +309,7 @@ def ipro(task: PeerTask, algorithm: Any) -> PeerPolicies:
     agent = IPROWithPreferences(_vector_env(task), **options)
     _evaluate_little(agent.agent)
     trained = task.train_arguments(ref_point=_reference(task), deterministic=True)
-    solutions = agent.train(task.make(recorded=False), **_with_arrays(trained))
+    solutions = agent.train(task.make(recorded=False), **trained)
     # When it replays its history, it replaces some networks by vectors.
     found = [solution for _, solution in solutions if isinstance(solution, tuple)]
 
@@ -364,3 +360,37 @@ def nl_mo_ppo(task: PeerTask, algorithm: Any) -> PeerPolicies:
         return _sample(logits.softmax(-1), inputs.generator)
 
     return PeerPolicies(task, choose, gamma=agent.gamma)
+
+
+def _environments(task: PeerTask, utility: Utility, measure: Any) -> Any:
+    """The training environments, with the utility of unscaled rewards as reward."""
+    if task.env.native:
+        from mo_deepdrive.envs.sb3 import SB3VecEnv
+
+        envs = VectorUtilityReward(RecordedEpisodes(task.env, task.recorder), utility, measure)
+        return SB3VecEnv(VectorScaledObservation(envs, task.observation_scales))
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    return DummyVecEnv(
+        [
+            lambda index=index: UtilityReward(task.make(index, scaled_rewards=False), utility, measure)
+            for index in range(task.env.num_envs)
+        ]
+    )
+
+
+def scalar(task: PeerTask, algorithm: Any) -> PeerPolicies:
+    """Train A2C (Mnih et al. 2016) or PPO (Schulman et al. 2017)."""
+    config, utility = task.config, task.utility
+    assert isinstance(config, ScalarConfig)
+    assert utility is not None
+    env = _environments(task, utility, config.utility_of)
+    model = algorithm(env=env, **task.arguments(policy="MlpPolicy", verbose=0))
+    model.learn(task.steps, **task.train_arguments())
+    env.close()
+
+    def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> Any:
+        # It samples from torch's global generator.
+        return model.predict(inputs.observations, deterministic=inputs.generator is None)[0]
+
+    return PeerPolicies(task, choose)

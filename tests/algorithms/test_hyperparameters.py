@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from algorithms.learning.optimiser import geometric_schedule, linear_schedule
+from algorithms.hyperparameters import geometric_schedule, linear_schedule
 
 
 def test_a_linear_schedule_moves_evenly_and_stops_at_its_end() -> None:
