@@ -39,14 +39,11 @@ TRAINING_COLOUR = "#9AA3AD"
 MARKERS = ("", "o", "s", "^", "D", "v", "P", "X")  # of several curves of one algorithm
 INK, DIM, FAINT = "#23282F", "#5B6470", "#B4BBC4"  # of text, of notes and axes, of what is in the background
 LABEL, GRID = "#3C434C", "#E4E7EB"
-# Captions of videos, which look like the panel of readings beside a map.
-VIDEO_BACKGROUND, VIDEO_INK = "#181C24", "#F0F3F8"
 
 MAX_POINTS = 150  # per curve; longer curves are averaged
 MINIMUM_SPAN = 0.1  # of an axis, as a share of the quantity's magnitude: smaller differences would look large
 DPI = 160  # of figures
 LARGE_DPI = 100  # of figures with hundreds of cells
-VIDEO_DPI = 100  # of captions of videos
 TITLE_SIZE, NOTE_SIZE = 13, 9.5  # points
 
 STYLE: dict[Any, Any] = {

@@ -16,9 +16,8 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
-from PIL import Image, ImageColor
+from PIL import Image, ImageDraw, ImageFont
 
-from algorithms.reporting.style import VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK, figure_style
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
 from mo_deepdrive.evaluation.policy import AccruedReward
@@ -38,7 +37,8 @@ MAX_FRAMES = 2000  # of a video, three of our longest episodes; the rest is cut 
 HOLD = 0.5  # s for which the last frame of an episode is shown
 DEFAULT_FPS = 10  # where the environment does not say
 CAPTION_PIXELS = 36  # height of a caption
-FONT_SIZES = np.arange(13.0, 6.5, -0.5)  # of captions; the first one that fits
+FONT_SIZES = range(18, 9, -1)  # pixels, of captions; the first one that fits
+BACKGROUND, INK = "#181C24", "#F0F3F8"  # of captions, which look like the panel of readings beside a map
 GAP = 4  # pixels between tiles that are side by side
 MAX_WIDTH = 1600  # pixels of a video of several; wider ones are scaled down
 GIF_COLOURS = 255  # of the palette; one further index marks pixels that do not change
@@ -110,7 +110,7 @@ def _is_ours(env_id: str) -> bool:
 
 
 def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -> Iterator[Frame]:
-    """The frames (height, width, 3) of one episode in an environment of :func:`make_render_env`, with even sides."""
+    """The frames (height, width, 3) of one episode in an environment of :func:`make_render_env`."""
     trained_on = policy.env
     vehicles, d = trained_on.vehicles, len(trained_on.objectives)
     generator = None if greedy else torch.Generator(policy.device).manual_seed(seed)
@@ -137,16 +137,10 @@ def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -
 
 
 def _rendered(env: VectorEnv) -> Frame:
-    """The frame that the environment renders, padded to even sides, which video encoders need."""
     frames = env.render()
     if not frames or not isinstance(frames[0], np.ndarray):
         raise ValueError("the environment rendered no frame")
-    return _even(frames[0])
-
-
-def _even(frame: Frame) -> Frame:
-    height, width = frame.shape[:2]
-    return np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    return frames[0]
 
 
 def _held(frames: Iterable[Frame], seconds: float, fps: int) -> Iterator[Frame]:
@@ -173,28 +167,16 @@ def cut_off(frames: Iterable[Frame], count: int, fps: int) -> Iterator[Frame]:
 
 def caption_strip(text: str, width: int) -> Frame:
     """``text`` in one line on a strip (CAPTION_PIXELS, ``width``, 3), shortened if it is too long."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # not earlier: most videos go without Matplotlib
-    from matplotlib.figure import Figure
-
-    line = " ".join(text.split())
-    with figure_style():
-        size = (width / VIDEO_DPI, CAPTION_PIXELS / VIDEO_DPI)
-        figure = Figure(figsize=size, dpi=VIDEO_DPI, facecolor=VIDEO_BACKGROUND)
-        canvas: Any = FigureCanvasAgg(figure)
-        words = figure.text(10 / width, 0.5, line, color=VIDEO_INK, va="center_baseline", parse_math=False)
-
-        def fits() -> bool:
-            return words.get_window_extent(canvas.get_renderer()).width <= width - 20
-
-        for font_size in FONT_SIZES:
-            words.set_fontsize(font_size)
-            if fits():
-                break
-        while line and not fits():
-            line = line[:-1].rstrip()
-            words.set_text(f"{line}…")
-        canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    line, room = " ".join(text.split()), width - 20
+    fonts = [ImageFont.load_default(size) for size in FONT_SIZES]
+    font = next((font for font in fonts if font.getlength(line) <= room), fonts[-1])
+    if font.getlength(line) > room:
+        line = next(
+            (f"{line[:end]}..." for end in range(len(line), 0, -1) if font.getlength(f"{line[:end]}...") <= room), ""
+        )
+    strip = Image.new("RGB", (width, CAPTION_PIXELS), BACKGROUND)
+    ImageDraw.Draw(strip).text((10, CAPTION_PIXELS / 2), line, INK, font, anchor="lm")
+    return np.asarray(strip)
 
 
 # ------------------------------------------------------------------------------------------------------------ MP4
@@ -202,22 +184,21 @@ def caption_strip(text: str, width: int) -> Frame:
 
 @contextmanager
 def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]]:
-    """A function that appends a frame with even sides to an MP4; the file appears when it is complete, unless empty.
+    """A function that appends a frame to an MP4; the file appears when it is complete, unless empty.
 
     A process that is killed leaves a file that is named as the temporary ones of :mod:`mo_deepdrive.support.atomic_io`.
     """
     path = without_links(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     count, encoder = 0, None
+    # The temporary name does not tell the format; encoders need even sides.
+    options = {"output_params": ["-f", "mp4", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"], "ffmpeg_log_level": "quiet"}
 
     def write(frame: Frame) -> None:
         nonlocal count, encoder
         if encoder is None:
             size = frame.shape[1], frame.shape[0]
-            mp4 = ["-f", "mp4"]  # the temporary name does not tell
-            encoder = imageio_ffmpeg.write_frames(
-                str(part), size, fps=fps, macro_block_size=1, quality=7, ffmpeg_log_level="quiet", output_params=mp4
-            )
+            encoder = imageio_ffmpeg.write_frames(str(part), size, fps=fps, macro_block_size=1, quality=7, **options)
             encoder.send(None)
         try:
             encoder.send(np.ascontiguousarray(frame))
@@ -229,7 +210,12 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]
         yield write
         if encoder is not None:
             encoder.close()
-            _check_whole(part, path, count)
+            try:  # ffmpeg's errors at the end of a video are not reported otherwise
+                written, _ = imageio_ffmpeg.count_frames_and_secs(part)
+            except RuntimeError:  # with all that ffmpeg has to say
+                written = 0
+            if written != count:
+                raise OSError(f"{str(path)!r}: ffmpeg could write {written:,} of {count:,} frames; is the disk full?")
             part.replace(path)
     finally:
         if encoder is not None:
@@ -237,23 +223,12 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]
         part.unlink(missing_ok=True)
 
 
-def _check_whole(part: Path, path: Path, count: int) -> None:
-    """Refuse a video that lacks frames: ffmpeg's errors at its end are not reported otherwise."""
-    try:
-        written, _ = imageio_ffmpeg.count_frames_and_secs(part)
-    except RuntimeError:  # with all that ffmpeg has to say
-        written = 0
-    if written != count:
-        raise OSError(f"{str(path)!r}: ffmpeg could write {written:,} of {count:,} frames; is the disk full?")
-
-
 def _write_video(frames: Iterable[Frame], path: str | Path, fps: int) -> int:
     """Write an MP4; returns the number of frames."""
     count = 0
     with video_writer(path, fps) as write:
-        for frame in frames:
+        for count, frame in enumerate(frames, 1):  # noqa: B007  (returned below)
             write(frame)
-            count += 1
     return count
 
 
@@ -282,47 +257,38 @@ def write_video_grid(tracks: Sequence[Track], path: str | Path, fps: int, *, hol
     columns = len(tracks) if len(tracks) <= 3 else math.ceil(math.sqrt(len(tracks)))
 
     def tile(frame: Frame) -> Frame:
-        height, width = frame.shape[:2]
-        room = (MAX_WIDTH - GAP * (columns - 1)) / columns
-        if width > room:
-            return scaled(frame, max(2, int(height * room / width) // 2 * 2), max(2, int(room) // 2 * 2))
-        return _even(frame)
+        scale = min(1.0, (MAX_WIDTH - GAP * (columns - 1)) / columns / frame.shape[1])
+        return frame if scale == 1.0 else _resized(frame, int(scale * frame.shape[1]), int(scale * frame.shape[0]))
 
-    frames = _sheets(tracks, tile, columns, ImageColor.getrgb(VIDEO_BACKGROUND))
-    return _write_video(_held(frames, hold, fps), path, fps)
+    return _write_video(_held(_sheets(tracks, tile, columns, BACKGROUND), hold, fps), path, fps)
 
 
-def _sheets(
-    tracks: Sequence[Track], tile: Callable[[Frame], Frame], columns: int, background: tuple[int, ...]
-) -> Iterator[Frame]:
-    """The frames of all ``tracks`` at once, each below its caption; the same array each time.
+def _sheets(tracks: Sequence[Track], tile: Callable[[Frame], Frame], columns: int, background: str) -> Iterator[Frame]:
+    """The frames of all ``tracks`` at once, each below its caption.
 
     ``tile`` is what is shown of a frame, of the same size for all; a track that ends early keeps its last frame.
     """
     if not tracks:
         raise ValueError("there is no track; at least one is needed")
     sources = [iter(frames) for _, frames in tracks]
-    new: list[Frame | None] = []
-    for (caption, _), frames in zip(tracks, sources, strict=True):
-        first = next(frames, None)
+    tiles = [None if (frame := next(frames, None)) is None else tile(frame) for frames in sources]
+    for (caption, _), first in zip(tracks, tiles, strict=True):
         if first is None:
             raise ValueError(f"track {caption!r} has no frames")
-        shown = tile(first)
-        height, width = len(shown) + CAPTION_PIXELS, shown.shape[1]
-        new.append(np.vstack([caption_strip(caption, width), shown]))
-    rows = -(-len(tracks) // columns)
-    sheet = np.full((rows * height, columns * (width + GAP) - GAP, 3), background, dtype=np.uint8)
-    while any(tile_frame is not None for tile_frame in new):
-        for k, tile_frame in enumerate(new):
-            if tile_frame is not None:
-                bottom, left = (k // columns + 1) * height, k % columns * (width + GAP)
-                sheet[bottom - len(tile_frame) : bottom, left : left + width] = tile_frame
-        yield sheet
-        new = [None if (frame := next(frames, None)) is None else tile(frame) for frames in sources]
+    height, width = tiles[0].shape[0] + CAPTION_PIXELS, tiles[0].shape[1]
+    sheet = Image.new("RGB", (columns * (width + GAP) - GAP, -(-len(tracks) // columns) * height), background)
+    places = [(k % columns * (width + GAP), k // columns * height) for k in range(len(tracks))]
+    for (caption, _), (left, top) in zip(tracks, places, strict=True):
+        sheet.paste(Image.fromarray(caption_strip(caption, width)), (left, top))
+    while any(shown is not None for shown in tiles):
+        for shown, (left, top) in zip(tiles, places, strict=True):
+            if shown is not None:
+                sheet.paste(Image.fromarray(shown), (left, top + CAPTION_PIXELS))
+        yield np.array(sheet)
+        tiles = [None if (frame := next(frames, None)) is None else tile(frame) for frames in sources]
 
 
-def scaled(frame: Frame, height: int, width: int) -> Frame:
-    """``frame`` (h, w, 3) scaled down with antialiasing."""
+def _resized(frame: Frame, width: int, height: int) -> Frame:
     return np.asarray(Image.fromarray(frame).resize((width, height), Image.Resampling.BILINEAR))
 
 
@@ -347,9 +313,9 @@ def write_gif(clips: Sequence[Track], path: str | Path, *, fps: int = 10, side: 
         raise ValueError(f"fps = {fps} must divide 100, because a GIF counts hundredths of a second")
 
     def tile(frame: Frame) -> Frame:
-        return scaled(frame[:, : len(frame)], side, side)
+        return _resized(frame[:, : len(frame)], side, side)
 
-    frames = [sheet.copy() for sheet in _sheets(clips, tile, len(clips), (255, 255, 255))]
+    frames = [*_sheets(clips, tile, len(clips), "white")]
     content = _encode_gif(frames, 1000 // fps)
     atomic_write(path, content)
     return len(frames), len(content)
@@ -372,7 +338,7 @@ def video_as_gif(path: str | Path, *, max_width: int = 480, max_frames: int = 15
         scale = min(1.0, max_width / width)
         width, height = round(scale * width), round(scale * height)
         shown = itertools.islice(reader, 0, None, stride)
-        frames = [np.asarray(Image.fromarray(frame).resize((width, height))) for frame in shown]
+        frames = [_resized(frame, width, height) for frame in shown]
     return _encode_gif(frames, 1000 * stride / about["fps"]), height, width
 
 
