@@ -167,12 +167,14 @@ def cut_off(frames: Iterable[Frame], count: int, fps: int) -> Iterator[Frame]:
 
 def caption_strip(text: str, width: int) -> Frame:
     """``text`` in one line on a strip (CAPTION_PIXELS, ``width``, 3), shortened if it is too long."""
+    from matplotlib import get_data_path  # which has a font with all the letters of units
+
     line, room = " ".join(text.split()), width - 20
-    fonts = [ImageFont.load_default(size) for size in FONT_SIZES]
+    fonts = [ImageFont.truetype(f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf", size) for size in FONT_SIZES]
     font = next((font for font in fonts if font.getlength(line) <= room), fonts[-1])
     if font.getlength(line) > room:
         line = next(
-            (f"{line[:end]}..." for end in range(len(line), 0, -1) if font.getlength(f"{line[:end]}...") <= room), ""
+            (f"{line[:end]}…" for end in range(len(line), 0, -1) if font.getlength(f"{line[:end]}…") <= room), ""
         )
     strip = Image.new("RGB", (width, CAPTION_PIXELS), BACKGROUND)
     ImageDraw.Draw(strip).text((10, CAPTION_PIXELS / 2), line, INK, font, anchor="lm")
