@@ -16,21 +16,19 @@ from matplotlib.figure import Figure
 
 from algorithms.reporting.explorer import plots
 from algorithms.reporting.explorer.plots import (
-    BARS,
     REPRESENTATIVES,
     FrontView,
     draw_front,
     importance,
     number_formatter,
     principal_components,
-    separate,
 )
 from algorithms.reporting.style import DPI
 from mo_deepdrive.evaluation.metrics import joint_objectives
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from tests.helpers.fronts import driving, front_of
 
-FIGURES = ("importance", "reduction", "parallel", "bars", "scatter")
+FIGURES = ("importance", "reduction", "scatter")
 MINUS = "\N{MINUS SIGN}"
 
 
@@ -131,38 +129,6 @@ def test_scatter_shows_discounted_returns_in_front_of_the_reference_front() -> N
     assert "best-known front (4 points)" in texts(figure)
 
 
-def test_parallel_distinguishes_policies_that_arrive_and_numbers_representatives() -> None:
-    front = driving(30, 4)
-    figure = plots._parallel(FrontView(front))
-    lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) == 4]
-    assert len(lines) == 30
-    assert sum(line.get_linestyle() == "--" for line in lines) == (front.success < 0.5).sum()
-    shown = FrontView(front).representatives()
-    assert sum(line.get_alpha() == 1.0 for line in lines) == len(shown)
-    assert {str(policy) for policy in shown} <= set(texts(figure))
-    unknown = replace(front, success=np.full(30, np.nan))
-    lines = plots._parallel(FrontView(unknown)).axes[0].lines
-    assert all(line.get_linestyle() == "-" for line in lines)
-
-
-def test_bars_show_means_intervals_and_arrival_rates() -> None:
-    front = driving(12, 4)
-    view = FrontView(front)
-    shown = view.representatives(BARS)
-    figure = plots._bars(view)
-    assert front.is_arrival_rate(1), "and needs no panel of its own"
-    for i, axis in zip((0, 2, 3), figure.axes, strict=False):
-        np.testing.assert_allclose([bar.get_width() for bar in axis.patches], front.returns[shown, i])
-    ends = figure.axes[0].collections[0].get_segments()
-    for policy, ((low, _), (high, _)) in zip(shown, ends, strict=True):
-        np.testing.assert_allclose((low, high), (front.low[policy, 0], front.high[policy, 0]))
-    rates = figure.axes[3]
-    np.testing.assert_array_equal([bar.get_width() for bar in rates.patches], front.success[shown])
-    assert any("95% bootstrap intervals" in text for text in texts(figure))
-    alone = plots._bars(FrontView(front_of([[1.0, -2.0]], episodes=1)))
-    assert not any("bootstrap" in text for text in texts(alone))
-
-
 def test_importance_is_0_for_the_worst_and_1_for_the_best_and_unknown_where_policies_do_not_differ() -> None:
     np.testing.assert_array_equal(importance([[0.0, -20.0], [4.0, -10.0], [1.0, -30.0]]).T, [[0, 1, 0.25], [0.5, 1, 0]])
     found = importance([[1.0, 2.0, 0.1 + 0.2], [3.0, 2.0, 0.3]])
@@ -209,7 +175,6 @@ def test_representatives_cover_the_front_and_are_ordered_by_distance() -> None:
     assert (np.diff(front.returns[shown, 0]) >= 0).all()
     for i in range(4):
         assert front.returns[shown, i].max() == front.returns[:, i].max()
-    assert set(view.representatives(BARS)) < set(shown), "all figures show the same ones"
     few = FrontView(front.take(range(5)))
     assert sorted(few.representatives()) == list(range(5))
 
@@ -236,13 +201,3 @@ def test_policies_are_ordered_by_distance_or_else_by_the_first_objective() -> No
 def test_numbers_are_formatted_with_the_digits_that_matter(values: tuple[float, ...], value: float, text: str) -> None:
     assert number_formatter(values, "m")(value) == text
     assert number_formatter(values)(value) == text.removesuffix(" m")
-
-
-def test_positions_are_separated_by_the_smallest_moves() -> None:
-    free = np.array([0.9, 0.1, 0.5])
-    np.testing.assert_allclose(separate(free, 0.2, (0.0, 1.0)), free)
-    np.testing.assert_allclose(separate([0.5, 0.5], 0.2, (0.0, 1.0)), [0.4, 0.6])
-    np.testing.assert_allclose(separate([0.0, 0.0, 0.9], 0.2, (0.0, 1.0)), [0.0, 0.2, 0.9])
-    np.testing.assert_allclose(separate([1.0, 0.9, 1.0], 0.2, (0.0, 1.0)), [0.8, 0.6, 1.0])
-    np.testing.assert_allclose(separate(np.zeros(11), 0.2, (0.0, 1.0)), np.linspace(0.0, 1.0, 11))
-    np.testing.assert_allclose(separate([0.3], 0.2, (0.0, 1.0)), [0.3])
