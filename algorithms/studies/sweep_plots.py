@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.reporting.curves import CurveGroup, VariedScores, describe, drawn, plot, plot_effects
+from algorithms.reporting.curves import CurveGroup, VariedScores, describe, plot, plot_effects
 from algorithms.studies.collection import Cell, Collection, collect
 from algorithms.studies.sweep_tables import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
-from mo_deepdrive.evaluation.metrics import EVALUATION
+from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -60,10 +60,8 @@ def best_cells(rankings: Sequence[Ranking]) -> list[Cell]:
 def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[CurveGroup]:
     """The curves of the best cells, of those runs that have a score; with several cells of evaluations alone."""
     cells = best_cells(rankings)
-    names = collection.metrics.columns
-    wanted = {name for cell in cells for name in drawn(names, cell.experiment)}
-    if len(cells) > 1:
-        wanted = {name for name in wanted if name.startswith(EVALUATION)}
+    names = [name for name in collection.metrics.columns if name not in ("run", STEP)]
+    wanted = names if len(cells) == 1 else [name for name in names if name.startswith(EVALUATION)]
     runs = {run for ranking in rankings for run in ranking.scores}
     found = collection.curves([row.id for cell in cells for row in cell.rows if row.id in runs], sorted(wanted))
     labels = cell_labels(cells, varying_keys([cell.keys for cell in collection.cells]))
