@@ -21,7 +21,7 @@ sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 from typing import TYPE_CHECKING
 
 from algorithms.driving.named_rules import is_rule, scripted_policy
-from algorithms.reporting.videos import Frame, episode_frames, make_render_env, write_gif
+from algorithms.reporting.videos import Frame, episode_frames, make_render_env, resized, write_video_grid
 from algorithms.runs import cli
 from algorithms.runs.build import load_policy
 from algorithms.runs.config import find_environment
@@ -47,7 +47,7 @@ MARGIN = 0.2  # of a map with roads of segments, which is cut off on each side
 HOLD = 6  # frames for which the last one of an episode is shown
 
 
-def open_policy(name: str, seed: int, trust: bool) -> tuple[str, Iterator[list[Frame]]]:
+def open_policy(name: str, seed: int, side: int, trust: bool) -> tuple[str, Iterator[list[Frame]]]:
     """Load a policy: the title of its scenario, and the frames of one greedy episode after the other."""
     policy: Policy
     if is_rule(name):
@@ -62,18 +62,19 @@ def open_policy(name: str, seed: int, trust: bool) -> tuple[str, Iterator[list[F
     scenario = SCENARIOS.get(find_environment(environment.id).kwargs.get("scenario", ""))
 
     def shown(frame: Frame) -> Frame:
-        if scenario is None or not scenario.roads:
-            return frame
-        low, high = round(MARGIN * len(frame)), round((1 - MARGIN) * len(frame))
-        return frame[low:high, low:high]
+        """The map, which is the left square of a frame; of roads of segments its middle."""
+        low, high = 0, len(frame)
+        if scenario is not None and scenario.roads:
+            low, high = round(MARGIN * len(frame)), round((1 - MARGIN) * len(frame))
+        return resized(frame[low:high, low:high], side, side)
 
     title = environment.id if scenario is None else scenario.title
     return title, ([*map(shown, episode_frames(policy, env, i, greedy=True))] for i in range(seed, 2**31))
 
 
-def clips(names: Sequence[str], seed: int, most: int, trust: bool = False) -> list[tuple[str, list[Frame]]]:
+def clips(names: Sequence[str], seed: int, most: int, side: int, trust: bool) -> list[tuple[str, list[Frame]]]:
     """Titles and frames: the first episode of each policy, and further ones of it while they fit beside the longest."""
-    titles, episodes = zip(*(open_policy(name, seed, trust) for name in names), strict=True)
+    titles, episodes = zip(*(open_policy(name, seed, side, trust) for name in names), strict=True)
     shown = [next(of_policy) for of_policy in episodes]
     length = min(max(map(len, shown)), most)
     for frames, further in zip(shown, episodes, strict=True):
@@ -87,15 +88,15 @@ def clips(names: Sequence[str], seed: int, most: int, trust: bool = False) -> li
 
 def write(options: Namespace) -> int:
     """Let the policies drive, and write the GIF."""
-    cli.check_file("--output", options.output)
+    cli.check_file("--output", options.output, ".gif")
     if not 0 <= options.seed < 2**31:
         raise ValueError(f"--seed {options.seed} must be between 0 and {2**31 - 1}")
     for name, least in (("frames", 1), ("side", 16)):
         if getattr(options, name) < least:
             raise ValueError(f"--{name} {getattr(options, name)} must be at least {least}")
-    shown = clips(options.runs, options.seed, options.frames, options.trust)
-    count, size = write_gif(shown, options.output, fps=options.fps, side=options.side)
-    print(f"{options.output}: {count} frames, {size / 1e6:.2f} MB")
+    shown = clips(options.runs, options.seed, options.frames, options.side, options.trust)
+    count = write_video_grid(shown, options.output, options.fps, hold=0.0)
+    print(f"{options.output}: {count} frames, {options.output.stat().st_size / 1e6:.2f} MB")
     return 0
 
 

@@ -18,47 +18,39 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import check_file, exit_on_error, make_parser, warn
+from algorithms.runs import cli
 from algorithms.studies.manifest import is_sweep
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
 
-def parse_arguments(arguments: list[str]) -> Namespace:
-    """The options."""
-    parser = make_parser(__doc__, "plot")
-    parser.add_argument(
-        "runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep"
-    )
-    parser.add_argument(
-        "--output", default="curves.png", type=Path, metavar="FILE", help="the image file (default: curves.png)"
-    )
-    return parser.parse_args(arguments)
-
-
-def main(arguments: list[str]) -> int:
-    """Run the command line ``arguments``; the exit code."""
-    options = parse_arguments(arguments)
-
+def draw(options: Namespace) -> int:
+    """Draw the figures, and say what they show."""
     from algorithms.runs.accessories import sole_purpose
     from algorithms.runs.console import make_console, print_line
 
     say = partial(print_line, make_console())
-    with exit_on_error(ValueError), sole_purpose("the curves could not be drawn"):
+    with sole_purpose("the curves could not be drawn"):
         from algorithms.reporting.curves import FORMATS, describe, load_groups, plot
         from algorithms.reporting.run_records import find_runs
         from algorithms.studies.sweep_plots import plot_sweep
 
-        check_file("--output", options.output, *FORMATS)
+        cli.check_file("--output", options.output, *FORMATS)
         if not any(is_sweep(run) for run in options.runs):
-            runs = find_runs(options.runs, warn)
-            groups = load_groups(runs, warn)
+            groups = load_groups(find_runs(options.runs, cli.warn), cli.warn)
             plot(groups, options.output)
             for line in (*describe(groups), str(options.output)):
                 say(line)
         elif len(options.runs) > 1:
             raise ValueError("a sweep has its own figures: give one sweep, or else runs")
         else:
-            plot_sweep(options.runs[0], options.output, say, warn)
+            plot_sweep(options.runs[0], options.output, say, cli.warn)
     return 0
+
+
+OPTIONS = (
+    cli.option("runs", "RUN", "run directories, or folders that hold some; or one sweep", nargs="+", type=Path),
+    cli.option("--output", "FILE", "the image file (default: curves.png)", type=Path, default=Path("curves.png")),
+)
+main = cli.Command("plot", __doc__, OPTIONS, draw, errors_of_input=(ValueError,))

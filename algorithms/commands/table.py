@@ -28,93 +28,65 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import check_file, make_parser, warn
+from algorithms.runs import cli
 from algorithms.runs.run_files import changed_files, diverged
 from algorithms.studies.manifest import is_sweep
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable, Sequence
-
-    from algorithms.reporting.tables import ScoreGroup
 
 TOP = 20
 
 
-def parse_arguments(arguments: list[str]) -> Namespace:
-    """The options."""
-    parser = make_parser(__doc__, "table")
-    parser.add_argument(
-        "runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep"
-    )
-    parser.add_argument("--output", type=Path, metavar="FILE", help="also write them as .csv, .tex or .md")
-    parser.add_argument(
-        "--columns",
-        nargs="+",
-        action="extend",
-        metavar="METRIC",
-        help="such as utility_esr success return/g_force suite/score (default: those of every table; all in a .csv)",
-    )
-    parser.add_argument(
-        "--sort",
-        metavar="METRIC",
-        help="of a sweep: metric to sort by, such as greedy/success (default: the utility, or the hypervolume)",
-    )
-    parser.add_argument("--top", type=int, metavar="N", help=f"of a sweep: rows on the terminal (default: {TOP})")
-    return parser.parse_args(arguments)
-
-
-def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
+def intact_runs(paths: list[Path]) -> list[Path]:
     """The runs among and below ``paths``; with a warning instead of those that have changed or are not finished."""
     from algorithms.reporting.run_records import LEFT_OUT, find_runs
     from algorithms.runs.run_directory import read_status
     from mo_deepdrive.evaluation.front import EVALUATION_FILE
 
     runs = []
-    for run in find_runs(paths, warn):
+    for run in find_runs(paths, cli.warn):
         problems = changed_files(run, ["config.yaml", EVALUATION_FILE]) or diverged(run)
         if not problems and read_status(run).get("state", "finished") != "finished":
             problems = ["its training is not finished"]
         if problems:
-            warn(f"{LEFT_OUT}{run}: {'; '.join(problems)}")
+            cli.warn(f"{LEFT_OUT}{run}: {'; '.join(problems)}")
         else:
             runs.append(run)
     return runs
 
 
-def print_tables(options: Namespace, warn: Callable[[str], None]) -> tuple[Sequence[ScoreGroup], Sequence[ScoreGroup]]:
-    """Print the tables that the options ask for; returns the scores, and those by which algorithms are compared."""
-    from algorithms.reporting.tables import print_runs
+def show_tables(options: Namespace) -> int:
+    """Print the tables, and write them if asked to."""
+    from algorithms.reporting.tables import FORMATS, print_runs, write_tables
     from algorithms.runs.console import make_console
     from algorithms.studies.sweep_tables import print_sweep
 
-    console = make_console()
+    cli.check_file("--output", options.output, *FORMATS)
+    console, columns = make_console(), options.columns
     if not any(is_sweep(path) for path in options.runs):
         if options.sort is not None or options.top is not None:
             raise ValueError("--sort and --top are for a sweep, a directory with a manifest.jsonl")
-        groups = print_runs(intact_runs(options.runs, warn), console, warn, options.columns)
-        return groups, groups
-    if len(options.runs) > 1:
+        scores = compared = print_runs(intact_runs(options.runs), console, cli.warn, columns)
+    elif len(options.runs) > 1:
         raise ValueError("a sweep has its own table: give one sweep, or else runs")
-    if options.top is not None and options.top < 1:
+    elif options.top is not None and options.top < 1:
         raise ValueError(f"--top {options.top} must be at least 1")
-    top, columns = options.top or TOP, options.columns
-    return print_sweep(options.runs[0], console, warn, metric=options.sort, top=top, columns=columns)
-
-
-def main(arguments: list[str]) -> int:
-    """Run the command line ``arguments``; the exit code."""
-    options = parse_arguments(arguments)
-
-    from algorithms.reporting.tables import FORMATS, write_tables
-
-    try:
-        check_file("--output", options.output, *FORMATS)
-        scores, compared = print_tables(options, warn)
-        if options.output is not None:
-            written = write_tables(options.output, scores, compared, options.columns)
-            print(f"written: {', '.join(map(str, written))}")
-    except (ValueError, OSError) as error:
-        warn(f"error: {error}")
-        return 2
+    else:
+        top, (sweep,) = options.top or TOP, options.runs
+        scores, compared = print_sweep(sweep, console, cli.warn, metric=options.sort, top=top, columns=columns)
+    if options.output is not None:
+        print(f"written: {', '.join(map(str, write_tables(options.output, scores, compared, columns)))}")
     return 0
+
+
+COLUMNS = "such as utility_esr success return/g_force suite/score (default: those of every table; all in a .csv)"
+SORT = "of a sweep: metric to sort by, such as greedy/success (default: the utility, or the hypervolume)"
+OPTIONS = (
+    cli.option("runs", "RUN", "run directories, or folders that hold some; or one sweep", nargs="+", type=Path),
+    cli.option("--output", "FILE", "also write them as .csv, .tex or .md", type=Path),
+    cli.many("--columns", "METRIC", COLUMNS),
+    cli.option("--sort", "METRIC", SORT),
+    cli.option("--top", "N", f"of a sweep: rows on the terminal (default: {TOP})", type=int),
+)
+main = cli.Command("table", __doc__, OPTIONS, show_tables)

@@ -138,24 +138,11 @@ def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] |
         raise ValueError("there is no run whose metrics can be drawn")
     groups.sort(key=lambda members: algorithm_order(members[0].experiment.algorithm.name))
     experiments = [members[0].experiment for members in groups]
+    names = [experiment.algorithm.name for experiment in experiments]
+    labels = distinct_labels(names, [identifying_settings(experiment) for experiment in experiments])
     return [
         CurveGroup(label, experiment, tuple(run.metrics for run in members))
-        for label, experiment, members in zip(_labels(experiments), experiments, groups, strict=True)
-    ]
-
-
-def _labels(experiments: Sequence[ExperimentRecord]) -> list[str]:
-    """The algorithm's name; where names repeat, also the settings that all experiments have and that differ."""
-    flat = [identifying_settings(experiment) for experiment in experiments]
-    names = [experiment.algorithm.name for experiment in experiments]
-    shared = set.intersection(*(set(settings) for settings in flat))
-    differing = sorted(key for key in shared if len({repr(settings[key]) for settings in flat}) > 1)
-    named = [key for key in differing if key in ("environment.id", "utility.name")]
-    if len(set(names)) < len(names):
-        named = [key for key in differing if key != "algorithm.name"]
-    return [
-        ", ".join([name, *(f"{key.rpartition('.')[2]} {settings[key]}" for key in named[:4])])
-        for name, settings in zip(names, flat, strict=True)
+        for label, experiment, members in zip(labels, experiments, groups, strict=True)
     ]
 
 
@@ -242,24 +229,11 @@ def curve_panels(groups: Sequence[CurveGroup]) -> list[CurvePanel]:
             for g in alike:
                 if present[g] & set(names):
                     tasks.setdefault(groups[g].experiment.task_key if is_score else "", []).append(g)
-            titles = _task_titles([groups[members[0]].experiment for members in tasks.values()])
+            titles = distinct_labels([""] * len(tasks), [groups[g].experiment.task for g, *_ in tasks.values()])
             for title, members in zip(titles, tasks.values(), strict=True):
                 text = f"{heading.removesuffix(' per episode')}: {title}" if title else heading
                 panels.append(CurvePanel(text, names, tuple(members)))
     return panels
-
-
-def _task_titles(experiments: Sequence[ExperimentRecord]) -> list[str]:
-    """What distinguishes each of some tasks from the others; empty for a single one."""
-    tasks = [experiment.task for experiment in experiments]
-    labels = {
-        "environment": [experiment.environment.id for experiment in experiments],
-        "utility": [", ".join(_utilities(experiment.utility)) for experiment in experiments],
-        "evaluation": [""] * len(tasks),
-    }
-    parts = [distinct_labels(texts, [task[name] for task in tasks]) for name, texts in labels.items()]
-    differing = [texts for texts in parts if len(set(texts)) > 1]
-    return [", ".join(filter(None, (texts[i] for texts in differing))) for i in range(len(tasks))]
 
 
 def _quantities(present: set[str], experiments: Sequence[ExperimentRecord]) -> list[tuple[str, tuple[str, ...], bool]]:
@@ -318,18 +292,19 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(5))
     axis.margins(x=0.015)
+    axis.set_title(panel.title)
     if panel.title.lower().endswith(title_of(SUCCESS)):
-        axis.set_title(panel.title)
         axis.set_ylim(-0.03, 1.03)
         axis.yaxis.set_major_formatter(PercentFormatter(1.0))
+    if not drawn or panel.title.lower().endswith(title_of(SUCCESS)):
         return
     settled, means = (np.concatenate([parts[i] for parts in drawn]) for i in (0, 1))
     low, high = _limits(panel.names[-1], settled, 0.25)
-    cut = np.ptp(means) >= CUT_RATIO * (high - low)
-    if not cut:
+    if np.ptp(means) < CUT_RATIO * (high - low):
         low, high = _limits(panel.names[-1], np.concatenate([part for parts in drawn for part in parts[1:]]), 0.05)
+    else:
+        axis.set_title(f"{panel.title} (start cut off)")
     axis.set_ylim(low, high)
-    axis.set_title(panel.title + (" (start cut off)" if cut else ""))
 
 
 def _limits(name: str, values: NDArray[Any], pad: float) -> tuple[float, float]:

@@ -226,8 +226,14 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]
 
 
 def _write_video(frames: Iterable[Frame], path: str | Path, fps: int) -> int:
-    """Write an MP4; returns the number of frames."""
+    """Write an MP4, or a GIF; returns the number of frames."""
     count = 0
+    if str(path).lower().endswith(".gif"):
+        if fps < 1 or 100 % fps:
+            raise ValueError(f"fps = {fps} must divide 100, because a GIF counts hundredths of a second")
+        shown = list(frames)
+        atomic_write(path, _encode_gif(shown, 1000 // fps))
+        return len(shown)
     with video_writer(path, fps) as write:
         for count, frame in enumerate(frames, 1):  # noqa: B007  (returned below)
             write(frame)
@@ -242,85 +248,58 @@ def video_seconds(path: str | Path) -> float:
 
 
 def write_video_grid(tracks: Sequence[Track], path: str | Path, fps: int, *, hold: float = HOLD) -> int:
-    """Write an MP4 of all ``tracks`` at once, each below its caption; the file appears when it is complete.
+    """Write an MP4, or a looping GIF, of all ``tracks`` at once, each below its caption.
 
-    Up to three tracks are side by side, more in a grid that is as square as possible. A track that ends early keeps its
-    last frame.
+    Up to three tracks, and all of a GIF, are side by side, more in a grid that is as square as possible. A track that
+    ends early keeps its last frame. The file appears when it is complete.
 
     Args:
         tracks: captions, and frames (height, width, 3) of uint8, all of the same size.
-        path: the file.
-        fps: frames per second.
+        path: the file; its ending is the format.
+        fps: frames per second; of a GIF a divisor of 100.
         hold: time for which the last frame is shown (s).
 
     Returns:
         The number of frames.
     """
-    columns = len(tracks) if len(tracks) <= 3 else math.ceil(math.sqrt(len(tracks)))
-
-    def tile(frame: Frame) -> Frame:
-        scale = min(1.0, (MAX_WIDTH - GAP * (columns - 1)) / columns / frame.shape[1])
-        return frame if scale == 1.0 else _resized(frame, int(scale * frame.shape[1]), int(scale * frame.shape[0]))
-
-    return _write_video(_held(_sheets(tracks, tile, columns, BACKGROUND), hold, fps), path, fps)
+    gif = str(path).lower().endswith(".gif")
+    columns = len(tracks) if gif or len(tracks) <= 3 else math.ceil(math.sqrt(len(tracks)))
+    return _write_video(_held(_sheets(tracks, columns, "white" if gif else BACKGROUND), hold, fps), path, fps)
 
 
-def _sheets(tracks: Sequence[Track], tile: Callable[[Frame], Frame], columns: int, background: str) -> Iterator[Frame]:
-    """The frames of all ``tracks`` at once, each below its caption.
-
-    ``tile`` is what is shown of a frame, of the same size for all; a track that ends early keeps its last frame.
-    """
+def _sheets(tracks: Sequence[Track], columns: int, background: str) -> Iterator[Frame]:
+    """The frames of all ``tracks`` at once, each below its caption; one that ends early keeps its last frame."""
     if not tracks:
         raise ValueError("there is no track; at least one is needed")
     sources = [iter(frames) for _, frames in tracks]
-    tiles = [None if (frame := next(frames, None)) is None else tile(frame) for frames in sources]
-    for (caption, _), first in zip(tracks, tiles, strict=True):
+    shown = [next(frames, None) for frames in sources]
+    for (caption, _), first in zip(tracks, shown, strict=True):
         if first is None:
             raise ValueError(f"track {caption!r} has no frames")
-    height, width = tiles[0].shape[0] + CAPTION_PIXELS, tiles[0].shape[1]
-    sheet = Image.new("RGB", (columns * (width + GAP) - GAP, -(-len(tracks) // columns) * height), background)
-    places = [(k % columns * (width + GAP), k // columns * height) for k in range(len(tracks))]
-    for (caption, _), (left, top) in zip(tracks, places, strict=True):
-        sheet.paste(Image.fromarray(caption_strip(caption, width)), (left, top))
-    while any(shown is not None for shown in tiles):
-        for shown, (left, top) in zip(tiles, places, strict=True):
-            if shown is not None:
-                sheet.paste(Image.fromarray(shown), (left, top + CAPTION_PIXELS))
+    height, width = shown[0].shape[:2]
+    scale = min(1.0, (MAX_WIDTH - GAP * (columns - 1)) / columns / width)
+    height, width = int(scale * height), int(scale * width)
+    rows = -(-len(tracks) // columns)
+    sheet = Image.new("RGB", (columns * (width + GAP) - GAP, rows * (height + CAPTION_PIXELS)), background)
+    places = [(k % columns * (width + GAP), k // columns * (height + CAPTION_PIXELS)) for k in range(len(tracks))]
+    for (caption, _), place in zip(tracks, places, strict=True):
+        sheet.paste(Image.fromarray(caption_strip(caption, width)), place)
+    while any(frame is not None for frame in shown):
+        for frame, (left, top) in zip(shown, places, strict=True):
+            if frame is not None:
+                sheet.paste(Image.fromarray(resized(frame, width, height)), (left, top + CAPTION_PIXELS))
         yield np.array(sheet)
-        tiles = [None if (frame := next(frames, None)) is None else tile(frame) for frames in sources]
+        shown = [next(frames, None) for frames in sources]
 
 
-def _resized(frame: Frame, width: int, height: int) -> Frame:
+def resized(frame: Frame, width: int, height: int) -> Frame:
+    """``frame`` (h, w, 3) with another size, antialiased."""
+    if frame.shape[:2] == (height, width):
+        return frame
     return np.asarray(Image.fromarray(frame).resize((width, height), Image.Resampling.BILINEAR))
 
 
 # ------------------------------------------------------------------------------------------------------------ GIF
-
-
-def write_gif(clips: Sequence[Track], path: str | Path, *, fps: int = 10, side: int = 320) -> tuple[int, int]:
-    """Write a looping GIF that shows ``clips`` side by side, each below its caption.
-
-    A clip that is shorter than the longest one keeps showing its last frame.
-
-    Args:
-        clips: captions, and frames (height, width, 3) of uint8. The left square of each frame is shown.
-        path: the file; it appears when it is complete.
-        fps: frames per second, a divisor of 100, because a GIF counts hundredths of a second.
-        side: pixels of a clip's width and height.
-
-    Returns:
-        The number of frames and of bytes.
-    """
-    if fps < 1 or 100 % fps:
-        raise ValueError(f"fps = {fps} must divide 100, because a GIF counts hundredths of a second")
-
-    def tile(frame: Frame) -> Frame:
-        return _resized(frame[:, : len(frame)], side, side)
-
-    frames = [*_sheets(clips, tile, len(clips), "white")]
-    content = _encode_gif(frames, 1000 // fps)
-    atomic_write(path, content)
-    return len(frames), len(content)
 
 
 def video_as_gif(path: str | Path, *, max_width: int = 480, max_frames: int = 150) -> tuple[bytes, int, int]:
@@ -340,7 +319,7 @@ def video_as_gif(path: str | Path, *, max_width: int = 480, max_frames: int = 15
         scale = min(1.0, max_width / width)
         width, height = round(scale * width), round(scale * height)
         shown = itertools.islice(reader, 0, None, stride)
-        frames = [_resized(frame, width, height) for frame in shown]
+        frames = [resized(frame, width, height) for frame in shown]
     return _encode_gif(frames, 1000 * stride / about["fps"]), height, width
 
 

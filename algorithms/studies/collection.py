@@ -31,7 +31,7 @@ import polars as pl
 
 from algorithms.reporting.run_records import ExperimentRecord, experiment_record, final_scores
 from algorithms.reporting.style import MAX_POINTS
-from algorithms.reporting.training_log import DIGITS, read_header, read_metrics
+from algorithms.reporting.training_log import read_rows
 from algorithms.runs.run_directory import METRICS_FILE, read_status
 from algorithms.runs.run_files import changed_files
 from algorithms.studies.manifest import ManifestRow, label, read_manifest
@@ -251,7 +251,7 @@ def _read_logs(stored: Path, files: Mapping[str, Path]) -> tuple[pl.DataFrame, d
     frames, unreadable = [frame.filter(pl.col("run").is_in(unchanged))], []
     for run in [run for run, log in logs.items() if before.get(run) != log]:
         try:
-            frames.append(_read_rows(files[run]).insert_column(0, pl.lit(run).alias("run")))
+            frames.append(read_rows(files[run]).fill_nan(None).insert_column(0, pl.lit(run).alias("run")))
         except (ValueError, OSError) as error:
             unreadable.append(str(error))
             del logs[run]
@@ -267,21 +267,6 @@ def _read_stored(path: Path) -> tuple[dict[str, list[int]], pl.DataFrame]:
         logs: dict[str, list[int]] = json.loads(pl.read_parquet_metadata(path)[READ_FILES])
         return logs, pl.read_parquet(path, glob=False)
     return {}, pl.DataFrame(schema={"run": pl.String, STEP: pl.Int64})
-
-
-def _read_rows(path: Path) -> pl.DataFrame:
-    """The complete rows of a metrics.csv, with null for missing values."""
-    data = path.read_bytes()
-    data = data[: data.rfind(b"\n") + 1]
-    # read_metrics is slow but tolerates ragged rows and says what is wrong; polars reads only files that are regular.
-    with contextlib.suppress(ValueError, pl.exceptions.PolarsError):
-        names = read_header(data[: data.find(b"\n") + 1])
-        if data.count(b",") == (len(names) - 1) * data.count(b"\n") and b"\0" not in data:
-            types = {name: pl.Int64() if name == STEP else pl.Float64() for name in names}
-            frame = pl.read_csv(data, schema=types).fill_nan(None)
-            if frame[STEP].is_between(0, 10**DIGITS - 1).all() and not frame[STEP].has_nulls():
-                return frame
-    return pl.DataFrame(read_metrics(path)).with_columns(pl.col(STEP).cast(pl.Int64)).fill_nan(None)
 
 
 def _write_parquet(path: Path, frame: pl.DataFrame, metadata: dict[str, str] | None = None) -> None:

@@ -23,7 +23,13 @@ Script = Callable[..., int]  # calls a script with arguments and returns its exi
 
 @pytest.fixture
 def run_table(load_script: Callable[[str], ModuleType]) -> Script:
-    return lambda *arguments: load_script("table").main([str(argument) for argument in arguments])
+    def run(*arguments: object) -> object:
+        try:
+            return load_script("table").main([str(argument) for argument in arguments])
+        except SystemExit as end:
+            return end.code
+
+    return run
 
 
 def read(path: Path) -> list[dict[str, str]]:

@@ -90,22 +90,17 @@ class ExplorableFront:
     budget_name: str = ""
     budget: ComfortBudget | None = None
 
-    def _kinds_of_returns(self) -> list[DiscountedReturns]:
-        """The undiscounted returns, and after them the discounted ones where they are known."""
-        undiscounted = DiscountedReturns(1.0, self.returns, self.best_known)
-        return [undiscounted] if self.discounted is None else [undiscounted, self.discounted]
-
     def to_json(self) -> dict[str, Any]:
         """The front as plain lists and numbers; returns and scales are exact, drives rounded to RESOLUTION."""
-        named = [name_and_unit(name) for name in self.objectives]
+        kinds = [DiscountedReturns(1.0, self.returns, self.best_known), *([self.discounted] if self.discounted else [])]
         budget = self.budget
         return {
             "title": self.title,
             "objectives": [
-                {"key": key, "name": name, "unit": unit, "scale": scale, "sign": sign}
-                for key, (name, unit), scale, sign in zip(
-                    self.objectives, named, self.scales.tolist(), self.signs.tolist(), strict=True
+                dict(
+                    zip(("key", "name", "unit", "scale", "sign"), (key, *name_and_unit(key), scale, sign), strict=True)
                 )
+                for key, scale, sign in zip(self.objectives, self.scales.tolist(), self.signs.tolist(), strict=True)
             ],
             "returns": [
                 {
@@ -113,7 +108,7 @@ class ExplorableFront:
                     "episodes": kind.returns.tolist(),
                     "bestKnown": [] if kind.best_known is None else rounded(kind.best_known),
                 }
-                for kind in self._kinds_of_returns()
+                for kind in kinds
             ],
             "success": [None if np.isnan(share) else share for share in self.success.tolist()],
             "successRange": [self._success_range(share) for share in self.success.tolist()],
@@ -140,20 +135,13 @@ class ExplorableFront:
         if np.isnan(share) or episodes == 1:
             return None
         arrivals = rate(np.arange(episodes) < round(share * episodes))
-        interval: list[float] = rounded(np.array([arrivals.low, arrivals.high], dtype=np.float64), 3)
-        return interval
+        return [round(end, 3) for end in (arrivals.low, arrivals.high) if end is not None]
 
     def _scenes_to_json(self) -> list[dict[str, Any]]:
         """The first scenario, and those after it that fit into MAX_DRIVES."""
-        stored: list[dict[str, Any]] = []
-        size = 0
-        for scene in self.scenes:
-            plain = scene_to_json(scene)
-            size += len(json.dumps(plain, separators=(",", ":")))
-            if stored and size > MAX_DRIVES:
-                break
-            stored.append(plain)
-        return stored
+        stored = [scene_to_json(scene) for scene in self.scenes]
+        sizes = np.cumsum([len(json.dumps(scene, separators=(",", ":"))) for scene in stored])
+        return stored[: max(1, int((sizes <= MAX_DRIVES).sum()))]
 
 
 def explorable_front(
@@ -295,14 +283,14 @@ def drive_to_json(drive: Drive) -> dict[str, Any]:
     The sum of the first n + 1 numbers times the resolution is the reading after n decisions, rounded once. Readings of
     a vehicle are stored up to its end, poses of cars up to the last one; where a car is absent there is None.
     """
+
+    def series(columns: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, list[int | None]]:
+        return {name: _differences(columns[:, k] / RESOLUTION[name]) for k, name in enumerate(names)}
+
     return {
-        "vehicles": [{**_series(drive.readings[:, v], READINGS), "end": end} for v, end in enumerate(drive.ends)],
-        "cars": [_series(drive.cars[:, car], POSE) for car in range(drive.cars.shape[1])],
+        "vehicles": [{**series(drive.readings[:, v], READINGS), "end": end} for v, end in enumerate(drive.ends)],
+        "cars": [series(drive.cars[:, car], POSE) for car in range(drive.cars.shape[1])],
     }
-
-
-def _series(columns: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, list[int | None]]:
-    return {name: _differences(columns[:, k] / RESOLUTION[name]) for k, name in enumerate(names)}
 
 
 def _differences(values: NDArray[np.float64]) -> list[int | None]:

@@ -67,7 +67,7 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(make: Make) -> None:
     runs = [make("a", seed=0), make("b", seed=1), make("c", "a2c", seed=0), make("d", seed=2, gamma=0.9)]
     groups = load_groups(runs)
     assert [len(group.runs) for group in groups] == [1, 2, 1]
-    assert [group.label for group in groups] == ["a2c, gamma 0.99", "mo_a2c, gamma 0.99", "mo_a2c, gamma 0.9"]
+    assert [group.label for group in groups] == ["a2c", "mo_a2c algorithm.gamma=0.99", "mo_a2c algorithm.gamma=0.9"]
 
 
 def test_what_cannot_be_drawn_is_refused(make: Make, tmp_path: Path) -> None:
@@ -189,11 +189,17 @@ def test_scores_under_other_arguments_have_separate_panels_that_name_them() -> N
 
     assert panels(group("mo_ppo")) == {"Utility per episode": (0, 1)}
     assert panels(group("mo_ppo", weight=9)) == {
-        "Utility: linear weights=[1, 1]": (0,),
-        "Utility: linear weights=[9, 1]": (1,),
+        "Utility: utility.arguments.weights=[1, 1]": (0,),
+        "Utility: utility.arguments.weights=[9, 1]": (1,),
     }
-    assert panels(group("mo_ppo", size=9)) == {"Utility: theirs-v0 size=8": (0,), "Utility: theirs-v0 size=9": (1,)}
-    assert panels(group("mo_ppo", gamma=1.0)) == {"Utility: gamma=0.99": (0,), "Utility: gamma=1.0": (1,)}
+    assert panels(group("mo_ppo", size=9)) == {
+        "Utility: environment.arguments.size=8": (0,),
+        "Utility: environment.arguments.size=9": (1,),
+    }
+    assert panels(group("mo_ppo", gamma=1.0)) == {
+        "Utility: evaluation.gamma=0.99": (0,),
+        "Utility: evaluation.gamma=1.0": (1,),
+    }
     assert panels(group("mo_ppo", split="validation")) == {"Utility per episode": (0, 1)}, "of the final scores alone"
 
 

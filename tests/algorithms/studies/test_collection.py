@@ -76,8 +76,8 @@ def test_only_changed_files_are_read_again(
     rows = make_sweep(tmp_path, grid)
     stored = tmp_path / "collected" / "metrics.parquet"
     read: list[str] = []
-    read_rows = collection._read_rows
-    monkeypatch.setattr(collection, "_read_rows", lambda path: read.append(path.parent.name) or read_rows(path))
+    read_rows = collection.read_rows
+    monkeypatch.setattr(collection, "read_rows", lambda path: read.append(path.parent.name) or read_rows(path))
     collect(tmp_path)
     assert read == [Path(row.directory).name for row in rows]
     written = stored.stat().st_mtime_ns
@@ -170,11 +170,11 @@ def test_incomplete_lines_are_dropped_and_broken_files_are_named(tmp_path: Path,
     for _ in range(2):  # also when nothing is read again
         found = collect(tmp_path)
         heights = dict(found.metrics.group_by("run").len().rows())
-        assert [heights.get(row.id, 0) for row in rows[:10]] == [24, 24, 0, 0, 0, 0, 0, 4, 0, 24]
+        assert [heights.get(row.id, 0) for row in rows[:10]] == [24, 25, 0, 0, 0, 0, 0, 4, 0, 24]
         (remark,) = found.remarks
         assert remark.startswith("3 files cannot be read: metrics file")
-        assert "has no column 'step'" in remark
-        assert "'word'" in remark
+        assert "its columns must be 'step'" in remark
+        assert "`word`" in remark
         assert "can't decode" in remark
     values = found.metrics.filter(pl.col("run") == rows[7].id).select("a")["a"].to_list()
     assert values == [None, np.inf, None, 1e-3]

@@ -88,7 +88,7 @@ def test_results_that_cannot_be_read_are_refused_with_what_to_do(finished: Job, 
     unreadable.path.mkdir()
     (unreadable.path / "status.json").write_text('{"state": "finished"}')
     (unreadable.path / "evaluation.json").write_text("{")
-    for wanted, fault in ((pruned, "has no column 'step'"), (unreadable, "is not a final evaluation")):
+    for wanted, fault in ((pruned, "its columns must be 'step'"), (unreadable, "is not a final evaluation")):
         with pytest.raises(
             ValueError, match=f"cannot use {wanted.path}: .*{fault}.*; delete it, and it is made again$"
         ):
