@@ -67,15 +67,7 @@ def choice_table(
     values: NDArray[Any],
     names: dict[int, str],
 ) -> Table:
-    """The best policy with intervals, and the next best policies next to it.
-
-    Args:
-        front: K policies.
-        evaluations: of each of them.
-        criterion: by which they were ordered.
-        values: (K,) what each is worth by it.
-        names: of the columns, by the positions of policies, the best one first.
-    """
+    """The best policy with intervals, and the next best policies next to it."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

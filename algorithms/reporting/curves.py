@@ -118,11 +118,8 @@ class CurveGroup(NamedTuple):
 def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] | None = None) -> list[CurveGroup]:
     """Read runs and group those that differ in their seed alone.
 
-    Groups are in the order of their algorithms, those of one algorithm in the order given.
-
-    Args:
-        directories: of the runs.
-        warn: called with a line about every run that cannot be read or has no metrics yet; None to refuse it.
+    Groups are in the order of their algorithms, those of one algorithm in the order given. ``warn`` is called
+    with a line about every run that cannot be read or has no metrics yet; without it such runs are refused.
     """
 
     def refuse(problem: str) -> None:
@@ -368,21 +365,13 @@ def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
 
 
 class VariedScores(NamedTuple):
-    """Final scores of runs that can be compared, and what was varied among these runs.
+    """Final scores of runs that can be compared, and what was varied among these runs."""
 
-    Attributes:
-        title: environment and utility.
-        score: name of the score.
-        values: (runs,) scores.
-        algorithms: (runs,) names of the algorithms.
-        keys: the values that the runs had of each key that varies, by its name: (runs,) numbers, or else words.
-    """
-
-    title: str
-    score: str
-    values: NDArray[np.float64]
-    algorithms: tuple[str, ...]
-    keys: dict[str, NDArray[np.float64] | list[str]]
+    title: str  # environment and utility
+    score: str  # its name
+    values: NDArray[np.float64]  # (runs,) scores
+    algorithms: tuple[str, ...]  # (runs,) names
+    keys: dict[str, NDArray[np.float64] | list[str]]  # of each key that varies (runs,) numbers, or else words
 
 
 def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, remark: str = "") -> None:

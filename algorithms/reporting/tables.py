@@ -107,30 +107,19 @@ _LATEX = {
 
 @dataclass
 class ScoreGroup:
-    """The final scores of runs that differ in their seed alone.
+    """The final scores of runs that differ in their seed alone."""
 
-    Attributes:
-        about: the first cells of its rows, by column.
-        task: those of them that groups to be compared have in common.
-        algorithm: in which such groups differ.
-        measured: what else they must share, as text.
-        seeds: of the runs that have scores.
-        scores: one value per seed for every policy, vehicle and metric; the vehicle is "" for the scores of the only
-            vehicle, or of all together.
-        wanted: how many seeds there are to be; None if that is not known.
-        widths: the widths of the scores' own intervals, over evaluation episodes, where they are known.
-        evaluation: how the runs were evaluated.
-    """
-
-    about: dict[str, str]
-    task: dict[str, str]
-    algorithm: str
-    measured: str
-    seeds: list[int] = field(default_factory=list)
+    about: dict[str, str]  # the first cells of its rows, by column
+    task: dict[str, str]  # those of them that groups to be compared have in common
+    algorithm: str  # in which such groups differ
+    measured: str  # what else they must share, as text
+    seeds: list[int] = field(default_factory=list)  # of the runs that have scores
+    # A value per seed; the vehicle is "" for the scores of the only vehicle, or of all together.
     scores: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
-    wanted: int | None = None
+    wanted: int | None = None  # how many seeds there are to be, if that is known
+    # Of the scores' own intervals, over evaluation episodes, where they are known.
     widths: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
-    evaluation: EvaluationRecord = field(default_factory=EvaluationRecord)
+    evaluation: EvaluationRecord = field(default_factory=EvaluationRecord)  # how the runs were evaluated
 
     @property
     def rows(self) -> list[tuple[str, str]]:
@@ -175,10 +164,7 @@ class ScoreEstimate:
 def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything: bool = False) -> list[ScoreGroup]:
     """Group the finished runs among and below ``paths`` by :mod:`algorithms.reporting.run_records`.
 
-    Args:
-        paths: run directories, or folders that hold some.
-        warn: called with a message about every run that is left out, because it has no final evaluation.
-        everything: also read metrics that are neither of :data:`TABLE_METRICS` nor returns.
+    Of metrics those of tables and the returns are read, or ``everything``; ``warn`` is told which runs are left out.
     """
     records = read_runs(find_runs(paths, warn), warn, scores=True)
     for run in records:
@@ -384,14 +370,7 @@ def interval_note(groups: Sequence[ScoreGroup]) -> str:
 def print_runs(
     paths: Sequence[Path], console: Console, warn: Callable[[str], None], columns: Sequence[str] | None = None
 ) -> list[ScoreGroup]:
-    """Print the scores of runs over seeds and the comparisons of their algorithms, task by task; returns the scores.
-
-    Args:
-        paths: run directories, or folders that hold some.
-        console: where to print.
-        warn: called with a message about every run that is left out.
-        columns: of the scores; None for :data:`TABLE_COLUMNS`.
-    """
+    """Print the scores of runs over seeds and the comparisons of their algorithms, task by task; returns the scores."""
     groups = group_runs(paths, warn, everything=columns is not None)
     if not groups:
         raise ValueError("no run has a final evaluation that can be read")
@@ -463,14 +442,8 @@ def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: s
     """Print a table below its title, in parts that fit the console, so that nothing is cut off.
 
     If it does not fit, first the labels that all rows share move to the title; then columns follow in further parts.
-
-    Args:
-        console: where to print.
-        rows: header first.
-        title: printed above the table.
-        labels: number of the first columns, which say what a row is.
-        rest: how to see all columns; if it is given, the first part alone is printed, then the names of the columns
-            that are not in it, and this.
+    The first ``labels`` columns say what a row is. With ``rest``, how to see all columns, the first part alone is
+    printed, then the names of the columns that are not in it, and this.
     """
     if sum(_widths(rows)) + MARGIN > console.width and len(rows) > 1:
         shared, rows, labels = lift_labels(rows, labels)
@@ -541,12 +514,6 @@ def write_tables(
 
     A CSV has one number per cell, and the returns of all objectives; LaTeX and Markdown have the table of the terminal,
     with names as people write them.
-
-    Args:
-        path: the first file, whose ending is one of :data:`FORMATS`; both are returned.
-        scores: the rows of the first table.
-        compared: the groups of the second table.
-        columns: metrics of the first table; None for all of a CSV, and :data:`TABLE_COLUMNS` of the others.
     """
     note, tidy = interval_note(scores), path.suffix.lower() == ".csv"
     tables: dict[str, tuple[Cells, str]]

@@ -65,10 +65,7 @@ def rows_until(path: Path, step: int) -> pl.DataFrame:
 class MetricsFile:
     """A CSV file to which rows are appended; a new column rewrites the file.
 
-    Args:
-        path: the file.
-        after: keep the rows up to this step and drop later ones, which a resumed run writes again; None starts a new
-            file.
+    Rows ``after`` a step, which a resumed run writes again, are dropped; with None the file is a new one.
     """
 
     def __init__(self, path: Path, after: int | None = None):

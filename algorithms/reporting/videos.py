@@ -58,17 +58,7 @@ def record(
 ) -> int:
     """Write an MP4 of a few episodes, one after the other; the file appears when it is complete.
 
-    Args:
-        policy: what acts.
-        env_id: of the environment.
-        env_arguments: keyword arguments of the environment.
-        path: the file.
-        episodes: number of episodes; if they exceed MAX_FRAMES, the rest is cut off, which the last frame says.
-        seed: of the first episode.
-        greedy: take the most likely (or mean) action instead of sampling.
-
-    Returns:
-        The number of frames.
+    What exceeds MAX_FRAMES is cut off, which the last frame says. Returns the number of frames.
     """
     env = make_render_env(env_id, env_arguments)
     try:
@@ -251,13 +241,8 @@ def write_video_grid(tracks: Sequence[Track], path: str | Path, fps: int, *, hol
     """Write an MP4, or a looping GIF, of all ``tracks`` at once, each below its caption.
 
     Up to three tracks, and all of a GIF, are side by side, more in a grid that is as square as possible. A track that
-    ends early keeps its last frame. The file appears when it is complete.
-
-    Args:
-        tracks: captions, and frames (height, width, 3) of uint8, all of the same size.
-        path: the file; its ending is the format.
-        fps: frames per second; of a GIF a divisor of 100.
-        hold: time for which the last frame is shown (s).
+    ends early keeps its last frame. All frames (height, width, 3) have the same size, and the last one is shown for
+    ``hold`` seconds. The file, whose ending is the format, appears when it is complete.
 
     Returns:
         The number of frames.

@@ -52,42 +52,22 @@ class DiscountedReturns(NamedTuple):
 
 @dataclass(frozen=True)
 class ExplorableFront:
-    """A front of K policies with d objectives, all maximised, as the explorer shows it.
-
-    Attributes:
-        title: what the front belongs to.
-        objectives: d names.
-        returns: (K, E, d) undiscounted returns of E episodes of each policy.
-        scales: (d,) nominal magnitudes of the returns, for :func:`mo_deepdrive.evaluation.choice.rank_policies`.
-        signs: (d,) +1 or -1, by which a return is multiplied to get a magnitude.
-        success: (K,) share of the episodes that arrived; NaN where that is not known.
-        lengths: (K,) mean number of decisions.
-        command: what evaluates the choice, with ``{preference}`` for "--weights ..." and so on, or ``{policy}`` for the
-            number of the policy.
-        numbers: (K,) numbers of the policies; from 0 on if empty.
-        note: how the numbers were measured, one sentence.
-        best_known: (k, d) best-known undiscounted returns; None where there are none.
-        discounted: the returns of the same episodes with a discount factor; None where they are not known.
-        scenes: scenarios, each with K drives; none for an environment whose drives cannot be recorded. Those that do
-            not fit into MAX_DRIVES are not stored.
-        budget_name: of the utility with a comfort budget for these objectives; "" for none.
-        budget: its numbers; None for none.
-    """
+    """A front of K policies with d objectives, all maximised, as the explorer shows it."""
 
     title: str
     objectives: tuple[str, ...]
-    returns: NDArray[np.float64]
-    scales: NDArray[np.float64]
-    signs: NDArray[np.float64]
-    success: NDArray[np.float64]
-    lengths: NDArray[np.float64]
-    command: str
-    numbers: tuple[int, ...] = ()
-    note: str = ""
-    best_known: NDArray[np.float64] | None = None
-    discounted: DiscountedReturns | None = None
-    scenes: tuple[Scene, ...] = ()
-    budget_name: str = ""
+    returns: NDArray[np.float64]  # (K, E, d) undiscounted, of E episodes of each policy
+    scales: NDArray[np.float64]  # (d,) nominal, for mo_deepdrive.evaluation.choice.rank_policies
+    signs: NDArray[np.float64]  # (d,) +1 or -1, by which a return is multiplied to get a magnitude
+    success: NDArray[np.float64]  # (K,) share of the episodes that arrived; NaN where that is not known
+    lengths: NDArray[np.float64]  # (K,) mean number of decisions
+    command: str  # what evaluates a choice, with {preference} for "--weights ..." and so on, or with {policy}
+    numbers: tuple[int, ...] = ()  # (K,) of the policies; from 0 on if empty
+    note: str = ""  # how the numbers were measured, one sentence
+    best_known: NDArray[np.float64] | None = None  # (k, d) undiscounted
+    discounted: DiscountedReturns | None = None  # of the same episodes
+    scenes: tuple[Scene, ...] = ()  # with K drives each, where they can be recorded
+    budget_name: str = ""  # of the utility with a comfort budget for these objectives
     budget: ComfortBudget | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -97,10 +77,9 @@ class ExplorableFront:
         return {
             "title": self.title,
             "objectives": [
-                dict(
-                    zip(("key", "name", "unit", "scale", "sign"), (key, *name_and_unit(key), scale, sign), strict=True)
-                )
+                {"key": key, "name": name, "unit": unit, "scale": scale, "sign": sign}
                 for key, scale, sign in zip(self.objectives, self.scales.tolist(), self.signs.tolist(), strict=True)
+                for name, unit in [name_and_unit(key)]
             ],
             "returns": [
                 {
@@ -198,8 +177,7 @@ def explorable_front(
 def explorable_best_known(name: str) -> ExplorableFront:
     """A best-known front, undiscounted and with the time among its objectives, with the drives of its actions.
 
-    Args:
-        name: SCENARIO_ACTIONS, such as "one_waypoint_discrete".
+    It is named SCENARIO_ACTIONS, such as "one_waypoint_discrete".
     """
     scenario_name, _, action_type = name.rpartition("_")
     policies = reference_fronts.shipped(scenario_name, action_type)

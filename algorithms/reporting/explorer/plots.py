@@ -61,13 +61,7 @@ def draw_front(
 
     Of more than MOST_PAIRED objectives there is no scatter; of more than MOST_DRAWN, those of several vehicles, there
     is importance alone. A policy's number is its row in ``front.csv``. Returns are discounted, as they determine
-    dominance.
-
-    Args:
-        front: K policies with at least two objectives, as written to ``front.csv``.
-        directory: an existing one.
-        reference_front: (k, d) best-known returns, discounted with the front's gamma, drawn behind the front.
-        title: what the front belongs to, such as the algorithm and the environment.
+    dominance, and so is ``reference_front`` (k, d), which is drawn behind the front.
 
     Returns:
         The files.
@@ -276,10 +270,6 @@ def principal_components(values: ArrayLike) -> Projection:
 
 class FrontView:
     """A front as all its figures show it: the same policies, numbers and colours in each.
-
-    Args:
-        front: K policies with d >= 2 objectives; a policy's number is its index.
-        title: what the front belongs to, such as the algorithm and the environment.
 
     Attributes:
         leading: index of the objective that orders and colours policies.
