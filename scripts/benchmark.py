@@ -58,10 +58,6 @@ SHIPPED = (
     *(f"{scenario}/a2c_linear" for scenario in ("one_waypoint", "static_obstacle", "intersection")),
     *(f"{scenario}/mo_ppo_linear" for scenario in ("one_waypoint", "static_obstacle", "intersection", "left_turn")),
 )
-WHOLE_RUNS = (
-    *(f"one_waypoint/{name}" for name in ("a2c_linear", "mo_a2c_linear", "mo_ppo_linear", "conditioned", "pcn")),
-    "intersection/mappo_worst_off",
-)
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "POLARS_MAX_THREADS")
 SPINNING = {"GOMP_SPINCOUNT": "6000"}  # of idle threads, as commands set it
 TRAIN = "{tree}/scripts/train.py"
@@ -99,14 +95,6 @@ class Place:
 
     def __str__(self) -> str:
         return self.device if self.on_gpu else f"{self.threads} thread{'' if self.threads == 1 else 's'}"
-
-    def device_name(self) -> str:
-        """The model of a GPU, or ``cpu``."""
-        if not self.on_gpu:
-            return self.device
-        import torch
-
-        return torch.cuda.get_device_name(self.device)
 
     def now(self) -> float:
         """The time (s), when all that was begun on the device is done."""
@@ -147,6 +135,16 @@ def training(place: Place, values: str | dict[str, Any], *overrides: str, steps:
     return (SEEDS if place.on_gpu else 1) * float(agent.step - first) / seconds
 
 
+def stepping(place: Place, step: Callable[[int], Any], count: int) -> float:
+    """Calls of ``step`` with 0, 1, ... per second, after some that are not counted."""
+    for i in range(max(10, count // 20)):
+        step(i)
+    started = place.now()
+    for i in range(count):
+        step(i)
+    return count / (place.now() - started)
+
+
 def make_vec(place: Place, env_id: str, num_envs: int = 1024, steps: int = 1500, **arguments: Any) -> float:
     """Environment steps per second of ``gymnasium.make_vec``, with autoreset, under random actions."""
     import gymnasium
@@ -163,17 +161,10 @@ def make_vec(place: Place, env_id: str, num_envs: int = 1024, steps: int = 1500,
         import torch
 
         actions = torch.as_tensor(actions, device=place.device)
-
-    def step(count: int) -> float:
-        for i in range(count):
-            env.step(actions[i % len(actions)])
-        return place.now()
-
-    started = step(len(actions))
-    return num_envs * steps / (step(steps) - started)
+    return num_envs * stepping(place, lambda i: env.step(actions[i % len(actions)]), steps)
 
 
-def kernel(place: Place, env_id: str, num_envs: int = 1024) -> float:
+def kernel(place: Place, env_id: str, num_envs: int = 1024, steps: int = 200) -> float:
     """Environment steps per second of the kernel alone (including the decoding of actions), without autoreset."""
     import gymnasium
 
@@ -184,14 +175,13 @@ def kernel(place: Place, env_id: str, num_envs: int = 1024) -> float:
     batch = env.unwrapped.batch
     actions = np.random.default_rng(0).integers(0, 22, (10, num_envs, batch.scenario.vehicles))
     start = batch.state.copy()
-    fastest = 0.0
-    for _ in range(10):
-        batch.state[:] = start
-        started = place.clock()
-        for action in actions:
-            batch.step(action)
-        fastest = max(fastest, num_envs * len(actions) / (place.clock() - started))
-    return fastest
+
+    def step(i: int) -> None:
+        if i % len(actions) == 0:
+            batch.state[:] = start
+        batch.step(actions[i % len(actions)])
+
+    return num_envs * stepping(place, step, steps)
 
 
 def make(place: Place, env_id: str = ONE_WAYPOINT, steps: int = 100_000) -> float:
@@ -204,14 +194,13 @@ def make(place: Place, env_id: str = ONE_WAYPOINT, steps: int = 100_000) -> floa
     env.reset(seed=0)
     env.action_space.seed(0)
     actions = [env.action_space.sample() for _ in range(steps)]
-    started = 0.0
-    for i, action in enumerate([*actions[: steps // 100], *actions]):
-        if i == steps // 100:
-            started = place.clock()
-        _, _, terminated, truncated, _ = env.step(action)
+
+    def step(i: int) -> None:
+        _, _, terminated, truncated, _ = env.step(actions[i])
         if terminated or truncated:
             env.reset()
-    return steps / (place.clock() - started)
+
+    return stepping(place, step, steps)
 
 
 def parallel(place: Place, steps: int = 5000) -> float:
@@ -220,14 +209,15 @@ def parallel(place: Place, steps: int = 5000) -> float:
 
     env = mo_deepdrive.parallel_env()
     env.reset(seed=0)
-    choices = np.random.default_rng(0).integers(0, 22, (steps, len(env.possible_agents))).tolist()
-    started = place.clock()
-    for choice in choices:
-        joint = dict(zip(env.possible_agents, choice, strict=True))
+    actions = np.random.default_rng(0).integers(0, 22, (steps, len(env.possible_agents))).tolist()
+
+    def step(i: int) -> None:
+        joint = dict(zip(env.possible_agents, actions[i], strict=True))
         env.step({agent: joint[agent] for agent in env.agents})
         if not env.agents:
             env.reset()
-    return steps / (place.clock() - started)
+
+    return stepping(place, step, steps)
 
 
 def process(place: Place, *arguments: str, outputs: Sequence[str] = ("warm-up", "run"), **variables: str) -> float:
@@ -293,12 +283,6 @@ def _placed_cases() -> Iterator[tuple[str, Case]]:
     yield "make_vec-roundabout-8", partial(make_vec, env_id=ROUNDABOUT, vehicles=8)
 
 
-def _whole_run(place: Place, config: str) -> float:
-    options = f"--training.total_timesteps={RUN}", "--logging.save_figures=false", "--output", "{output}"
-    # The first round of a comparison has filled the caches.
-    return process(place, TRAIN, "--config", config, *options, outputs=["run"])
-
-
 def _pcn(place: Place, *settings: str) -> float:
     return training(place, "one_waypoint/pcn", *(f"--algorithm.{setting}" for setting in settings), steps=40_000)
 
@@ -308,7 +292,9 @@ IN_SECONDS: dict[str, Case] = {
     "import": lambda place: process(place, "-c", "import mo_deepdrive"),
     "train-help": lambda place: process(place, TRAIN, "--help"),
     "train-one-update": lambda place: process(place, TRAIN, "--config", "run.yaml", "--output", "{output}"),
-    **{f"run-{Path(config).name}": partial(_whole_run, config=config) for config in WHOLE_RUNS},
+    "train-quickstart": lambda place: process(
+        place, TRAIN, "--config", "one_waypoint/quickstart", "--output", "{output}"
+    ),
 }
 CASES: dict[str, Case] = {
     **PLACED,
@@ -420,6 +406,14 @@ def machine() -> str:
     info = Path("/proc/cpuinfo")
     model = re.search(r"^model name\s*: (.*)$", info.read_text(encoding="utf-8") if info.exists() else "", re.MULTILINE)
     return f"{model[1] if model else platform.processor() or platform.machine()}, {os.cpu_count()} CPUs"
+
+
+def _device_name(device: str) -> str:
+    if device == "cpu":
+        return device
+    import torch
+
+    return torch.cuda.get_device_name(device)
 
 
 def measure_tree(tree: Path, name: str) -> float:
@@ -546,7 +540,7 @@ def compare_as_asked(options: argparse.Namespace) -> None:
         else:
             raise ValueError(f"--threads {options.threads} must be from 2 to {available_cores()}, the number of cores")
         rows = compare(ONE_CORE, place, names, pairs, measure_place, track)
-        about = {"commit": tree, "threads": place.threads, "device": place.device_name(), "machine": machine()}
+        about = {"commit": tree, "threads": place.threads, "device": _device_name(place.device), "machine": machine()}
         caption = f"old: {ONE_CORE}, new: {place}; {tree:.12}; time on the clock; {machine()}"
     show(rows, options.output, about, caption)
 

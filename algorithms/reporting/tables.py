@@ -404,13 +404,7 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
     Ends that no episode had are left out; the files have all.
     """
     columns = {policy: evaluation.estimates() for policy, evaluation in evaluations.items()}
-    names: list[str] = []
-    for estimates in columns.values():
-        place = 0
-        for name in estimates:
-            if name not in names:
-                names.insert(place, name)
-            place = names.index(name) + 1
+    names = list(dict.fromkeys(name for estimates in columns.values() for name in estimates))
     ends = [name for name in names if split_name(name).metric.startswith(END)]
     happened = {name for name in ends for column in columns.values() if name in column and column[name].value > 0.0}
     how = f"95% intervals{of_three((len(evaluation.returns) for evaluation in evaluations.values()), 'episodes')}"
