@@ -6,7 +6,6 @@ they drive, is on the page beside them.
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -36,7 +35,7 @@ from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
     from numpy.typing import ArrayLike, NDArray
@@ -99,7 +98,8 @@ def _importance(view: FrontView) -> Figure:
     axes = figure.subplots(d, 1, squeeze=False, sharex=True)[:, 0]
     for i, (axis, name) in enumerate(zip(axes, front.objectives, strict=True)):
         values = front.discounted[:, i]
-        text = number_formatter(values, name_and_unit(name)[1])
+        unit = name_and_unit(name)[1]
+        worst, best = (f"{value:.4g} {unit}".strip() for value in (values.min(), values.max()))
         title = label(name, "discounted")
         axis.set_title(f"{PAPER_NAMES[name]}: {title}" if name in PAPER_NAMES else title)
         axis.set_ylim(0.0, 1.24)
@@ -107,14 +107,14 @@ def _importance(view: FrontView) -> Figure:
         axis.tick_params(axis="x", length=0)
         if np.isnan(view.importance[:, i]).any():
             axis.set_yticks([])
-            same = text(values[0]) + (", the same for every policy" if len(front) > 1 else "")
+            same = best + (", the same for every policy" if len(front) > 1 else "")
             axis.text(0.5, 0.45, same, transform=axis.transAxes, ha="center", va="center", color=DIM)
             continue
         heights = view.importance[shown, i]
         axis.bar(range(n), heights, width=0.74, color=view.colours[shown], zorder=3)
         for x, height in enumerate(heights):
             axis.text(x, height + 0.03, f"{height:.2f}", ha="center", va="bottom", fontsize=8)
-        axis.set_yticks([0, 1], [f"{text(values.min())} = 0", f"{text(values.max())} = 1"])
+        axis.set_yticks([0, 1], [f"{worst} = 0", f"{best} = 1"])
         axis.axhline(1.0, color=GRID, linewidth=0.8, zorder=1)
     ticks = [str(policy) for policy in shown]
     if view.arrived is not None:
@@ -137,15 +137,13 @@ def _reduction(view: FrontView) -> Figure:
     figure = view.figure((10.4, 5.2), "the front in two dimensions", notes, view.dot_legend)
     axis, compass = figure.subplots(1, 2, width_ratios=(2.6, 1.0))
     view.draw_dots(axis, components.points, 44)
+    axis.margins(0.1)
     if len(shown) < len(front):
         x, y = components.points[shown].T
         axis.scatter(x, y, s=80, facecolors="none", edgecolors=INK, linewidths=1.0, zorder=4)
     for k, (name, share) in enumerate(zip(("first", "second"), components.explained, strict=True)):
         text = f"{name} component" + (f" ({share:.0%} of the variance)" if share > 0.0 else " (no variance)")
         (axis.set_xlabel, axis.set_ylabel)[k](text)
-        low, high = components.points[:, k].min(), components.points[:, k].max()
-        pad = 0.1 * (high - low) if high - low > 1e-9 else 0.5
-        (axis.set_xlim, axis.set_ylim)[k](low - pad, high + pad)
     view.add_colour_bar(figure, axis)
     _loadings(compass, view, components.loadings)
     style: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "path_effects": [HALO], "zorder": 6}
@@ -160,14 +158,13 @@ def _loadings(axis: Axes, view: FrontView, loadings: NDArray[np.float64]) -> Non
     """An arrow per objective: its weights in the two components."""
     angles = np.linspace(0.0, 2 * np.pi, 181)
     axis.plot(np.cos(angles), np.sin(angles), color=FAINT, linewidth=0.9, zorder=1)
-    handles = []
-    for i, (name, arrow) in enumerate(zip(view.front.objectives, loadings, strict=True)):
-        colour, text = objective_colour(i), name_and_unit(name)[0]
-        text += " (no variance)" if np.isnan(view.importance[:, i]).any() else ""
-        if np.hypot(*arrow) > 0.01:
-            style = {"arrowstyle": "-|>", "color": colour, "linewidth": 2.0, "shrinkA": 0, "shrinkB": 0}
-            axis.annotate("", xy=(arrow[0], arrow[1]), xytext=(0.0, 0.0), arrowprops=style, zorder=3)
-        handles.append(Line2D([], [], color=colour, linewidth=2.4, label=text))
+    colours = [objective_colour(i) for i in range(len(loadings))]
+    axis.quiver(
+        *np.zeros((2, len(loadings))), *loadings.T, color=colours, angles="xy", scale_units="xy", scale=1, zorder=3
+    )
+    same = np.isnan(view.importance).any(axis=0)
+    names = [name_and_unit(name)[0] + " (no variance)" * bool(same[i]) for i, name in enumerate(view.front.objectives)]
+    handles = [Line2D([], [], color=c, linewidth=2.4, label=name) for c, name in zip(colours, names, strict=True)]
     axis.set_title("Loadings of the components")
     axis.set_aspect("equal")
     axis.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), xlabel="first component", ylabel="second component")
@@ -212,20 +209,6 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
             axis.set_ylabel(label(front.objectives[pair[1]], "discounted"))
     view.add_colour_bar(figure, list(axes.flat))
     return figure
-
-
-def number_formatter(values: ArrayLike, unit: str = "") -> Callable[[float], str]:
-    """A function that formats numbers such as ``values`` with the digits that distinguish them, and with the unit."""
-    numbers = np.asarray(values, dtype=np.float64)
-    extent = float(np.ptp(numbers)) or float(np.abs(numbers).max())
-    digits = min(max(2 - math.floor(math.log10(extent)), 0), 4) if extent > 0.0 else 1
-    suffix = f" {unit}" if unit else ""
-
-    def text(value: float) -> str:
-        rounded = f"{round(value, digits) + 0.0:,.{digits}f}"  # + 0.0: never -0
-        return rounded.replace("-", "\N{MINUS SIGN}") + suffix
-
-    return text
 
 
 def importance(returns: ArrayLike) -> NDArray[np.float64]:
