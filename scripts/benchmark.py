@@ -292,9 +292,6 @@ IN_SECONDS: dict[str, Case] = {
     "import": lambda place: process(place, "-c", "import mo_deepdrive"),
     "train-help": lambda place: process(place, TRAIN, "--help"),
     "train-one-update": lambda place: process(place, TRAIN, "--config", "run.yaml", "--output", "{output}"),
-    "train-quickstart": lambda place: process(
-        place, TRAIN, "--config", "one_waypoint/quickstart", "--output", "{output}"
-    ),
 }
 CASES: dict[str, Case] = {
     **PLACED,

@@ -192,7 +192,8 @@ def find_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
     without: list[str] = []
     for path in paths:
         below = sorted(_runs_below(path))
-        runs |= {run.resolve(): run for run in below if run.resolve() not in runs}
+        for run in below:
+            runs.setdefault(run.resolve(), run)
         if not below:
             without.append(
                 f"{str(path)!r} holds no run: there is no config.yaml in it or below it; nor is it a sweep, which has "
