@@ -413,16 +413,11 @@ def _device_name(device: str) -> str:
     return torch.cuda.get_device_name(device)
 
 
-def measure_tree(tree: Path, name: str) -> float:
-    """The result of a measurement in CPU time, in a new process that imports the packages of ``tree``."""
-    variables = {**dict.fromkeys(THREADS, "1"), "PYTHONPATH": str(tree)}
-    return float(_run([__file__, "--measure", name], **variables))
-
-
-def measure_place(place: Place, name: str) -> float:
-    """The result of a measurement of the working tree in ``place``, in time on the clock."""
-    variables = {**dict.fromkeys(THREADS, str(place.threads)), **SPINNING, "PYTHONPATH": str(REPOSITORY)}
-    where = ["--threads", str(place.threads), "--device", place.device]
+def measure_apart(side: Path | Place, name: str) -> float:
+    """A measurement in a new process: of the packages in a tree in CPU time, or on the clock in a place."""
+    place, tree = (side, REPOSITORY) if isinstance(side, Place) else (ONE_CORE, side)
+    where = ["--threads", str(place.threads), "--device", place.device] if isinstance(side, Place) else []
+    variables = {**dict.fromkeys(THREADS, str(place.threads)), **SPINNING, "PYTHONPATH": str(tree)}
     return float(_run([__file__, "--measure", name, *where], **variables))
 
 
@@ -524,7 +519,7 @@ def compare_as_asked(options: argparse.Namespace) -> None:
     if options.against is not None:
         names, commit = select(options.only), revision(options.against)
         with checkout(commit) as old:
-            rows = compare(old, REPOSITORY, names, pairs, measure_tree, track)
+            rows = compare(old, REPOSITORY, names, pairs, measure_apart, track)
         about = {"old_commit": commit, "new_commit": tree, "threads": 1, "machine": machine()}
         caption = f"old: {commit:.12}, new: {tree:.12}; CPU time, one thread; {machine()}"
     else:
@@ -536,7 +531,7 @@ def compare_as_asked(options: argparse.Namespace) -> None:
             place = Place(options.threads)
         else:
             raise ValueError(f"--threads {options.threads} must be from 2 to {available_cores()}, the number of cores")
-        rows = compare(ONE_CORE, place, names, pairs, measure_place, track)
+        rows = compare(ONE_CORE, place, names, pairs, measure_apart, track)
         about = {"commit": tree, "threads": place.threads, "device": _device_name(place.device), "machine": machine()}
         caption = f"old: {ONE_CORE}, new: {place}; {tree:.12}; time on the clock; {machine()}"
     show(rows, options.output, about, caption)

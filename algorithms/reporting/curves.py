@@ -21,6 +21,7 @@ from algorithms.reporting.run_records import (
     distinct_labels,
     group_by_experiment,
     identifying_settings,
+    label_of,
     read_runs,
 )
 from algorithms.reporting.style import (
@@ -66,7 +67,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from algorithms.reporting.run_records import ExperimentRecord, UtilityRecord
+    from algorithms.reporting.run_records import ExperimentRecord
     from algorithms.reporting.training_log import Columns
 
 FORMATS = tuple(f".{name}" for name in FigureCanvasBase.get_supported_filetypes())  # of figures
@@ -296,12 +297,12 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
     if not drawn or panel.title.lower().endswith(title_of(SUCCESS)):
         return
     settled, means = (np.concatenate([parts[i] for parts in drawn]) for i in (0, 1))
-    low, high = _limits(panel.names[-1], settled, 0.25)
-    if np.ptp(means) < CUT_RATIO * (high - low):
-        low, high = _limits(panel.names[-1], np.concatenate([part for parts in drawn for part in parts[1:]]), 0.05)
+    limits = _limits(panel.names[-1], settled, 0.25)
+    if np.ptp(means) < CUT_RATIO * (limits[1] - limits[0]):
+        limits = _limits(panel.names[-1], np.concatenate([part for parts in drawn for part in parts[1:]]), 0.05)
     else:
         axis.set_title(f"{panel.title} (start cut off)")
-    axis.set_ylim(low, high)
+    axis.set_ylim(*limits)
 
 
 def _limits(name: str, values: NDArray[Any], pad: float) -> tuple[float, float]:
@@ -323,42 +324,34 @@ def _styles(groups: Sequence[CurveGroup]) -> list[tuple[str, str]]:
     return curve_styles([group.experiment.algorithm.name for group in groups])
 
 
-def _utilities(utility: UtilityRecord | None) -> list[str]:
-    """The name of the utility and those of vehicles with another one; empty if no utility is known."""
-    if utility is None:
-        return []
-    return [utility.name, *(f"{other.name} ({v.replace('_', ' ')})" for v, other in utility.vehicles.items())]
-
-
 def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
     """Add title, notes and legend around the panels."""
     experiment = groups[0].experiment
     alone = len(groups) == 1
-    ids = dict.fromkeys(group.experiment.environment.id for group in groups)
-    utilities = dict.fromkeys(name for group in groups for name in _utilities(group.experiment.utility))
-    heading = f"{experiment.algorithm.name} on {', '.join(ids)}" if alone else ", ".join(ids)
+    ids = ", ".join(dict.fromkeys(group.experiment.environment.id for group in groups))
+    utilities = ", ".join(filter(None, dict.fromkeys(label_of(group.experiment.utility) for group in groups)))
     seeds = sorted({len(group.runs) for group in groups})
-    count = " to ".join(str(n) for n in dict.fromkeys((seeds[0], seeds[-1])))
-    note = f"utility {', '.join(utilities)}; " if utilities else ""
-    note += "undiscounted returns per episode"
-    if experiment.environment.arguments.get("cost_sign", "maximise") == "maximise":
-        note += ", costs negative"
-    note += f"; {count} seed{'' if seeds == [1] else 's'}"
+    maximised = experiment.environment.arguments.get("cost_sign", "maximise") == "maximise"
+    note = (f"utility {utilities}; " if utilities else "") + "undiscounted returns per episode"
+    note += (
+        ", costs negative" if maximised else ""
+    ) + f"; {' to '.join(dict.fromkeys(map(str, (seeds[0], seeds[-1]))))}"
+    note += f" seed{'' if seeds == [1] else 's'}"
     if seeds[-1] >= MIN_SAMPLES:
         note += f", bands: 95% bootstrap interval of the mean{of_three(seeds)}"
     elif seeds[-1] > 1:
         note += f", too few for an interval (n = {seeds[-1]})"
     handles = []
-    for group, (colour, marker) in zip(groups, _styles(groups), strict=True):
+    styles = _styles(groups)
+    for group, (colour, marker) in zip(groups, styles, strict=True) if not alone else ():
         label = f"{group.label} (n = {len(group.runs)})" if len(group.runs) < MIN_SAMPLES else group.label
-        if not alone:
-            handles.append(Line2D([], [], color=colour, marker=marker, markersize=4.5, linewidth=2.4, label=label))
+        handles.append(Line2D([], [], color=colour, marker=marker, markersize=4.5, linewidth=2.4, label=label))
     present = {name for group in groups for columns in group.runs for name in columns}
     for k, kind in enumerate(KINDS):
         if (alone or k > 0) and any(name.startswith(kind.prefix) for name in present):
-            colour = DIM if not alone else TRAINING_COLOUR if k == 0 else _styles(groups)[0][0]
+            colour = DIM if not alone else TRAINING_COLOUR if k == 0 else styles[0][0]
             handles.append(Line2D([], [], color=colour, linestyle=kind.line, linewidth=kind.width, label=kind.name))
-    surround(figure, heading, [remark, note], handles)
+    surround(figure, f"{experiment.algorithm.name} on {ids}" if alone else ids, [remark, note], handles)
 
 
 # ------------------------------------------------------------------------------------ scores against what was varied

@@ -258,10 +258,11 @@ def _sheets(tracks: Sequence[Track], columns: int, background: str) -> Iterator[
         raise ValueError("there is no track; at least one is needed")
     sources = [iter(frames) for _, frames in tracks]
     shown = [next(frames, None) for frames in sources]
+    height = width = 0
     for (caption, _), first in zip(tracks, shown, strict=True):
         if first is None:
             raise ValueError(f"track {caption!r} has no frames")
-    height, width = shown[0].shape[:2]
+        height, width = first.shape[:2]
     scale = min(1.0, (MAX_WIDTH - GAP * (columns - 1)) / columns / width)
     height, width = int(scale * height), int(scale * width)
     rows = -(-len(tracks) // columns)

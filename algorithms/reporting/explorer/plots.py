@@ -319,7 +319,9 @@ class FrontView:
         faces = self.colours.copy()
         if self.arrived is not None:
             faces[~self.arrived] = 1.0
-        axis.scatter(*points.T, s=size, c=faces, edgecolors=self.colours.tolist(), linewidths=1.2, zorder=3)
+        axis.scatter(
+            points[:, 0], points[:, 1], s=size, c=faces, edgecolors=self.colours.tolist(), linewidths=1.2, zorder=3
+        )
 
     def figure(
         self, size: tuple[float, float], heading: str, notes: Sequence[str], handles: Sequence[Line2D] = ()
