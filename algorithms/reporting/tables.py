@@ -10,7 +10,7 @@ import re
 from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -150,8 +150,7 @@ class ScoreGroup:
         return known + [0.0] * (len(evaluated) - len(known))
 
 
-@dataclass(frozen=True)
-class ScoreEstimate:
+class ScoreEstimate(NamedTuple):
     """A score of a group over its n seeds; ``text`` has the digits that the intervals support."""
 
     group: ScoreGroup
@@ -173,7 +172,7 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything
     members = group_by_experiment([run for run in records if run.scores])
     experiments = [runs[0].experiment for runs in members]
     environments, utilities = (
-        distinct_labels([label_of(section) for section in sections], sections)
+        distinct_labels(list(map(label_of, sections)), sections)
         for sections in ([e.environment for e in experiments], [e.utility for e in experiments])
     )
     groups = []
@@ -195,19 +194,11 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything
                     if score.low is not None and score.high is not None:
                         group.widths[place].append(score.high - score.low)
         groups.append(group)
-    _tell_apart(groups, [identifying_settings(experiment) for experiment in experiments])
+    names = [" ".join(group.about.values()) for group in groups]
+    settings = [identifying_settings(experiment) for experiment in experiments]
+    for group, name, distinct in zip(groups, names, distinct_labels(names, settings), strict=True):
+        group.about["settings"] = distinct.removeprefix(name).strip()
     return sorted(groups, key=lambda group: (*group.task.values(), algorithm_order(group.algorithm)))
-
-
-def _tell_apart(groups: Sequence[ScoreGroup], settings: Sequence[Mapping[str, Any]]) -> None:
-    """Add the settings that differ to what is said about groups of the same task, algorithm and steps."""
-    namesakes: dict[tuple[str, ...], list[int]] = defaultdict(list)
-    for g, group in enumerate(groups):
-        namesakes[tuple(group.about.values())].append(g)
-    for members in namesakes.values():
-        labels = distinct_labels([""] * len(members), [settings[g] for g in members])
-        for g, label in zip(members, labels, strict=True):
-            groups[g].about["settings"] = label
 
 
 def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> list[ScoreEstimate]:
