@@ -145,8 +145,9 @@ class ScoreGroup:
         Evaluations in another library's environment may have a success rate only if some episode succeeded
         (:mod:`mo_deepdrive.evaluation.evaluation`): where one seed has it, it is 0 for those evaluated without.
         """
-        known = self.scores[place]
-        evaluated = self.scores.get(place._replace(metric=LENGTH), []) if place.metric == SUCCESS else []
+        place = place._replace(metric=UTILITY_ESR) if place.metric == UTILITY_IQM else place
+        known = self.scores.get(place, [])
+        evaluated = self.scores.get(place._replace(metric=LENGTH), []) if known and place.metric == SUCCESS else []
         return known + [0.0] * (len(evaluated) - len(known))
 
 
@@ -207,23 +208,21 @@ def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None 
     They are in the order of the groups and of the metrics, None for :data:`TABLE_METRICS` and all others of the groups.
     """
     wanted = metrics or [*TABLE_METRICS, UTILITY_IQM, *(place.metric for group in groups for place in group.scores)]
-    measured = dict.fromkeys(UTILITY_ESR if name == UTILITY_IQM else name for name in wanted)
     places = [
         (group, place)
         for group in groups
-        for (policy, vehicle), metric in product(group.rows, measured)
-        if (place := MetricName(policy, vehicle, metric)) in group.scores
+        for (policy, vehicle), metric in product(group.rows, dict.fromkeys(wanted))
+        if group.values(place := MetricName(policy, vehicle, metric))
     ]
     samples = [group.values(place) for group, place in places]
     estimates = []
     for (group, place), values, mean in zip(places, samples, means(samples), strict=True):
-        width = float(np.mean(group.widths.get(place, [0.0])))
-        estimates.append(ScoreEstimate(group, place, mean, len(values), mean.text(width)))
-        if place.metric == UTILITY_ESR:
-            middle = interquartile_mean(np.array(values))
-            name = place._replace(metric=UTILITY_IQM)
-            estimates.append(ScoreEstimate(group, name, Estimate(middle), len(values), f"{middle:.3f}"))
-    return [estimate for estimate in estimates if estimate.place.metric in wanted]
+        text = mean.text(float(np.mean(group.widths.get(place, [0.0]))))
+        if place.metric == UTILITY_IQM:
+            mean = Estimate(interquartile_mean(np.array(values)))
+            text = f"{mean.value:.3f}"
+        estimates.append(ScoreEstimate(group, place, mean, len(values), text))
+    return estimates
 
 
 def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Rows:
@@ -265,9 +264,9 @@ def _difference_rows(groups: Sequence[ScoreGroup], about: Sequence[str], columns
                 labels[-1] = ""
             cells = []
             for metric in columns:
-                place = MetricName(policy, vehicle, UTILITY_ESR if metric == UTILITY_IQM else metric)
-                samples = [np.array(group.values(place)) for group in (second, first) if place in group.scores]
-                enough = len(samples) == 2 and min(map(len, samples)) >= MIN_SAMPLES
+                place = MetricName(policy, vehicle, metric)
+                samples = [np.array(group.values(place)) for group in (second, first)]
+                enough = min(map(len, samples)) >= MIN_SAMPLES
                 difference = iqm_difference if metric == UTILITY_IQM else mean_difference
                 cells.append(difference(*samples).text() if enough else "")
             if any(cells):

@@ -27,20 +27,25 @@ def grid(base: dict[str, Any]) -> list[ManifestRow]:
     return [make_row(base, cell, seed) for cell in cells for seed in range(3)]
 
 
+def _caller(module: ModuleType) -> Script:
+    """Calls a command; its exit code."""
+
+    def call(*arguments: Any) -> int:
+        try:
+            return int(module.main([str(argument) for argument in arguments]))
+        except SystemExit as end:
+            return int(end.code or 0)
+
+    return call
+
+
 @pytest.fixture
 def table(load_script: Callable[[str], ModuleType]) -> Script:
     """Call mo-deepdrive table."""
-    return lambda *arguments: load_script("table").main([str(argument) for argument in arguments])
+    return _caller(load_script("table"))
 
 
 @pytest.fixture
 def plot(load_script: Callable[[str], ModuleType]) -> Script:
     """Call mo-deepdrive plot."""
-
-    def call(*arguments: Any) -> int:
-        try:
-            return int(load_script("plot").main([str(argument) for argument in arguments]))
-        except SystemExit as end:
-            return int(end.code or 0)
-
-    return call
+    return _caller(load_script("plot"))
