@@ -162,8 +162,8 @@ def _loadings(axis: Axes, view: FrontView, loadings: NDArray[np.float64]) -> Non
     axis.quiver(
         *np.zeros((2, len(loadings))), *loadings.T, color=colours, angles="xy", scale_units="xy", scale=1, zorder=3
     )
-    same = np.isnan(view.importance).any(axis=0)
-    names = [name_and_unit(name)[0] + " (no variance)" * bool(same[i]) for i, name in enumerate(view.front.objectives)]
+    same = [bool(np.isnan(column).any()) for column in view.importance.T]
+    names = [name_and_unit(name)[0] + " (no variance)" * same[i] for i, name in enumerate(view.front.objectives)]
     handles = [Line2D([], [], color=c, linewidth=2.4, label=name) for c, name in zip(colours, names, strict=True)]
     axis.set_title("Loadings of the components")
     axis.set_aspect("equal")
