@@ -7,402 +7,574 @@
 
 Everything is measured in one run, each speed as the best of several repetitions, so that ratios are reliable on a
 machine with other load. Other packages are measured where they are installed (``pip install highway-env`` for
-mo-highway-fast-v0; the extra ``[peers]`` for morl-baselines' PCN).
+mo-highway-fast-v0).
 
---against compares the working tree with a commit, in pairs of measurements of CPU time. --threads and --device compare
-environments and training on several threads, or on a GPU, with one thread of the CPU, in pairs of measurements of time
-on the clock: docs/benchmark.md.
+--against compares the working tree with a commit, in pairs of measurements of the CPU time of new processes, which
+other programs change much less than the time on the clock. --threads and --device compare environments and training on
+several threads, or on a GPU, with one thread of the CPU, in pairs of measurements of time on the clock; a GPU moves
+65,536 worlds or trains ten seeds side by side: docs/benchmark.md.
 """
+
+# Both trees of a comparison run this file: it imports from the packages only what a measurement needs.
 
 from __future__ import annotations
 
-import contextlib
+import argparse
 import io
+import json
 import os
+import platform
+import re
 import subprocess
 import sys
+import tarfile
 import tempfile
-import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from time import perf_counter, process_time
+from typing import Any, TypeVar
 
-import gymnasium
-import mo_gymnasium
 import numpy as np
-import paired_benchmark
-from gymnasium.vector import AutoresetMode
-from paired_benchmark import ONE_CORE, training
-from result_file import check_folder, write_results
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
-import mo_deepdrive
-from algorithms.learning.threads import set_threads
-from algorithms.peers import PEERS
-from algorithms.peers.running import prepare
-from algorithms.runs.build import build
-from algorithms.runs.cli import make_parser
-from algorithms.runs.config import load_experiment
-from algorithms.runs.report import evaluate_front
-from mo_deepdrive.evaluation.pareto import hypervolume
-from mo_deepdrive.support.machine import available_cores, check_device
-from mo_deepdrive.world.scenarios import SCENARIOS
+Side = TypeVar("Side")
 
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-    from collections.abc import Callable, Mapping, Sequence
-
-IDS = {scenario.title: scenario.id for scenario in SCENARIOS.values()}
+REPOSITORY = Path(__file__).resolve().parent.parent
+ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN, ROUNDABOUT = (
+    f"mo-deepdrive-{name}-v0" for name in ("one-waypoint", "static-obstacle", "intersection", "left-turn", "roundabout")
+)
+UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
 OTHERS = ("minecart-v0", "mo-highway-fast-v0")
-STEPS_PER_REPETITION = 100
+RUN = 3_000_000  # steps of the runs in which speeds are measured: short ones are not compiled
+WARM_UP, MEASURED = 3, 300_000  # updates that are not counted, and environment steps that are
+WORLDS, SEEDS = 65_536, 10  # on a GPU
 PAIRS = 10
 COMPARISONS = "--against COMMIT, --threads COUNT and --device D"
-CONFIGS = Path(__file__).resolve().parent.parent / "configs"
-DEEP_SEA = CONFIGS / "deep_sea_treasure"
-DEEP_SEA_POINT = (0.0, -25.0)  # the reference point of morl-baselines
-
+SHIPPED = (
+    *(f"{scenario}/a2c_linear" for scenario in ("one_waypoint", "static_obstacle", "intersection")),
+    *(f"{scenario}/mo_ppo_linear" for scenario in ("one_waypoint", "static_obstacle", "intersection", "left_turn")),
+)
+THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "POLARS_MAX_THREADS")
+SPINNING = {"GOMP_SPINCOUNT": "6000"}  # of idle threads, as commands set it
+TRAIN = "{tree}/scripts/train.py"
+ONE_UPDATE = """
+environment: {id: mo-deepdrive-one-waypoint-v0}
+utility: {name: one_waypoint_linear}
+algorithm: {name: mo_a2c, steps: 16, hidden: [64, 32]}
+training: {total_timesteps: 4096, num_envs: 256}
+evaluation: {episodes: 1, final_episodes: 1}
+logging: {save_figures: false}
+"""
 FIRST_STEP = """
-import mo_deepdrive, mo_gymnasium
-env = mo_gymnasium.make("mo-deepdrive-one-waypoint-v0")
-env.reset(seed=0)
-env.step(0)
-"""
-
-MEMORY = r"""
-import re
+import sys
 import gymnasium, mo_deepdrive
-def resident():
-    return int(re.search(r"VmRSS:\s+(\d+)", open("/proc/self/status").read()).group(1)) / 1024
-def grown(count):
-    env = gymnasium.make_vec("mo-deepdrive-{name}-v0", num_envs=count)
-    env.reset(seed=0)
-    env.action_space.seed(0)
-    for _ in range(20):
-        env.step(env.action_space.sample())
-    return env
-small = grown(1)
-before = resident()
-large = grown(4096)
-print(resident() - before, resident())
+env = gymnasium.make_vec(sys.argv[1], num_envs=int(sys.argv[2]))
+env.reset(seed=0)
+env.step(env.action_space.sample())
+if sys.platform == "linux":
+    print(4096 * int(open("/proc/self/statm").read().split()[1]) / 1e6)
 """
 
 
-@dataclass
-class Measurement:
-    """One measurement.
+@dataclass(frozen=True)
+class Place:
+    """Where worlds or a training run, and by which clock their time is measured."""
 
-    Attributes:
-        measurement: what was measured.
-        value: in ``unit``.
-        unit: of the value.
-        goal: the value to be reached, as text.
+    threads: int = 1
+    device: str = "cpu"
+    clock: Callable[[], float] = perf_counter
+
+    @property
+    def on_gpu(self) -> bool:
+        """Whether worlds and learners are on a device."""
+        return self.device != "cpu"
+
+    def __str__(self) -> str:
+        return self.device if self.on_gpu else f"{self.threads} thread{'' if self.threads == 1 else 's'}"
+
+    def now(self) -> float:
+        """The time (s), when all that was begun on the device is done."""
+        if self.on_gpu:
+            import torch
+
+            torch.cuda.synchronize(self.device)
+        return self.clock()
+
+
+ONE_CORE, CPU_TIME = Place(), Place(clock=process_time)
+
+# ------------------------------------------------------------------------------------------------------- measurements
+
+
+def training(place: Place, values: str | dict[str, Any], *overrides: str, steps: int = MEASURED) -> float:
+    """Environment steps per second of an experiment, given by its values or as the name of a shipped one.
+
+    On a GPU its SEEDS trainings are side by side, and worlds and learners stay there.
     """
+    from algorithms.runs.build import build, build_trainee
+    from algorithms.runs.config import load_experiment, make_experiment
 
-    measurement: str
-    value: Annotated[float, ".6g"]
-    unit: str
-    goal: str = ""
+    values = load_experiment(values, overrides).to_dict() if isinstance(values, str) else values
+    where: dict[str, Any] = {"threads": place.threads, "device": place.device}
+    if place.on_gpu:
+        where |= {"seeds": [*range(SEEDS)], "compiled": True}
+    experiment = make_experiment({**values, "training": {**values["training"], **where}})
+    agent: Any = build_trainee(experiment.of_seeds()) if place.on_gpu else build(experiment)
+    update = experiment.training.num_envs * getattr(experiment.algorithm.config, "steps", 1)
+
+    def train_until(step: int) -> float:
+        agent.train(RUN, after_update=lambda _: agent.step >= step)
+        return place.now()
+
+    started, first = train_until(WARM_UP * update), agent.step
+    seconds = train_until(first + steps) - started
+    return (SEEDS if place.on_gpu else 1) * float(agent.step - first) / seconds
 
 
-def best(run: Callable[[], int], repetitions: int) -> float:
-    """Units per second of the fastest of ``repetitions`` calls of ``run``, which returns the number of units."""
-    fastest = 0.0
-    for _ in range(repetitions):
-        started = time.perf_counter()
-        units = run()
-        fastest = max(fastest, units / (time.perf_counter() - started))
-    return fastest
+def stepping(place: Place, step: Callable[[int], Any], count: int) -> float:
+    """Calls of ``step`` with 0, 1, ... per second, after some that are not counted."""
+    for i in range(max(10, count // 20)):
+        step(i)
+    started = place.now()
+    for i in range(count):
+        step(i)
+    return count / (place.now() - started)
 
 
-def vector_rate(env_id: str, num_envs: int, threads: int, repetitions: int) -> float:
-    """Environment steps per second of the native vector environment under random actions, including autoreset."""
-    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, threads=threads)
+def make_vec(place: Place, env_id: str, num_envs: int = 1024, steps: int = 1500, **arguments: Any) -> float:
+    """Environment steps per second of ``gymnasium.make_vec``, with autoreset, under random actions."""
+    import gymnasium
+    from gymnasium.vector import AutoresetMode
+
+    import mo_deepdrive  # noqa: F401  (registers the ids)
+
+    arguments |= {"device": place.device} if place.on_gpu else {"threads": place.threads}
+    num_envs = WORLDS if place.on_gpu else num_envs
+    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
     env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    shape: tuple[int, ...] = (STEPS_PER_REPETITION, *(env.action_space.shape or ()))
-    actions = rng.integers(0, 22, shape)
+    actions: Any = np.random.default_rng(0).integers(0, 22, (100, *(env.action_space.shape or ())))
+    if place.on_gpu:
+        import torch
 
-    def run() -> int:
-        for action in actions:
-            env.step(action)
-        return num_envs * len(actions)
-
-    run()
-    return best(run, repetitions)
+        actions = torch.as_tensor(actions, device=place.device)
+    return num_envs * stepping(place, lambda i: env.step(actions[i % len(actions)]), steps)
 
 
-def kernel_rate(env_id: str, num_envs: int, repetitions: int) -> float:
+def kernel(place: Place, env_id: str, num_envs: int = 1024, steps: int = 200) -> float:
     """Environment steps per second of the kernel alone (including the decoding of actions), without autoreset."""
-    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP)
+    import gymnasium
+
+    import mo_deepdrive  # noqa: F401  (registers the ids)
+
+    env: Any = gymnasium.make_vec(env_id, num_envs=num_envs)
     env.reset(seed=0)
-    batch = env.unwrapped.batch  # type: ignore[attr-defined]
-    rng = np.random.default_rng(0)
-    actions = rng.integers(0, 22, (10, num_envs, batch.scenario.vehicles))
+    batch = env.unwrapped.batch
+    actions = np.random.default_rng(0).integers(0, 22, (10, num_envs, batch.scenario.vehicles))
     start = batch.state.copy()
-    fastest = 0.0
-    for _ in range(10 * repetitions):
-        batch.state[:] = start
-        started = time.perf_counter()
-        for action in actions:
-            batch.step(action)
-        fastest = max(fastest, num_envs * len(actions) / (time.perf_counter() - started))
-    return fastest
+
+    def step(i: int) -> None:
+        if i % len(actions) == 0:
+            batch.state[:] = start
+        batch.step(actions[i % len(actions)])
+
+    return num_envs * stepping(place, step, steps)
 
 
-def single_rate(env_id: str, repetitions: int, steps: int) -> float | None:
-    """Steps per second of ``mo_gymnasium.make(env_id)`` under random actions; None if it is not installed."""
-    try:
-        env = mo_gymnasium.make(env_id)
-    except (gymnasium.error.Error, ImportError):
-        return None
+def make(place: Place, env_id: str = ONE_WAYPOINT, steps: int = 100_000) -> float:
+    """Steps per second of ``mo_gymnasium.make`` under random actions."""
+    import mo_gymnasium
+
+    import mo_deepdrive  # noqa: F401  (registers the ids)
+
+    env = mo_gymnasium.make(env_id)
     env.reset(seed=0)
     env.action_space.seed(0)
     actions = [env.action_space.sample() for _ in range(steps)]
 
-    def run() -> int:
-        for action in actions:
-            _, _, terminated, truncated, _ = env.step(action)
-            if terminated or truncated:
-                env.reset()
-        return len(actions)
+    def step(i: int) -> None:
+        _, _, terminated, truncated, _ = env.step(actions[i])
+        if terminated or truncated:
+            env.reset()
 
-    run()
-    return best(run, repetitions)
+    return stepping(place, step, steps)
 
 
-def parallel_rate(repetitions: int, steps: int) -> float:
+def parallel(place: Place, steps: int = 5000) -> float:
     """Joint steps per second of the PettingZoo parallel environment of the intersection under random actions."""
+    import mo_deepdrive
+
     env = mo_deepdrive.parallel_env()
     env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    choices = rng.integers(0, 22, (steps, len(env.possible_agents))).tolist()
-    joint = [dict(zip(env.possible_agents, choice, strict=True)) for choice in choices]
+    actions = np.random.default_rng(0).integers(0, 22, (steps, len(env.possible_agents))).tolist()
 
-    def run() -> int:
-        for actions in joint:
-            if len(env.agents) < len(actions):
-                actions = {agent: actions[agent] for agent in env.agents}
-            env.step(actions)
-            if not env.agents:
-                env.reset()
-        return steps
+    def step(i: int) -> None:
+        joint = dict(zip(env.possible_agents, actions[i], strict=True))
+        env.step({agent: joint[agent] for agent in env.agents})
+        if not env.agents:
+            env.reset()
 
-    run()
-    return best(run, repetitions)
+    return stepping(place, step, steps)
 
 
-def our_pcn() -> tuple[float, float]:
-    """Seconds of training PCN on Deep Sea Treasure with its YAML file, and the hypervolume of its front."""
-    experiment = load_experiment(DEEP_SEA / "pcn.yaml")
-    agent = build(experiment)
-    started = time.perf_counter()
-    agent.train(experiment.training.total_timesteps)
-    seconds = time.perf_counter() - started
-    settings = experiment.evaluation
-    front = evaluate_front(agent, experiment, episodes=settings.final_episodes, seed=settings.final_seed)
-    return seconds, hypervolume(front.discounted, DEEP_SEA_POINT)
+def process(place: Place, *arguments: str, outputs: Sequence[str] = ("warm-up", "run"), **variables: str) -> float:
+    """CPU seconds (on the clock in a place) of ``python ARGUMENTS`` from start to end, the last of several times."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "run.yaml").write_text(ONE_UPDATE)
+        for output in outputs:  # those before the last one fill caches
+            names = {"tree": os.environ.get("PYTHONPATH", ""), "output": output}
+            before, started = os.times(), perf_counter()
+            _run([word.format(**names) if "{" in word else word for word in arguments], folder, **variables)
+            after, seconds = os.times(), perf_counter() - started
+    used = after.children_user + after.children_system - before.children_user - before.children_system
+    return used if place.clock is process_time else seconds
 
 
-def peer_pcn() -> tuple[float, float] | None:
-    """The same for morl-baselines' PCN with the arguments of its example; None if it is not installed."""
-    experiment = load_experiment(DEEP_SEA / "morl_baselines_pcn.yaml")
-    peer = PEERS[experiment.algorithm.name]
-    if peer.unavailable_reason() is not None:
-        return None
-    task = prepare(experiment, lambda _step, _metrics: None)
-    with contextlib.redirect_stdout(io.StringIO()):
-        started = time.perf_counter()
-        policies: Any = peer.train(task)
-        seconds = time.perf_counter() - started
-    settings = experiment.evaluation
-    front = evaluate_front(policies, experiment, episodes=settings.final_episodes, seed=settings.final_seed)
-    return seconds, hypervolume(front.discounted, DEEP_SEA_POINT)
+class CannotMeasureError(Exception):
+    """A measurement cannot be run; the message says why."""
 
 
-def deep_sea_rows() -> list[Measurement]:
-    """PCN on Deep Sea Treasure, this project's and morl-baselines'."""
-    name = "deep-sea-treasure-v0"
-    known = mo_gymnasium.make(name).unwrapped.pareto_front(0.99)  # type: ignore[attr-defined]
-    best_known = f"{hypervolume(known, DEEP_SEA_POINT):.2f}"
-    seconds, found = our_pcn()
-    rows = [
-        Measurement(f"{name}, pcn, as its YAML", seconds, "s"),
-        Measurement(f"{name}, pcn, hypervolume", found, "", best_known),
-    ]
-    theirs = peer_pcn()
-    if theirs is not None:
-        rows.append(Measurement(f"{name}, morl-baselines' PCN, 100,000 steps", theirs[0], "s"))
-        rows.append(Measurement(f"{name}, morl-baselines' PCN, hypervolume", theirs[1], "", best_known))
-        rows.append(Measurement(f"{name}, time of pcn / morl-baselines' PCN", seconds / theirs[0], "x", "< 0.2"))
-    return rows
+def _run(arguments: Sequence[str], folder: str | None = None, **variables: str) -> str:
+    """The last line that ``python ARGUMENTS`` prints, with these variables in its environment."""
+    command, variables = [sys.executable, *arguments], {**os.environ, **variables}
+    done = subprocess.run(command, cwd=folder, env=variables, capture_output=True, text=True, check=False)
+    failed = done.returncode != 0
+    last_line = [*((done.stderr or done.stdout) if failed else done.stdout).strip().splitlines(), ""][-2:][0]
+    if failed:
+        raise CannotMeasureError(last_line)
+    return last_line
 
 
-def first_step_seconds() -> tuple[float, float]:
-    """Seconds of a fresh interpreter from start to the first step: with a cold compilation cache, then a warm one."""
-    seconds = []
+Case = Callable[[Place], float]
+
+
+def _experiment(algorithm: str, env_id: str, hidden: list[int], **arguments: Any) -> dict[str, Any]:
+    """An experiment with the default settings of an actor-critic."""
+    return {
+        "environment": {"id": env_id, "arguments": arguments},
+        "utility": {"name": UTILITIES[env_id]},
+        "algorithm": {"name": algorithm, "steps": 16, "hidden": hidden},
+        "training": {"total_timesteps": 1, "num_envs": 256},
+    }
+
+
+def _short(env_id: str) -> str:
+    return env_id.removeprefix("mo-deepdrive-").removesuffix("-v0")
+
+
+def _placed_cases() -> Iterator[tuple[str, Case]]:
+    for algorithm, hidden, actions in product(
+        ("a2c", "mo_a2c", "ppo", "mo_ppo"), ([64, 32], [128, 64]), ("discrete", "continuous")
+    ):
+        name = f"{algorithm}-{hidden[0]}-{hidden[1]}-{actions}"
+        yield name, partial(training, values=_experiment(algorithm, ONE_WAYPOINT, hidden, action_type=actions))
+    for algorithm, hidden in (("a2c", [512] * 2), ("mo_ppo", [256] * 2), ("mo_ppo", [512] * 2), ("mocac", [128, 64])):
+        name = f"{algorithm}-{hidden[0]}-{hidden[1]}-discrete"
+        yield name, partial(training, values=_experiment(algorithm, ONE_WAYPOINT, hidden))
+    for algorithm in ("a2c", "mo_ppo"):
+        yield f"two-{algorithm}-128-64", partial(training, values=_experiment(algorithm, INTERSECTION, [128, 64]))
+    for config in SHIPPED:
+        yield config, partial(training, values=config)
+    for env_id in (ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN):
+        yield f"make_vec-{_short(env_id)}", partial(make_vec, env_id=env_id)
+    yield "make_vec-roundabout-8", partial(make_vec, env_id=ROUNDABOUT, vehicles=8)
+
+
+def _pcn(place: Place, *settings: str) -> float:
+    return training(place, "one_waypoint/pcn", *(f"--algorithm.{setting}" for setting in settings), steps=40_000)
+
+
+PLACED = dict(_placed_cases())  # what can be measured in a place
+IN_SECONDS: dict[str, Case] = {
+    "import": lambda place: process(place, "-c", "import mo_deepdrive"),
+    "train-help": lambda place: process(place, TRAIN, "--help"),
+    "train-one-update": lambda place: process(place, TRAIN, "--config", "run.yaml", "--output", "{output}"),
+}
+CASES: dict[str, Case] = {
+    **PLACED,
+    "pcn-collection": lambda place: _pcn(place, "gradient_steps=1", "batch_size=1"),
+    "pcn": _pcn,
+    "make": make,
+    **IN_SECONDS,
+}
+
+
+def select(patterns: Sequence[str], cases: Mapping[str, Case] = CASES) -> list[str]:
+    """The names of ``cases`` that match one of ``patterns`` (shell wildcards); all without patterns."""
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in cases):
+            raise ValueError(f"{pattern!r} matches no measurement; known: {', '.join(cases)}")
+    return [name for name in cases if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
+
+
+# ----------------------------------------------------------------------------------------------------------- overview
+
+Row = dict[str, Any]  # of the table and of the file, by column
+
+
+def overview(repetitions: int) -> list[Row]:
+    """Speed and memory of the working tree, and of what else is installed."""
+    import gymnasium
+
+    from mo_deepdrive.support.machine import available_cores
+
+    rows: list[Row] = []
+
+    def add(name: str, value: float, unit: str = "steps/s", goal: str = "") -> float:
+        rows.append({"measurement": name, "value": value, "unit": unit, "goal": goal})
+        return value
+
+    def best(run: Callable[..., float], *arguments: Any, place: Place = ONE_CORE, **settings: Any) -> float:
+        return max(run(place, *arguments, **settings) for _ in range(repetitions))
+
+    for title, env_id, goal in (
+        ("OneWaypoint", ONE_WAYPOINT, "4.0 M"),
+        ("StaticObstacle", STATIC_OBSTACLE, "3.0 M"),
+        ("Intersection", INTERSECTION, "1.5 M"),
+        ("LeftTurn", LEFT_TURN, "1.2 M"),
+    ):
+        add(f"{title}, kernel alone, N = 1024", best(kernel, env_id))
+        add(f"{title}, make_vec, N = 1024, 1 thread", best(make_vec, env_id), goal=goal)
+        if available_cores() > 1:
+            one, two = (best(make_vec, env_id, 4096, 100, place=Place(threads)) for threads in (1, 2))
+            add(f"{title}, make_vec, N = 4096, 2 threads", two)
+            add(f"{title}, 2 threads / 1 thread, N = 4096", two / one, "x", "1.8")
+    single = add("OneWaypoint, mo_gymnasium.make", best(make, ONE_WAYPOINT, 5000), goal="60 k")
+    add("LeftTurn, mo_gymnasium.make", best(make, LEFT_TURN, 5000), goal="40 k")
+    for other in OTHERS:
+        try:
+            speed = best(make, other, 300)
+        except (gymnasium.error.Error, ImportError):  # it is not installed
+            continue
+        add(f"OneWaypoint / {other}, single", single / add(f"{other}, mo_gymnasium.make", speed), "x")
+    add("Intersection, parallel_env", best(parallel), "joint steps/s", "25 k")
+    for algorithm, goal in (("a2c", "400 k"), ("mo_a2c", "300 k"), ("mo_ppo", "")):
+        speed = best(training, _experiment(algorithm, ONE_WAYPOINT, [64, 32]))
+        add(f"{algorithm} training, 256 x 16, 1 thread", speed, goal=goal)
+    for algorithm, hidden in product(("a2c", "mo_a2c", "mo_ppo"), ([64, 32], [128, 64])):
+        speed = best(training, _experiment(algorithm, INTERSECTION, hidden))
+        add(f"independent {algorithm} training, {hidden}, 256 x 16, 1 thread", speed, "joint steps/s")
+    first_step = ("-c", FIRST_STEP, ONE_WAYPOINT, "1")
     with tempfile.TemporaryDirectory() as cache:
-        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
-        for _ in range(2):
-            started = time.perf_counter()
-            subprocess.run([sys.executable, "-c", FIRST_STEP], check=True, env=environment)
-            seconds.append(time.perf_counter() - started)
-    return seconds[0], seconds[1]
-
-
-def memory_megabytes(scenario: str) -> tuple[float, float]:
-    """Growth and total of resident memory (MB) with 4096 environments; Linux only, since it reads /proc."""
-    code = MEMORY.replace("{name}", scenario)
-    output = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
-    growth, total = output.split()
-    return float(growth), float(total)
-
-
-def measure(repetitions: int, updates: int, with_threads: bool) -> list[Measurement]:
-    """All measurements."""
-    rows: list[Measurement] = []
-    targets = {"OneWaypoint": "4.0 M", "StaticObstacle": "3.0 M", "Intersection": "1.5 M", "LeftTurn": "1.2 M"}
-    for title, env_id in IDS.items():
-        rows.append(Measurement(f"{title}, kernel alone, N = 1024", kernel_rate(env_id, 1024, repetitions), "steps/s"))
-        rate = vector_rate(env_id, 1024, 1, repetitions)
-        rows.append(Measurement(f"{title}, make_vec, N = 1024, 1 thread", rate, "steps/s", targets[title]))
-        if with_threads:
-            one = vector_rate(env_id, 4096, 1, repetitions)
-            two = vector_rate(env_id, 4096, 2, repetitions)
-            rows.append(Measurement(f"{title}, make_vec, N = 4096, 2 threads", two, "steps/s"))
-            rows.append(Measurement(f"{title}, 2 threads / 1 thread, N = 4096", two / one, "x", "1.8"))
-    ours = single_rate(IDS["OneWaypoint"], repetitions, 5000)
-    assert ours is not None
-    rows.append(Measurement("OneWaypoint, mo_gymnasium.make", ours, "steps/s", "60 k"))
-    left_turn = single_rate(IDS["LeftTurn"], repetitions, 5000)
-    assert left_turn is not None
-    rows.append(Measurement("LeftTurn, mo_gymnasium.make", left_turn, "steps/s", "40 k"))
-    for peer in OTHERS:
-        rate_of_peer = single_rate(peer, max(1, repetitions // 3), 300)
-        if rate_of_peer is not None:
-            rows.append(Measurement(f"{peer}, mo_gymnasium.make", rate_of_peer, "steps/s"))
-            rows.append(Measurement(f"OneWaypoint / {peer}, single", ours / rate_of_peer, "x"))
-    rows.append(Measurement("Intersection, parallel_env", parallel_rate(repetitions, 5000), "joint steps/s", "25 k"))
-    for algorithm, target in (("a2c", "400 k"), ("mo_a2c", "300 k"), ("mo_ppo", "")):
-        rate = training(algorithm, IDS["OneWaypoint"], [64, 32], updates, {}, ONE_CORE)
-        rows.append(Measurement(f"{algorithm} training, 256 x 16, 1 thread", rate, "steps/s", target))
-    for algorithm, target in (("a2c", "150 k"), ("mo_a2c", ""), ("mo_ppo", "")):
-        for hidden in ([64, 32], [128, 64]):
-            rate = training(algorithm, IDS["Intersection"], hidden, updates // 2, {}, ONE_CORE)
-            what = f"independent {algorithm} training, {hidden}, 256 x 16, 1 thread"
-            rows.append(Measurement(what, rate, "joint steps/s", target))
-    rows += deep_sea_rows()
-    cold, warm = first_step_seconds()
-    rows.append(Measurement("import and first step, cold cache", cold, "s", "< 20"))
-    rows.append(Measurement("import and first step, warm cache", warm, "s", "< 1.5"))
-    for scenario in ("one-waypoint", "intersection"):
-        growth, total = memory_megabytes(scenario)
-        rows.append(Measurement(f"{scenario}, 4096 environments, growth of resident memory", growth, "MB"))
-        rows.append(Measurement(f"{scenario}, 4096 environments, resident memory of the process", total, "MB", "< 300"))
+        for state, goal in (("cold", "< 20"), ("warm", "< 1.5")):
+            seconds = process(ONE_CORE, *first_step, outputs=["run"], NUMBA_CACHE_DIR=cache)
+            add(f"import and first step, {state} cache", seconds, "s", goal)
+    for env_id in (ONE_WAYPOINT, INTERSECTION) if sys.platform == "linux" else ():
+        small, large = (float(_run(["-c", FIRST_STEP, env_id, count])) for count in ("1", "4096"))
+        add(f"{_short(env_id)}, 4096 environments, growth of resident memory", large - small, "MB")
+        add(f"{_short(env_id)}, 4096 environments, resident memory of the process", large, "MB", "< 300")
     return rows
 
 
-def compare_trees(commit: str, names: Sequence[str], pairs: int, output: Path | None) -> None:
-    """Compare the working tree with ``commit``, a hash; print the table and write it to ``output``."""
-    with paired_benchmark.checkout(commit) as old:
-        measure, new = paired_benchmark.measure, paired_benchmark.REPOSITORY
-        rows = paired_benchmark.compare(old, new, names, pairs, measure, progress=track)
-    about = {"old_commit": commit, "new_commit": paired_benchmark.working_tree()}
-    caption = f"old: {commit:.12}, new: {about['new_commit']:.12}; CPU time, one thread"
-    print_comparison(rows, ("old", "new"), caption, about | {"threads": paired_benchmark.THREADS}, output)
+# --------------------------------------------------------------------------------------------------------------- pairs
 
 
-def compare_places(place: paired_benchmark.Place, names: Sequence[str], pairs: int, output: Path | None) -> None:
-    """Compare ``place`` with one thread; print the table and write it to ``output``."""
-    one, measure = paired_benchmark.ONE_CORE, paired_benchmark.measure_in
-    rows = paired_benchmark.compare(one, place, names, pairs, measure, progress=track)
-    commit = paired_benchmark.working_tree()
-    about = {"commit": commit, "threads": place.threads, "device": paired_benchmark.device_name(place.device)}
-    print_comparison(rows, (str(one), str(place)), f"{commit:.12}; time on the clock", about, output)
+def revision(commit: str) -> str:
+    """The full hash of ``commit``."""
+    found = _git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{commit}^{{commit}}").decode().strip()
+    if not found:
+        raise ValueError(f"{commit!r} is not a commit of {REPOSITORY}")
+    return found
 
 
-def print_comparison(
-    rows: Sequence[paired_benchmark.Row],
-    sides: tuple[str, str],
-    caption: str,
-    about: Mapping[str, Any],
-    output: Path | None,
-) -> None:
-    """Print the table of a comparison, and write it to ``output`` with what it is ``about``."""
-    machine = paired_benchmark.machine()
-    table = Table("measurement", *sides, "unit", "speed-up [95% interval]", caption=f"{caption}; {machine}")
-    table.columns[0].no_wrap = True
+def working_tree() -> str:
+    """The hash of the checked-out commit, with "-dirty" if files differ from it; "unknown" outside a repository."""
+    return _git("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*").decode().strip() or "unknown"
+
+
+@contextmanager
+def checkout(commit: str) -> Iterator[Path]:
+    """A temporary folder with the files of ``commit``."""
+    with tempfile.TemporaryDirectory() as folder:
+        with tarfile.open(fileobj=io.BytesIO(_git("archive", "--format=tar", commit))) as archive:
+            archive.extractall(folder, filter="data")
+        yield Path(folder)
+
+
+def _git(*arguments: str) -> bytes:
+    return subprocess.run(["git", "-C", str(REPOSITORY), *arguments], capture_output=True, check=False).stdout
+
+
+def machine() -> str:
+    """The model of the processor and the number of its threads."""
+    info = Path("/proc/cpuinfo")
+    model = re.search(r"^model name\s*: (.*)$", info.read_text(encoding="utf-8") if info.exists() else "", re.MULTILINE)
+    return f"{model[1] if model else platform.processor() or platform.machine()}, {os.cpu_count()} CPUs"
+
+
+def _device_name(device: str) -> str:
+    if device == "cpu":
+        return device
+    import torch
+
+    return torch.cuda.get_device_name(device)
+
+
+def measure_apart(side: Path | Place, name: str) -> float:
+    """A measurement in a new process: of the packages in a tree in CPU time, or on the clock in a place."""
+    place, tree = (side, REPOSITORY) if isinstance(side, Place) else (ONE_CORE, side)
+    where = ["--threads", str(place.threads), "--device", place.device] if isinstance(side, Place) else []
+    variables = {**dict.fromkeys(THREADS, str(place.threads)), **SPINNING, "PYTHONPATH": str(tree)}
+    return float(_run([__file__, "--measure", name, *where], **variables))
+
+
+def measure(name: str, place: Place, tree: Path) -> float:
+    """A measurement in this process, of the packages in ``tree``."""
+    if place.clock is perf_counter:
+        from algorithms.learning.threads import set_threads
+
+        set_threads(place.threads)
+    result = CASES[name](place)
+    for module_name, module in [*sys.modules.items()]:
+        file = getattr(module, "__file__", None)
+        ours = module_name.partition(".")[0] in ("mo_deepdrive", "algorithms")
+        # An installed package answers for modules that the tree lacks.
+        if ours and file is not None and not Path(file).is_relative_to(tree):
+            raise ImportError(f"{tree} has no module {module_name}")
+    return result
+
+
+def compare(
+    old: Side,
+    new: Side,
+    names: Sequence[str],
+    pairs: int,
+    measure: Callable[[Side, str], float],
+    progress: Callable[[Sequence[Any]], Iterable[Any]] = iter,
+) -> list[Row]:
+    """Measure two trees or two places, in alternation: ``measure(side, name)``.
+
+    Every measurement runs once on each side first, which fills the caches of the compiler and is not counted. Then each
+    pair measures one side and the other right after it; which one is first changes from pair to pair.
+    """
+    values: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in names}
+    problems: dict[str, str] = {}
+    for pair, name in progress(list(product(range(-1, pairs), names))):
+        sides = (("old", old, values[name][0]), ("new", new, values[name][1]))
+        for title, side, measured in sides[:: 1 if pair % 2 == 0 else -1]:
+            if name in problems:
+                continue
+            try:
+                value = measure(side, name)
+            except CannotMeasureError as error:
+                problems[name] = f"the {title} side cannot run it: {error}"
+                continue
+            if pair >= 0:
+                measured.append(value)
+    return [comparison(name, *values[name], problems.get(name, "")) for name in names]
+
+
+def comparison(name: str, old: Sequence[float], new: Sequence[float], problem: str = "") -> Row:
+    """The medians of both sides and of how many times as fast the new one is in each pair, with its 95% interval.
+
+    The interval is from order statistics (Conover 1999) and needs six pairs.
+    """
+    from scipy.stats import quantile_test
+
+    seconds = name in IN_SECONDS
+    row: Row = {"measurement": name, "unit": "s" if seconds else "steps/s"}
+    row |= dict.fromkeys(("old", "new", "speedup", "low", "high"))
+    if not problem:
+        ratios = [before / after if seconds else after / before for before, after in zip(old, new, strict=True)]
+        row |= {"old": float(np.median(old)), "new": float(np.median(new)), "speedup": float(np.median(ratios))}
+        interval = quantile_test(ratios, p=0.5).confidence_interval(0.95)
+        if not np.isnan(interval.low):
+            row |= {"low": float(interval.low), "high": float(interval.high)}
+    return {**row, "pairs": 0 if problem else len(old), "problem": problem}
+
+
+# -------------------------------------------------------------------------------------------------------- command line
+
+
+def show(rows: Sequence[Row], output: Path | None, about: Row, caption: str = "") -> None:
+    """Print a table, and write it to a CSV file with what it is about in further columns."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
+
+    table = Table(*rows[0], caption=caption)
+    for column in table.columns[1:]:
+        column.no_wrap = True
     for row in rows:
-        table.add_row(*row.cells())
+        table.add_row(*(f"{value:,.6g}" if isinstance(value, float) else str(value or "") for value in row.values()))
     Console().print(table)
-    write_results(output, rows, {**about, "machine": machine})
+    if output is not None:
+        values = [["" if value is None else value for value in (row | about).values()] for row in rows]
+        cells = [[f"{value:.6g}" if isinstance(value, float) else value for value in row] for row in values]
+        atomic_write(output, csv_bytes([[*rows[0], *about], *cells]))
 
 
-def chosen_place(threads: int | None, device: str | None) -> paired_benchmark.Place:
-    """What is compared with one thread: ``device``, or ``threads`` of the CPU."""
-    if device is not None:
-        check_device("--device", device)
-        return paired_benchmark.Place(device=device)
-    cores = available_cores()
-    if threads is None or not 2 <= threads <= cores:
-        raise ValueError(f"--threads {threads} must be from 2 to {cores}, the number of cores")
-    return paired_benchmark.Place(threads=threads)
+def compare_as_asked(options: argparse.Namespace) -> None:
+    """Make the comparison that the options ask for, and show it."""
+    from rich.progress import track
+
+    from mo_deepdrive.support.machine import available_cores, check_device
+
+    pairs = PAIRS if options.pairs is None else options.pairs
+    tree = working_tree()
+    if options.against is not None:
+        names, commit = select(options.only), revision(options.against)
+        with checkout(commit) as old:
+            rows = compare(old, REPOSITORY, names, pairs, measure_apart, track)
+        about = {"old_commit": commit, "new_commit": tree, "threads": 1, "machine": machine()}
+        caption = f"old: {commit:.12}, new: {tree:.12}; CPU time, one thread; {machine()}"
+    else:
+        names = select(options.only, PLACED)
+        if options.device is not None:
+            check_device("--device", options.device)
+            place = Place(device=options.device)
+        elif 2 <= options.threads <= available_cores():
+            place = Place(options.threads)
+        else:
+            raise ValueError(f"--threads {options.threads} must be from 2 to {available_cores()}, the number of cores")
+        rows = compare(ONE_CORE, place, names, pairs, measure_apart, track)
+        about = {"commit": tree, "threads": place.threads, "device": _device_name(place.device), "machine": machine()}
+        caption = f"old: {ONE_CORE}, new: {place}; {tree:.12}; time on the clock; {machine()}"
+    show(rows, options.output, about, caption)
 
 
-def compare(parser: ArgumentParser, arguments: Namespace) -> None:
-    """Make the comparison that the arguments ask for."""
-    pairs = PAIRS if arguments.pairs is None else arguments.pairs
-    if sum(each is not None for each in (arguments.against, arguments.threads, arguments.device)) > 1:
-        parser.error(f"{COMPARISONS} are comparisons of their own; make one at a time")
-    if pairs < 1:
-        parser.error(f"--pairs {pairs} must be at least 1")
-    try:
-        if arguments.against is not None:
-            names = paired_benchmark.select(arguments.only)
-            compare_trees(paired_benchmark.revision(arguments.against), names, pairs, arguments.output)
-            return
-        names = paired_benchmark.select(arguments.only, paired_benchmark.PLACED)
-        place = chosen_place(arguments.threads, arguments.device)
-    except ValueError as error:
-        parser.error(str(error))
-    compare_places(place, names, pairs, arguments.output)
-
-
-def main(argv: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line."""
-    parser = make_parser(__doc__)
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter, allow_abbrev=False)
     parser.add_argument("--quick", action="store_true", help="fewer repetitions")
     parser.add_argument("--output", type=Path, help="also write the table as CSV")
     parser.add_argument("--against", metavar="COMMIT", help="compare the working tree with this commit")
     parser.add_argument("--threads", type=int, help="compare so many threads with one")
-    parser.add_argument(
-        "--device", metavar="D", help="compare environments and training there, such as on cuda, with one thread"
-    )
+    help_text = "compare environments and training there, such as on cuda, with one thread"
+    parser.add_argument("--device", metavar="D", help=help_text)
     parser.add_argument("--pairs", type=int, help=f"of each measurement that is compared (default: {PAIRS})")
-    parser.add_argument(
-        "--only",
-        nargs="+",
-        default=[],
-        metavar="NAME",
-        help="measurements that are compared, such as a2c-64-32-discrete 'mo_*'",
-    )
-    arguments = parser.parse_args(argv)
-    check_folder(parser, arguments.output)
-    if any(each is not None for each in (arguments.against, arguments.threads, arguments.device)):
-        compare(parser, arguments)
+    help_text = "measurements that are compared, such as a2c-64-32-discrete 'mo_*'"
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help=help_text)
+    parser.add_argument("--measure", choices=CASES, help=argparse.SUPPRESS)  # one, in this process
+    options = parser.parse_args(arguments)
+    if options.measure:
+        place = Place(options.threads, options.device or "cpu") if options.threads else CPU_TIME
+        print(json.dumps(measure(options.measure, place, Path(os.environ["PYTHONPATH"]))))
         return
-    if arguments.only or arguments.pairs is not None:
+    if options.output is not None and not options.output.parent.is_dir():
+        parser.error(f"--output {options.output}: there is no folder {options.output.parent}")
+    comparisons = [option for option in (options.against, options.threads, options.device) if option is not None]
+    if len(comparisons) > 1:
+        parser.error(f"{COMPARISONS} are comparisons of their own; make one at a time")
+    if not comparisons and (options.only or options.pairs is not None):
         parser.error(f"--only and --pairs are for {COMPARISONS}")
+    if options.pairs is not None and options.pairs < 1:
+        parser.error(f"--pairs {options.pairs} must be at least 1")
+    if comparisons:
+        try:
+            compare_as_asked(options)
+        except ValueError as error:
+            parser.error(str(error))
+        return
+    from algorithms.learning.threads import set_threads
+
     set_threads(1)
-    repetitions = 3 if arguments.quick else 15
-    rows = measure(repetitions, 100 if arguments.quick else 750, with_threads=available_cores() > 1)
-    table = Table("measurement", "value", "unit", "goal")
-    for row in rows:
-        value = f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.2f}"
-        table.add_row(row.measurement, value, row.unit, row.goal)
-    Console().print(table)
-    write_results(arguments.output, rows)
+    show(overview(3 if options.quick else 15), options.output, {})
 
 
 if __name__ == "__main__":

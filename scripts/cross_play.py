@@ -25,59 +25,44 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from rich.console import Console
 
 from algorithms import ConditionedMOPPO
-from algorithms.reporting.cross_play_report import matrix_rows, plot_encounters, summary_rows, write_encounters
+from algorithms.reporting.style import LARGE_DPI, figure_style, save_figure
 from algorithms.reporting.tables import print_rows
+from algorithms.runs import cli
 from algorithms.runs.build import load_policy, open_driver
-from algorithms.runs.cli import TRUST, check_directory, make_parser, named_numbers
 from algorithms.runs.config import find_environment, is_ours
 from algorithms.runs.console import make_console
 from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.cross_play import cross_play, roles_of
+from mo_deepdrive.evaluation.cross_play import OTHERS, cross_play, roles_of
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
-from mo_deepdrive.evaluation.metrics import vehicle_name
+from mo_deepdrive.evaluation.metrics import COLLISION, SUCCESS, UTILITY_ESR, end_by, vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
-    import argparse
+    from argparse import Namespace
     from collections.abc import Sequence
 
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.evaluation.cross_play import Encounter
     from mo_deepdrive.evaluation.policy import Policy
 
-
 OWN = "own"
-UTILITY_HELP = f"of all (default: the linear one of the scenario); {OWN!r} for the preference of each"
+CELL = 0.3  # in, side of a cell of the picture
+MOST_WITH_NUMBERS = 40  # drivers of a role, above which the cells have no numbers
+COLLISIONS = end_by(COLLISION)
+
+# ------------------------------------------------------------------------------------------------------------- drivers
 
 
-def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
-    """The options of this script."""
-    parser = make_parser(__doc__)
-    parser.add_argument("runs", nargs="*", metavar="RUN", help="drivers of every vehicle that they learnt to drive")
-    parser.add_argument("--vehicle-0", nargs="+", default=[], metavar="DRIVER", help="drivers of vehicle 0 alone")
-    help_text = "drivers of vehicle 1 alone, or of all vehicles but 0"
-    parser.add_argument("--vehicle-1", "--others", nargs="+", default=[], metavar="DRIVER", help=help_text)
-    help_text = "environment of several vehicles (default: %(default)s)"
-    parser.add_argument("--env", default=SCENARIOS["intersection"].id, metavar="ID", help=help_text)
-    parser.add_argument("--vehicles", type=int, metavar="V", help="argument of the environment")
-    help_text = "a driver of each RUN of conditioned MO-PPO: its name, and weights"
-    parser.add_argument("--preference", nargs="+", action="append", default=[], metavar="NAME", help=help_text)
-    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder of the table and the picture")
-    parser.add_argument("--episodes", type=int, default=200, metavar="N", help="per pair (default: %(default)s)")
-    parser.add_argument("--split", choices=SPLITS, default="test", help="scenario seeds (default: %(default)s)")
-    parser.add_argument("--utility", metavar="NAME", help=UTILITY_HELP)
-    parser.add_argument(
-        "--show", nargs="+", default=[], metavar="SCORE", help="print the matrix of a column of the CSV"
-    )
-    parser.add_argument("--greedy", action="store_true", help="the most likely actions instead of sampled ones")
-    TRUST.add_to(parser)
-    return parser.parse_args(arguments)
-
-
-def open_env(options: argparse.Namespace) -> EnvAdapter:
+def open_env(options: Namespace) -> EnvAdapter:
     """The environment in which they meet."""
     if not is_ours(find_environment(options.env, "--env")):
         raise ValueError(f"--env = {options.env!r}: only this package's environments have several vehicles")
@@ -87,22 +72,21 @@ def open_env(options: argparse.Namespace) -> EnvAdapter:
     return env
 
 
-def arguments_of(options: argparse.Namespace) -> dict[str, int]:
+def arguments_of(options: Namespace) -> dict[str, int]:
     """The arguments of the environment."""
     return {} if options.vehicles is None else {"vehicles": options.vehicles}
 
 
-def open_drivers(options: argparse.Namespace, env: EnvAdapter) -> list[dict[str, Policy]]:
+def open_drivers(options: Namespace, env: EnvAdapter) -> list[dict[str, Policy]]:
     """The drivers of each role by name; the folder that all runs are in is left out of the names."""
-    opened_runs = {name: Run.open(name, trust=options.trust) for name in options.runs}
-    learnt = {name: set(run.experiment.training.partners) for name, run in opened_runs.items()}
+    runs = {name: Run.open(name, trust=options.trust) for name in options.runs}
+    learnt = {name: set(run.experiment.training.partners) for name, run in runs.items()}
     given = [options.vehicle_0, options.vehicle_1]
-    runs = [Path(name).absolute() for name in (*options.runs, *given[0], *given[1]) if Path(name).is_dir()]
-    shared = os.path.commonpath([run.parent for run in runs]) if runs else ""
-    found = []
-    for role, own, seats in zip(roles_of(env.vehicles), given, ([0], range(1, env.vehicles)), strict=True):
-        names = [name for name in options.runs if not learnt[name] & {vehicle_name(v) for v in seats}]
-        names += own
+    folders = [Path(name).absolute() for name in (*runs, *given[0], *given[1]) if Path(name).is_dir()]
+    shared = os.path.commonpath([folder.parent for folder in folders]) if folders else ""
+    drivers = []
+    for role, others, seats in zip(roles_of(env.vehicles), given, ([0], range(1, env.vehicles)), strict=True):
+        names = [name for name in options.runs if not learnt[name] & {vehicle_name(v) for v in seats}] + others
         if not names:
             raise ValueError(f"{role} has no driver")
         opened: dict[str, Policy] = {}
@@ -112,91 +96,165 @@ def open_drivers(options: argparse.Namespace, env: EnvAdapter) -> list[dict[str,
                 raise ValueError(f"{role} has two drivers {shown!r}; the second is {name!r}")
             if not shown.isprintable():
                 raise ValueError(f"driver {shown!r} has characters in its name that cannot be printed")
-            if options.preference and name in opened_runs and not opened_runs[name].experiment.known_utility:
-                opened |= conditioned_drivers(opened_runs[name], options)
+            if options.preference and name in runs and not runs[name].experiment.known_utility:
+                opened |= conditioned_drivers(runs[name], options)
                 continue
             for v in seats:
                 opened[shown] = open_driver(name, v, env, "discrete", trust=options.trust)
-        found.append(opened)
-    return found
+        drivers.append(opened)
+    return drivers
 
 
-def conditioned_drivers(run: Run, options: argparse.Namespace) -> dict[str, Policy]:
+def conditioned_drivers(run: Run, options: Namespace) -> dict[str, Policy]:
     """The drivers of a run of conditioned MO-PPO by the names of their preferences."""
     agent = load_policy(run)
     if not isinstance(agent, ConditionedMOPPO):
         raise ValueError(f"{run.path} has no preferences; --preference needs a run of conditioned MO-PPO")
-    found: dict[str, Policy] = {}
-    for name, weights in weights_of(options, agent.env.objectives).items():
-        row = agent.preferences.condition("linear", weights)
-        policy = agent.policy(np.tile(row, agent.env.vehicles))
-        found[name] = policy
-    return found
+    weights = weights_of(options, agent.env.objectives)
+    rows = {name: agent.preferences.condition("linear", numbers) for name, numbers in weights.items()}
+    return {name: agent.policy(np.tile(row, agent.env.vehicles)) for name, row in rows.items()}
 
 
-def weights_of(options: argparse.Namespace, objectives: Sequence[str]) -> dict[str, dict[str, float]]:
+def weights_of(options: Namespace, objectives: Sequence[str]) -> dict[str, dict[str, float]]:
     """The weights of every objective by the name of the preference."""
     return {
-        name: dict.fromkeys(objectives, 1.0) | named_numbers(f"--preference {name}", pairs, objectives)
+        name: dict.fromkeys(objectives, 1.0) | cli.named_numbers(f"--preference {name}", pairs, objectives)
         for name, *pairs in options.preference
     }
 
 
-def utilities_of(options: argparse.Namespace, env: EnvAdapter, drivers: list[dict[str, Policy]]) -> Any:
+def utilities_of(options: Namespace, env: EnvAdapter, drivers: list[dict[str, Policy]]) -> Any:
     """The utility by which all are judged, or by name those of the preferences."""
     made: Any = env.vector_env.unwrapped
     if options.utility != OWN:
         return options.utility or f"{made.config.scenario}_linear"
-    found = {}
-    for name, weights in weights_of(options, env.objectives).items():
-        policy: Any = (drivers[0] | drivers[1]).get(name)
-        if policy is not None:
-            scaled = np.array([weights[each] for each in env.objectives]) / policy.agent.scales
-            found[name] = make_utility("linear", env.objectives, weights=(scaled / sum(weights.values())).tolist())
-    for name in (*drivers[0], *drivers[1]):
-        if name not in found:
+    policies: dict[str, Any] = drivers[0] | drivers[1]
+    preferences, utilities = weights_of(options, env.objectives), {}
+    for name, policy in policies.items():
+        if name not in preferences:
             raise ValueError(f"--utility {OWN}: {name!r} has no preference")
-    return found
+        weights = np.array([preferences[name][objective] for objective in env.objectives])
+        scaled = weights / policy.agent.scales / weights.sum()
+        utilities[name] = make_utility("linear", env.objectives, weights=scaled.tolist())
+    return utilities
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command line ``arguments``, those of the process if None, and return the exit code."""
-    options = parse_arguments(arguments)
-    console = make_console()
-    try:
-        check_directory("--output", options.output)
-        env = open_env(options)
-        drivers = open_drivers(options, env)
-        utility = utilities_of(options, env, drivers)
-        pairs = len(drivers[0]) * len(drivers[1])
-        with console.status("") as status:
-            done = 0
+# ------------------------------------------------------------------------------------------------------------- results
 
-            def progress() -> None:
-                nonlocal done
-                done += 1
-                status.update(f"{done} of {pairs} pairs")
 
-            encounters = cross_play(
-                drivers,
-                options.env,
-                utility=utility,
-                env_kwargs=arguments_of(options),
-                split=options.split,
-                episodes=options.episodes,
-                greedy=options.greedy,
-                progress=progress,
-            )
-        options.output.mkdir(parents=True, exist_ok=True)
-        episodes = describe_episodes(options.episodes, SPLITS[options.split].start)
-        kind = "greedy" if options.greedy else "sampled"
-        name = OWN if isinstance(utility, dict) else utility
-        note = f"{episodes} per pair, {kind} actions, utility {name}"
-        write_encounters(options.output / "cross_play.csv", encounters)
-        plot_encounters(options.output / "cross_play.png", encounters, note)
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+def drivers_of(encounters: Sequence[Encounter], role: int) -> list[str]:
+    """The drivers of vehicle 0 (role 0) or of the others (1), in the order of the encounters."""
+    return list(dict.fromkeys(encounter.drivers[role] for encounter in encounters))
+
+
+def matrix(encounters: Sequence[Encounter], score: str) -> NDArray[np.float64]:
+    """(K, L) values of a score, of K drivers of vehicle 0 with L drivers of the others."""
+    values = [encounter.estimates[score].value for encounter in encounters]
+    return np.array(values).reshape(len(drivers_of(encounters, 0)), -1)
+
+
+def write_encounters(path: Path, encounters: Sequence[Encounter]) -> None:
+    """Write a CSV with a row per encounter: each score and the ends of its interval."""
+    ends = ("", "/low", "/high")
+    rows = [[*encounters[0].roles, *(name + end for name in encounters[0].estimates for end in ends)]]
+    for encounter in encounters:
+        numbers = [n for score in encounter.estimates.values() for n in (score.value, score.low, score.high)]
+        rows.append([*encounter.drivers, *("" if number is None else f"{number:.5g}" for number in numbers)])
+    atomic_write(path, csv_bytes(rows))
+
+
+def summary_rows(encounters: Sequence[Encounter], role: int) -> list[list[str]]:
+    """A table as text, header first: each driver of a role over the drivers of the other one that it met.
+
+    Its arrivals, collisions and utility are means over these drivers; the last two columns are of the one with which it
+    arrives least.
+    """
+    name = encounters[0].roles[role]
+    scores = [matrix(encounters, score) for score in (f"{name}/{SUCCESS}", COLLISIONS, f"{name}/{UTILITY_ESR}")]
+    arrivals, collisions, utility = (values.T if role else values for values in scores)
+    met = drivers_of(encounters, 1 - role)
+    rows = [[name, "met", "arrives (%)", "collisions (%)", "utility", "least with", "arrives (%)"]]
+    for k, driver in enumerate(drivers_of(encounters, role)):
+        means = [f"{100 * arrivals[k].mean():.1f}", f"{100 * collisions[k].mean():.1f}", f"{utility[k].mean():.2f}"]
+        worst = int(arrivals[k].argmin())
+        rows.append([driver, str(len(met)), *means, met[worst], f"{100 * arrivals[k, worst]:.1f}"])
+    return rows
+
+
+def matrix_rows(encounters: Sequence[Encounter], score: str) -> list[list[str]]:
+    """A score as a table as text, header first: a row per driver of vehicle 0, a column per driver of the others."""
+    header = [score, *(f"among {name}" for name in drivers_of(encounters, 1))]
+    names, values = drivers_of(encounters, 0), matrix(encounters, score)
+    return [header, *([name, *(f"{value:.4g}" for value in row)] for name, row in zip(names, values, strict=True))]
+
+
+def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> None:
+    """Draw the matrices of joint arrivals, collisions and utilities; the note says what was evaluated."""
+    rows, columns, roles = drivers_of(encounters, 0), drivers_of(encounters, 1), encounters[0].roles
+    names = ["the others" if role == OTHERS else role.replace("_", " ") for role in roles]
+    panels = [  # score, title, colour map, and whether the cells are percentages
+        (SUCCESS, f"{'all' if OTHERS in roles else 'both'} arrive (%)", "Blues", True),
+        (COLLISIONS, "collisions (%)", "OrRd", True),
+        *((f"{r}/{UTILITY_ESR}", f"utility of {name}", "Purples", False) for r, name in zip(roles, names, strict=True)),
+    ]
+    letters = 0.085 * max(map(len, [*rows, *columns]))
+    size = 2 * (CELL * len(columns) + letters + 1.1), 2 * (CELL * len(rows) + letters + 0.7) + 0.6
+    with figure_style():
+        figure = Figure(figsize=(max(size[0], 8.0), max(size[1], 5.0)), layout="constrained")
+        figure.suptitle(f"Cross-play\n{note}", fontsize=11, ha="left", x=0.02, parse_math=False)
+        for axis, (score, title, colours, percent) in zip(figure.subplots(2, 2).flat, panels, strict=True):
+            values = matrix(encounters, score) * (100.0 if percent else 1.0)
+            _draw(axis, values, colours, (0.0, 100.0) if percent else (float(values.min()), float(values.max())))
+            axis.set_title(title)
+            axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8, parse_math=False)
+            axis.set_yticks(range(len(rows)), rows, fontsize=8, parse_math=False)
+            axis.set_xlabel(f"driver of {names[1]}")
+            axis.set_ylabel(f"driver of {names[0]}")
+        save_figure(figure, path, LARGE_DPI)
+
+
+def _draw(axis: Axes, values: NDArray[np.float64], colours: str, limits: tuple[float, float]) -> None:
+    axis.imshow(values, cmap=colours, vmin=limits[0], vmax=limits[1], aspect="equal")
+    axis.grid(visible=False)
+    dark = limits[0] + 0.6 * (limits[1] - limits[0])
+    for (row, column), value in np.ndenumerate(values) if max(values.shape) <= MOST_WITH_NUMBERS else ():
+        text = f"{value:.0f}" if limits == (0.0, 100.0) else f"{value:.1f}".rstrip("0").rstrip(".")
+        axis.text(column, row, text, ha="center", va="center", fontsize=6.5, color="white" if value > dark else "black")
+
+
+# -------------------------------------------------------------------------------------------------------- command line
+
+
+def play(options: Namespace) -> int:
+    """Let all drivers meet, and write and print what they achieve."""
+    cli.check_directory("--output", options.output)
+    env = open_env(options)
+    drivers = open_drivers(options, env)
+    utility = utilities_of(options, env, drivers)
+    pairs, done = len(drivers[0]) * len(drivers[1]), 0
+    with make_console().status("") as status:
+
+        def progress() -> None:
+            nonlocal done
+            done += 1
+            status.update(f"{done} of {pairs} pairs")
+
+        encounters = cross_play(
+            drivers,
+            options.env,
+            utility=utility,
+            env_kwargs=arguments_of(options),
+            split=options.split,
+            episodes=options.episodes,
+            greedy=options.greedy,
+            progress=progress,
+        )
+    episodes = describe_episodes(options.episodes, SPLITS[options.split].start)
+    name = OWN if isinstance(utility, dict) else utility
+    note = f"{episodes} per pair, {'greedy' if options.greedy else 'sampled'} actions, utility {name}"
+    options.output.mkdir(parents=True, exist_ok=True)
+    write_encounters(options.output / "cross_play.csv", encounters)
+    plot_encounters(options.output / "cross_play.png", encounters, note)
     for k, role in enumerate(encounters[0].roles):
         print_rows(Console(), summary_rows(encounters, k), f"{role} with those that it met: {note}", 1)
     for score in options.show:
@@ -205,5 +263,26 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
+INTERSECTION = SCENARIOS["intersection"].id
+UTILITY = f"of all (default: the linear one of the scenario); {OWN!r} for the preference of each"
+PREFERENCE = "a driver of each RUN of conditioned MO-PPO: its name, and weights"
+OPTIONS = (
+    cli.option("runs", "RUN", "drivers of every vehicle that they learnt to drive", nargs="*"),
+    cli.option("--vehicle-0", "DRIVER", "drivers of vehicle 0 alone", nargs="+", default=[]),
+    cli.option("--vehicle-1", "DRIVER", "drivers of vehicle 1 alone", nargs="+", default=[]),
+    cli.option("--others", "DRIVER", "drivers of all vehicles but 0", nargs="+", default=[], dest="vehicle_1"),
+    cli.option("--env", "ID", "environment of several vehicles (default: %(default)s)", default=INTERSECTION),
+    cli.option("--vehicles", "V", "argument of the environment", type=int),
+    cli.option("--preference", "NAME", PREFERENCE, nargs="+", action="append", default=[]),
+    cli.option("--output", "DIR", "folder of the table and the picture", type=Path, required=True),
+    cli.option("--episodes", "N", "per pair (default: %(default)s)", type=int, default=200),
+    cli.option("--split", None, "scenario seeds (default: %(default)s)", choices=SPLITS, default="test"),
+    cli.option("--utility", "NAME", UTILITY),
+    cli.option("--show", "SCORE", "print the matrix of a column of the CSV", nargs="+", default=[]),
+    cli.flag("--greedy", "the most likely actions instead of sampled ones"),
+    cli.TRUST,
+)
+main = cli.Command("", __doc__, OPTIONS, play)
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

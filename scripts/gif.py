@@ -21,9 +21,9 @@ sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 from typing import TYPE_CHECKING
 
 from algorithms.driving.named_rules import is_rule, scripted_policy
-from algorithms.reporting.videos import Frame, episode_frames, make_render_env, write_gif
+from algorithms.reporting.videos import Frame, episode_frames, make_render_env, resized, write_video_grid
+from algorithms.runs import cli
 from algorithms.runs.build import load_policy
-from algorithms.runs.cli import TRUST, check_file, make_parser
 from algorithms.runs.config import find_environment
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -31,7 +31,7 @@ from mo_deepdrive.world.config import EnvironmentSettings
 from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
-    import argparse
+    from argparse import Namespace
     from collections.abc import Iterator, Sequence
 
     from mo_deepdrive.evaluation.policy import Policy
@@ -47,23 +47,7 @@ MARGIN = 0.2  # of a map with roads of segments, which is cut off on each side
 HOLD = 6  # frames for which the last one of an episode is shown
 
 
-def parse_arguments(arguments: list[str]) -> argparse.Namespace:
-    """Parse the command line."""
-    parser = make_parser(__doc__)
-    help_text = "run directories, names in the zoo, or rules of the roundabout"
-    parser.add_argument("runs", nargs="*", default=POLICIES, metavar="RUN", help=help_text)
-    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="the GIF")
-    parser.add_argument(
-        "--seed", type=int, default=1_000_001, metavar="S", help="of the first episodes (default: %(default)s)"
-    )
-    parser.add_argument("--fps", type=int, default=10, metavar="N", help="frames per second (default: %(default)s)")
-    parser.add_argument("--frames", type=int, default=220, metavar="N", help="at most (default: %(default)s)")
-    parser.add_argument("--side", type=int, default=280, metavar="PIXELS", help="of each clip (default: %(default)s)")
-    TRUST.add_to(parser)
-    return parser.parse_args(arguments)
-
-
-def open_policy(name: str, seed: int, trust: bool) -> tuple[str, Iterator[list[Frame]]]:
+def open_policy(name: str, seed: int, side: int, trust: bool) -> tuple[str, Iterator[list[Frame]]]:
     """Load a policy: the title of its scenario, and the frames of one greedy episode after the other."""
     policy: Policy
     if is_rule(name):
@@ -78,19 +62,20 @@ def open_policy(name: str, seed: int, trust: bool) -> tuple[str, Iterator[list[F
     scenario = SCENARIOS.get(find_environment(environment.id).kwargs.get("scenario", ""))
 
     def shown(frame: Frame) -> Frame:
-        if scenario is None or not scenario.roads:
-            return frame
-        low, high = round(MARGIN * len(frame)), round((1 - MARGIN) * len(frame))
-        return frame[low:high, low:high]
+        """The map, which is the left square of a frame; of roads of segments its middle."""
+        low, high = 0, len(frame)
+        if scenario is not None and scenario.roads:
+            low, high = round(MARGIN * len(frame)), round((1 - MARGIN) * len(frame))
+        return resized(frame[low:high, low:high], side, side)
 
     title = environment.id if scenario is None else scenario.title
     return title, ([*map(shown, episode_frames(policy, env, i, greedy=True))] for i in range(seed, 2**31))
 
 
-def clips(names: Sequence[str], seed: int, most: int, trust: bool = False) -> list[tuple[str, list[Frame]]]:
+def clips(names: Sequence[str], seed: int, most: int, side: int, trust: bool) -> list[tuple[str, list[Frame]]]:
     """Titles and frames: the first episode of each policy, and further ones of it while they fit beside the longest."""
-    titles, episodes = zip(*(open_policy(name, seed, trust) for name in names), strict=True)
-    shown = [next(each) for each in episodes]
+    titles, episodes = zip(*(open_policy(name, seed, side, trust) for name in names), strict=True)
+    shown = [next(of_policy) for of_policy in episodes]
     length = min(max(map(len, shown)), most)
     for frames, further in zip(shown, episodes, strict=True):
         for episode in further:
@@ -101,25 +86,32 @@ def clips(names: Sequence[str], seed: int, most: int, trust: bool = False) -> li
     return [(title, frames[:length] + frames[-1:] * HOLD) for title, frames in zip(titles, shown, strict=True)]
 
 
-def main(arguments: list[str]) -> int:
-    """Run the command line ``arguments`` and return the exit code."""
-    options = parse_arguments(arguments)
-    try:
-        check_file("--output", options.output)
-        if not 0 <= options.seed < 2**31:
-            raise ValueError(f"--seed {options.seed} must be between 0 and {2**31 - 1}")
-        if options.frames < 1:
-            raise ValueError(f"--frames {options.frames} must be at least 1")
-        if options.side < 16:
-            raise ValueError(f"--side {options.side} must be at least 16 pixels")
-        shown = clips(options.runs, options.seed, options.frames, options.trust)
-        count, size = write_gif(shown, options.output, fps=options.fps, side=options.side)
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    print(f"{options.output}: {count} frames, {size / 1e6:.2f} MB")
+def write(options: Namespace) -> int:
+    """Let the policies drive, and write the GIF."""
+    cli.check_file("--output", options.output, ".gif")
+    if not 0 <= options.seed < 2**31:
+        raise ValueError(f"--seed {options.seed} must be between 0 and {2**31 - 1}")
+    for name, least in (("frames", 1), ("side", 16)):
+        if getattr(options, name) < least:
+            raise ValueError(f"--{name} {getattr(options, name)} must be at least {least}")
+    shown = clips(options.runs, options.seed, options.frames, options.side, options.trust)
+    count = write_video_grid(shown, options.output, options.fps, hold=0.0)
+    print(f"{options.output}: {count} frames, {options.output.stat().st_size / 1e6:.2f} MB")
     return 0
 
+
+OPTIONS = (
+    cli.option(
+        "runs", "RUN", "run directories, names in the zoo, or rules of the roundabout", nargs="*", default=POLICIES
+    ),
+    cli.option("--output", "FILE", "the GIF", type=Path, required=True),
+    cli.option("--seed", "S", "of the first episodes (default: %(default)s)", type=int, default=1_000_001),
+    cli.option("--fps", "N", "frames per second (default: %(default)s)", type=int, default=10),
+    cli.option("--frames", "N", "at most (default: %(default)s)", type=int, default=220),
+    cli.option("--side", "PIXELS", "of each clip (default: %(default)s)", type=int, default=280),
+    cli.TRUST,
+)
+main = cli.Command("", __doc__, OPTIONS, write)
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

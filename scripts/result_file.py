@@ -1,48 +1,12 @@
-"""The CSV file of a measurement, a row for each result, and checks of options that several scripts have.
-
-@dataclass(frozen=True)
-class Result:
-seed: int
-utility: Annotated[float, ".4f"]  # the format in the file
-
-write_results(path, [Result(0, 0.5)])
-"""
+"""Checks of options that several scripts have."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
-
-from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
-    from collections.abc import Mapping, Sequence
     from pathlib import Path
-
-
-def _columns(kind: type) -> dict[str, tuple[type, str]]:
-    """Type and format of the fields of a dataclass."""
-    hints = get_type_hints(kind, include_extras=True)
-    return {name: get_args(hint) if get_origin(hint) is Annotated else (hint, "") for name, hint in hints.items()}
-
-
-def write_results(path: Path | None, results: Sequence[Any], about: Mapping[str, Any] | None = None) -> None:
-    """Write the results, all of one dataclass, atomically; without a path nothing is written.
-
-    Args:
-        path: of the file.
-        results: one per row; the cell of None is empty.
-        about: columns with the same value in every row.
-    """
-    if path is None or not results:
-        return
-    columns, about = _columns(type(results[0])), about or {}
-
-    def cell(value: Any, form: str) -> str:
-        return "" if value is None else format(value, form)
-
-    rows = [[cell(getattr(result, name), form) for name, (_, form) in columns.items()] for result in results]
-    atomic_write(path, csv_bytes([[*columns, *about], *([*row, *map(str, about.values())] for row in rows)]))
 
 
 def check_least(parser: ArgumentParser, options: Namespace, least: int, *names: str) -> None:

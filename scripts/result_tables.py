@@ -22,7 +22,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from paired_benchmark import REPOSITORY
+from benchmark import REPOSITORY
 
 from algorithms.runs.cli import make_parser
 from algorithms.studies import REFERENCE

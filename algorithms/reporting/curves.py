@@ -6,7 +6,7 @@ Everything has the colour of its algorithm. Curves are means over the runs that 
 
 from __future__ import annotations
 
-import math
+from itertools import product, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -14,14 +14,14 @@ import numpy as np
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, PercentFormatter
-from scipy.stats import gmean
+from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 
 from algorithms.reporting.run_records import (
     LEFT_OUT,
     distinct_labels,
     group_by_experiment,
     identifying_settings,
+    label_of,
     read_runs,
 )
 from algorithms.reporting.style import (
@@ -58,7 +58,7 @@ from mo_deepdrive.evaluation.metrics import (
     split_name,
     title_of,
 )
-from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, bootstrap, mean, of_three
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, bootstrap, mean, of_three
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from algorithms.reporting.run_records import ExperimentRecord, UtilityRecord
+    from algorithms.reporting.run_records import ExperimentRecord
     from algorithms.reporting.training_log import Columns
 
 FORMATS = tuple(f".{name}" for name in FigureCanvasBase.get_supported_filetypes())  # of figures
@@ -76,8 +76,7 @@ CUT_RATIO = 30.0  # how many times larger the whole range must be than the settl
 MARKS = 10  # markers per curve, where several curves share a colour
 # Of scores against what was varied:
 PANEL = (3.3, 3.2)  # in, width and height with its labels
-PANEL_LETTERS = 46  # that fit side by side below a panel; labels with more are slanted
-PANEL_LINES = 16  # slanted labels that fit
+PANEL_LETTERS, PANEL_LINES = 46, 16  # letters side by side below a panel, more are slanted; slanted labels that fit
 MAX_COLUMNS = 4
 MAX_VALUES = 12  # of a numeric key that get a mean each; with more, neighbours share one
 BINS = 8  # means of a numeric key with more values
@@ -120,46 +119,28 @@ class CurveGroup(NamedTuple):
 def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] | None = None) -> list[CurveGroup]:
     """Read runs and group those that differ in their seed alone.
 
-    Groups are in the order of their algorithms, those of one algorithm in the order given.
-
-    Args:
-        directories: of the runs.
-        warn: called with a line about every run that cannot be read or has no metrics yet; None to refuse it.
+    Groups are in the order of their algorithms, those of one algorithm in the order given. ``warn`` is called
+    with a line about every run that cannot be read or has no metrics yet; without it such runs are refused.
     """
 
     def refuse(problem: str) -> None:
         raise ValueError(problem.removeprefix(LEFT_OUT))
 
-    tell = warn or refuse
-    runs = []
-    for run in read_runs(map(Path, directories), tell, metrics=True):
-        if len(run.metrics[STEP]):
-            runs.append(run)
-        else:
-            tell(f"{LEFT_OUT}run {str(run.path)!r} has no metrics yet")
-    if not runs:
+    warn = warn or refuse
+    runs = read_runs(map(Path, directories), warn, metrics=True)
+    for run in runs:
+        if not len(run.metrics[STEP]):
+            warn(f"{LEFT_OUT}run {str(run.path)!r} has no metrics yet")
+    groups = group_by_experiment([run for run in runs if len(run.metrics[STEP])])
+    if not groups:
         raise ValueError("there is no run whose metrics can be drawn")
-    groups = group_by_experiment(runs)
     groups.sort(key=lambda members: algorithm_order(members[0].experiment.algorithm.name))
-    labels = _labels([members[0].experiment for members in groups])
-    return [
-        CurveGroup(label, members[0].experiment, tuple(run.metrics for run in members))
-        for label, members in zip(labels, groups, strict=True)
-    ]
-
-
-def _labels(experiments: Sequence[ExperimentRecord]) -> list[str]:
-    """The algorithm's name; where names repeat, also the settings that all experiments have and that differ."""
-    flat = [identifying_settings(experiment) for experiment in experiments]
+    experiments = [members[0].experiment for members in groups]
     names = [experiment.algorithm.name for experiment in experiments]
-    shared = set.intersection(*(set(settings) for settings in flat))
-    differing = sorted(key for key in shared if len({repr(settings[key]) for settings in flat}) > 1)
-    named = [key for key in differing if key in ("environment.id", "utility.name")]
-    if len(set(names)) < len(names):
-        named = [key for key in differing if key != "algorithm.name"]
+    labels = distinct_labels(names, [identifying_settings(experiment) for experiment in experiments])
     return [
-        ", ".join([name, *(f"{key.rpartition('.')[2]} {settings[key]}" for key in named[:4])])
-        for name, settings in zip(names, flat, strict=True)
+        CurveGroup(label, experiment, tuple(run.metrics for run in members))
+        for label, experiment, members in zip(labels, experiments, groups, strict=True)
     ]
 
 
@@ -246,33 +227,11 @@ def curve_panels(groups: Sequence[CurveGroup]) -> list[CurvePanel]:
             for g in alike:
                 if present[g] & set(names):
                     tasks.setdefault(groups[g].experiment.task_key if is_score else "", []).append(g)
-            titles = _task_titles([groups[members[0]].experiment for members in tasks.values()])
+            titles = distinct_labels([""] * len(tasks), [groups[g].experiment.task for g, *_ in tasks.values()])
             for title, members in zip(titles, tasks.values(), strict=True):
                 text = f"{heading.removesuffix(' per episode')}: {title}" if title else heading
                 panels.append(CurvePanel(text, names, tuple(members)))
     return panels
-
-
-def _task_titles(experiments: Sequence[ExperimentRecord]) -> list[str]:
-    """What distinguishes each of some tasks from the others; empty for a single one."""
-    tasks = [experiment.task for experiment in experiments]
-    labels = {
-        "environment": [experiment.environment.id for experiment in experiments],
-        "utility": [", ".join(_utilities(experiment.utility)) for experiment in experiments],
-        "evaluation": [""] * len(tasks),
-    }
-    parts = [distinct_labels(texts, [task[name] for task in tasks]) for name, texts in labels.items()]
-    differing = [texts for texts in parts if len(set(texts)) > 1]
-    return [", ".join(filter(None, (texts[i] for texts in differing))) for i in range(len(tasks))]
-
-
-def drawn(names: Sequence[str], experiment: ExperimentRecord) -> list[str]:
-    """Those of the metrics ``names`` that :func:`plot` may draw for runs of ``experiment``."""
-    # Runs with one vehicle and with several may be given together, and it does not tell which these are.
-    of_one = {name for name in names if not split_name(name).vehicle}
-    quantities = [*_quantities(of_one, [experiment]), *_quantities(set(names), [experiment])]
-    wanted = {name for _, metrics, _ in quantities for name in metrics}
-    return [name for name in names if name in wanted]
 
 
 def _quantities(present: set[str], experiments: Sequence[ExperimentRecord]) -> list[tuple[str, tuple[str, ...], bool]]:
@@ -311,64 +270,46 @@ def _quantities(present: set[str], experiments: Sequence[ExperimentRecord]) -> l
 def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> None:
     alone = len(groups) == 1
     faint = min(1.0, 4 / len(groups))  # or many bands would hide each other
-    late: list[NDArray[Any]] = []
-    whole: list[NDArray[Any]] = []
-    bands: list[NDArray[Any]] = []
     styles = _styles(groups)
-    for g in panel.groups:
+    drawn: list[tuple[NDArray[Any], ...]] = []
+    for g, (k, (kind, name)) in product(panel.groups, enumerate(zip(KINDS, panel.names, strict=True))):
+        found = curve(groups[g].runs, name) if alone or k > 0 else None  # several without training, to avoid clutter
+        if found is None:
+            continue
+        steps, means, low, high = found
         colour, marker = styles[g]
-        for k, (kind, name) in enumerate(zip(KINDS, panel.names, strict=True)):
-            if not alone and k == 0:
-                continue  # with several groups only evaluations, to avoid clutter
-            drawn_curve = curve(groups[g].runs, name)
-            if drawn_curve is None:
-                continue
-            steps, means, low, high = drawn_curve
-            whole.append(means)
-            late.append(means[steps >= SETTLED * steps.max()])
-            shade = TRAINING_COLOUR if k == 0 else colour
-            marks: dict[str, Any] = {
-                "marker": marker or ("o" if len(steps) < 4 else ""),
-                "markevery": max(1, len(steps) // MARKS),
-                "markersize": 3.5,
-            }
-            axis.plot(steps, means, kind.line, color=shade, linewidth=kind.width, zorder=3, **marks)
-            if np.isfinite(low).all():
-                alpha = faint * (0.16 if alone or k == 1 else 0.07)
-                axis.fill_between(steps, low, high, color=shade, alpha=alpha, linewidth=0, zorder=2)
-                bands += [low, high]
-    axis.set_title(panel.title + _limit_y_axis(axis, whole, late, bands, panel.names[-1]))
+        marks: dict[str, Any] = {"marker": marker or ("o" if len(steps) < 4 else ""), "markersize": 3.5}
+        marks["markevery"] = max(1, len(steps) // MARKS)
+        shade = TRAINING_COLOUR if k == 0 else colour
+        axis.plot(steps, means, kind.line, color=shade, linewidth=kind.width, zorder=3, **marks)
+        if np.isfinite(low).all():
+            alpha = faint * (0.16 if alone or k == 1 else 0.07)
+            axis.fill_between(steps, low, high, color=shade, alpha=alpha, linewidth=0, zorder=2)
+        drawn.append((means[steps >= SETTLED * steps.max()], means, low, high))
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(5))
     axis.margins(x=0.015)
+    axis.set_title(panel.title)
     if panel.title.lower().endswith(title_of(SUCCESS)):
-        axis.set_title(panel.title)
         axis.set_ylim(-0.03, 1.03)
         axis.yaxis.set_major_formatter(PercentFormatter(1.0))
+    if not drawn or panel.title.lower().endswith(title_of(SUCCESS)):
+        return
+    settled, means = (np.concatenate([parts[i] for parts in drawn]) for i in (0, 1))
+    limits = _limits(panel.names[-1], settled, 0.25)
+    if np.ptp(means) < CUT_RATIO * (limits[1] - limits[0]):
+        limits = _limits(panel.names[-1], np.concatenate([part for parts in drawn for part in parts[1:]]), 0.05)
+    else:
+        axis.set_title(f"{panel.title} (start cut off)")
+    axis.set_ylim(*limits)
 
 
-def _limit_y_axis(
-    axis: Axes,
-    whole: Sequence[NDArray[Any]],
-    late: Sequence[NDArray[Any]],
-    bands: Sequence[NDArray[Any]],
-    name: str,
-) -> str:
-    """Limit the axis to settled values if the first steps would flatten them, never to noise; what its title adds."""
-    if not whole:
-        return ""
-    values, settled = np.concatenate(whole), np.concatenate(late)
-    low, high = widened(np.nanmin(settled), np.nanmax(settled), quantity_scale(name, settled))
-    pad = 0.25 * max(high - low, 1e-6)
-    if np.nanmax(values) - np.nanmin(values) >= CUT_RATIO * (high - low + 2 * pad):
-        axis.set_ylim(low - pad, high + pad)
-        return " (start cut off)"
-    shown = np.concatenate([values, *bands])
-    low, high = widened(np.nanmin(shown), np.nanmax(shown), quantity_scale(name, shown))
-    pad = 0.05 * (high - low) or 0.5
-    axis.set_ylim(low - pad, high + pad)
-    return ""
+def _limits(name: str, values: NDArray[Any], pad: float) -> tuple[float, float]:
+    """Limits of an axis around values of a metric, which do not magnify noise."""
+    low, high = widened(np.nanmin(values), np.nanmax(values), quantity_scale(name, values))
+    pad *= high - low or 2.0
+    return low - pad, high + pad
 
 
 def quantity_scale(name: str, values: NDArray[Any]) -> float:
@@ -383,63 +324,47 @@ def _styles(groups: Sequence[CurveGroup]) -> list[tuple[str, str]]:
     return curve_styles([group.experiment.algorithm.name for group in groups])
 
 
-def _utilities(utility: UtilityRecord | None) -> list[str]:
-    """The name of the utility and those of vehicles with another one; empty if no utility is known."""
-    if utility is None:
-        return []
-    return [utility.name, *(f"{other.name} ({v.replace('_', ' ')})" for v, other in utility.vehicles.items())]
-
-
 def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
     """Add title, notes and legend around the panels."""
     experiment = groups[0].experiment
     alone = len(groups) == 1
-    ids = dict.fromkeys(group.experiment.environment.id for group in groups)
-    utilities = dict.fromkeys(name for group in groups for name in _utilities(group.experiment.utility))
-    heading = f"{experiment.algorithm.name} on {', '.join(ids)}" if alone else ", ".join(ids)
+    ids = ", ".join(dict.fromkeys(group.experiment.environment.id for group in groups))
+    utilities = ", ".join(filter(None, dict.fromkeys(label_of(group.experiment.utility) for group in groups)))
     seeds = sorted({len(group.runs) for group in groups})
-    count = " to ".join(str(n) for n in dict.fromkeys((seeds[0], seeds[-1])))
-    note = f"utility {', '.join(utilities)}; " if utilities else ""
-    note += "undiscounted returns per episode"
-    if experiment.environment.arguments.get("cost_sign", "maximise") == "maximise":
-        note += ", costs negative"
-    note += f"; {count} seed{'' if seeds == [1] else 's'}"
+    maximised = experiment.environment.arguments.get("cost_sign", "maximise") == "maximise"
+    note = (f"utility {utilities}; " if utilities else "") + "undiscounted returns per episode"
+    note += (
+        ", costs negative" if maximised else ""
+    ) + f"; {' to '.join(dict.fromkeys(map(str, (seeds[0], seeds[-1]))))}"
+    note += f" seed{'' if seeds == [1] else 's'}"
     if seeds[-1] >= MIN_SAMPLES:
         note += f", bands: 95% bootstrap interval of the mean{of_three(seeds)}"
     elif seeds[-1] > 1:
         note += f", too few for an interval (n = {seeds[-1]})"
     handles = []
-    for group, (colour, marker) in zip(groups, _styles(groups), strict=True):
+    styles = _styles(groups)
+    for group, (colour, marker) in zip(groups, styles, strict=True) if not alone else ():
         label = f"{group.label} (n = {len(group.runs)})" if len(group.runs) < MIN_SAMPLES else group.label
-        if not alone:
-            handles.append(Line2D([], [], color=colour, marker=marker, markersize=4.5, linewidth=2.4, label=label))
+        handles.append(Line2D([], [], color=colour, marker=marker, markersize=4.5, linewidth=2.4, label=label))
     present = {name for group in groups for columns in group.runs for name in columns}
     for k, kind in enumerate(KINDS):
         if (alone or k > 0) and any(name.startswith(kind.prefix) for name in present):
-            colour = DIM if not alone else TRAINING_COLOUR if k == 0 else _styles(groups)[0][0]
+            colour = DIM if not alone else TRAINING_COLOUR if k == 0 else styles[0][0]
             handles.append(Line2D([], [], color=colour, linestyle=kind.line, linewidth=kind.width, label=kind.name))
-    surround(figure, heading, [remark, note], handles)
+    surround(figure, f"{experiment.algorithm.name} on {ids}" if alone else ids, [remark, note], handles)
 
 
 # ------------------------------------------------------------------------------------ scores against what was varied
 
 
 class VariedScores(NamedTuple):
-    """Final scores of runs that can be compared, and what was varied among these runs.
+    """Final scores of runs that can be compared, and what was varied among these runs."""
 
-    Attributes:
-        title: environment and utility.
-        score: name of the score.
-        values: (runs,) scores.
-        algorithms: (runs,) names of the algorithms.
-        keys: the values that the runs had of each key that varies, by its name: (runs,) numbers, or else words.
-    """
-
-    title: str
-    score: str
-    values: NDArray[np.float64]
-    algorithms: tuple[str, ...]
-    keys: dict[str, NDArray[np.float64] | list[str]]
+    title: str  # environment and utility
+    score: str  # its name
+    values: NDArray[np.float64]  # (runs,) scores
+    algorithms: tuple[str, ...]  # (runs,) names
+    keys: dict[str, NDArray[np.float64] | list[str]]  # of each key that varies (runs,) numbers, or else words
 
 
 def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, remark: str = "") -> None:
@@ -453,38 +378,30 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
         remark,
     ]
     colours = algorithm_colours(name for comparable in scores for name in comparable.algorithms)
-    rows: list[tuple[VariedScores, list[tuple[str, KeyEffect]], tuple[float, float]]] = []
-    for comparable in scores:
-        effects = [
-            (
-                key,
-                effect_of_words(values, comparable.values)
-                if isinstance(values, list)
-                else effect_of_numbers(values, comparable.values),
-            )
-            for key, values in comparable.keys.items()
-        ]
-        limits = score_limits(comparable.values, [effect for _, effect in effects])
-        count = -(-len(effects) // MAX_COLUMNS)
-        size = -(-len(effects) // count)
-        rows += [(comparable, effects[first : first + size], limits) for first in range(0, len(effects), size)]
-    columns = max(len(effects) for _, effects, _ in rows)
+    rows = [
+        (comparable, list(comparable.keys)[first : first + MAX_COLUMNS])
+        for comparable in scores
+        for first in range(0, len(comparable.keys), MAX_COLUMNS)
+    ]
+    columns = max(len(keys) for _, keys in rows)
     with figure_style({"text.parse_math": False}):
         figure = Figure(figsize=(PANEL[0] * max(columns, 2), PANEL[1] * len(rows)))
         parts: Any = figure.subfigures(len(rows), 1, squeeze=False)[:, 0]
-        for r, (part, (comparable, effects, limits)) in enumerate(zip(parts, rows, strict=True)):
-            if r == 0 or rows[r - 1][0] is not comparable:
-                part.suptitle(comparable.title, x=0.01, ha="left", fontsize=11, fontweight="bold")
-            for k, axis in enumerate(part.subplots(1, columns, squeeze=False, sharey=True)[0]):
-                if k >= len(effects):
+        for part, (comparable, keys) in zip(parts, rows, strict=True):
+            low, high = score_limits(comparable.values)
+            outside = int(((comparable.values < low) | (comparable.values > high)).sum())
+            beyond = f"; scores of {outside} of {len(comparable.values)} runs are beyond the axes" if outside else ""
+            part.suptitle(comparable.title + beyond, x=0.01, ha="left", fontsize=11, fontweight="bold")
+            axes = part.subplots(1, columns, squeeze=False, sharey=True)[0]
+            for axis, key in zip_longest(axes, keys):
+                if key is None:
                     axis.set_visible(False)
                     continue
-                key, effect = effects[k]
                 dots = [colours[name] for name in comparable.algorithms]
-                _draw_effect(axis, effect, comparable.values, dots, limits)
+                _draw_effect(axis, comparable.keys[key], comparable.values, dots)
                 axis.set_title(key)
-                if k == 0:
-                    axis.set_ylabel(comparable.score)
+            axes[0].set_ylim(low, high)
+            axes[0].set_ylabel(comparable.score)
         handles = [
             Line2D([], [], color=colour, marker="o", linestyle="", label=name) for name, colour in colours.items()
         ]
@@ -492,127 +409,61 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
         save_figure(figure, path)
 
 
-class KeyEffect(NamedTuple):
-    """What a panel shows of a key.
-
-    Attributes:
-        positions: (runs,) of the runs on the axis.
-        parts: the indices of the runs that share each mean.
-        means: of the parts.
-        ticks: positions on the axis and their labels; None where Matplotlib chooses round numbers.
-        line: line style between the means.
-        logarithmic: whether the axis is.
-    """
-
-    positions: NDArray[np.float64]
-    parts: list[NDArray[np.intp]]
-    means: list[Estimate]
-    ticks: dict[float, str] | None
-    line: Literal["-", ""]
-    logarithmic: bool = False
-
-    @property
-    def slanted(self) -> bool:
-        """Whether the labels are too long to be horizontal."""
-        texts = list((self.ticks or {}).values())
-        return bool(texts) and len(texts) * max(len(text) + 1 for text in texts) > PANEL_LETTERS
-
-
-def effect_of_words(words: Sequence[str], scores: NDArray[np.float64]) -> KeyEffect:
-    """The effect of a key whose values are words, on ``scores`` (runs,): a mean per word."""
-    known = list(dict.fromkeys(words))
-    positions = np.array([known.index(word) for word in words], dtype=np.float64)
-    parts = [np.flatnonzero(positions == i) for i in range(len(known))]
-    labels = [word if len(word) <= MAX_LETTERS else f"{word[: MAX_LETTERS - 1]}…" for word in known]
-    every = math.ceil(len(known) / PANEL_LINES)
-    ticks = {float(i): labels[i] for i in range(0, len(known), every)}
-    return KeyEffect(positions, parts, [mean(scores[part]) for part in parts], ticks, "")
-
-
-def effect_of_numbers(numbers: NDArray[np.float64], scores: NDArray[np.float64]) -> KeyEffect:
-    """The effect of a key with ``numbers`` (runs,) on ``scores`` (runs,): a mean per number or per bin of them."""
-    distinct = np.unique(numbers)
-    parts, ticks = np.array_split(np.argsort(numbers, kind="stable"), BINS), None
-    if len(distinct) <= MAX_VALUES:
-        parts = [np.flatnonzero(numbers == value) for value in distinct]
-        ticks = {float(value): _text_of(value) for value in distinct}
-    means = [mean(scores[part]) for part in parts]
-    return KeyEffect(numbers, parts, means, ticks, "-", is_logarithmic(distinct))
-
-
-def _text_of(number: float, _position: int = 0) -> str:
-    return EngFormatter(sep="")(number) if abs(number) >= 10_000 else f"{number:.4g}"
-
-
 def _draw_effect(
-    axis: Axes, effect: KeyEffect, scores: NDArray[np.float64], colours: Sequence[str], limits: tuple[float, float]
+    axis: Axes, values: NDArray[np.float64] | list[str], scores: NDArray[np.float64], colours: Sequence[str]
 ) -> None:
-    middle, positions = (gmean if effect.logarithmic else np.mean), effect.positions
-    if effect.ticks is not None:  # shifted a little, or runs would hide each other
-        shifts = np.random.default_rng(0).uniform(-0.02, 0.02, len(scores))
-        low, high = positions.min(), positions.max()
-        positions = positions * (high / low) ** shifts if effect.logarithmic else positions + (high - low) * shifts
-    values = np.array([estimate.value for estimate in effect.means])
-    if effect.logarithmic:
+    """Draw a dot per run, with its colour, and the mean per value, or per bin of many numbers."""
+    labels, positions, parts = parts_of_key(values)
+    means = [mean(scores[part]) for part in parts]
+    heights = np.array([estimate.value for estimate in means])
+    ends = np.array([[m.value if m.low is None else m.low, m.value if m.high is None else m.high] for m in means])
+    shifted = positions  # a little where runs share a place, or they would hide each other
+    if labels:
+        shifted = positions + np.random.default_rng(0).uniform(-0.02, 0.02, len(scores)) * max(len(labels) - 1, 1)
+        shown = range(0, len(labels), -(-len(labels) // PANEL_LINES))
+        slanted = len(labels) * (max(map(len, labels)) + 1) > PANEL_LETTERS
+        turned: dict[str, Any] = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if slanted else {}
+        axis.set_xticks(shown, [labels[i] for i in shown], **turned)
+        axis.margins(x=0.2)
+    elif positions.min() > 0.0 and positions.max() / positions.min() >= LOGARITHMIC_RATIO:
         axis.set_xscale("log")
-        axis.xaxis.set_major_formatter(FuncFormatter(_text_of))
-    axis.scatter(positions, scores, s=12, c=list(colours), alpha=0.4, linewidths=0, zorder=2)
-    axis.errorbar(
-        [middle(effect.positions[part]) for part in effect.parts],
-        values,
-        np.transpose([_errors(estimate) for estimate in effect.means]),
-        fmt=f"o{effect.line}",
-        color=INK,
-        markersize=4.5,
-        linewidth=1.2,
-        capsize=3,
-        zorder=3,
-    )
-    turned: dict[str, Any] = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if effect.slanted else {}
-    if effect.ticks is not None:
-        axis.set_xticks(list(effect.ticks), list(effect.ticks.values()), **turned)
-        axis.minorticks_off()
-    elif not effect.logarithmic:
+        axis.xaxis.set_major_formatter("{x:.4g}")
+    else:
         axis.xaxis.set_major_locator(MaxNLocator(5))
-    axis.margins(x=0.06 if effect.line else 0.2)
-    axis.set_ylim(*limits)
+    axis.scatter(shifted, scores, s=12, c=list(colours), alpha=0.4, linewidths=0, zorder=2)
+    middles, errors = [np.median(positions[part]) for part in parts], np.abs(ends - heights[:, None]).T
+    line = "o" if isinstance(values, list) else "o-"
+    style: dict[str, Any] = {"color": INK, "markersize": 4.5, "linewidth": 1.2, "capsize": 3, "zorder": 3}
+    axis.errorbar(middles, heights, errors, fmt=line, **style)
     axis.yaxis.set_major_locator(MaxNLocator(5))
-    below, above = (scores < limits[0], values < limits[0]), (scores > limits[1], values > limits[1])
-    for (runs, means), where, y, side in ((below, "below", 0.02, "bottom"), (above, "above", 0.98, "top")):
-        counts = [(int(runs.sum()), "run"), (int(means.sum()), "mean")]
-        outside = [f"{count} {noun}{'' if count == 1 else 's'}" for count, noun in counts if count]
-        if outside:
-            text = f"{' and '.join(outside)} {where}"
-            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
-            style: dict[str, Any] = {"fontsize": 8, "color": DIM, "bbox": box, "zorder": 4}
-            axis.text(0.99, y, text, transform=axis.transAxes, ha="right", va=side, **style)
 
 
-def _errors(mean: Estimate) -> tuple[float, float]:
-    """Lengths of the interval below and above the value; 0 without an interval."""
-    if mean.low is None or mean.high is None:
-        return 0.0, 0.0
-    return mean.value - mean.low, mean.high - mean.value
+def parts_of_key(
+    values: NDArray[np.float64] | list[str],
+) -> tuple[list[str], NDArray[np.float64], list[NDArray[np.intp]]]:
+    """Where runs are on the axis of a key, and which share a mean.
+
+    Words, and a few numbers, have a place and a mean each, side by side; many numbers are where they are, and
+    neighbours share a mean.
+
+    Returns:
+        Labels of the places, none for many numbers; positions (runs,); and the indices of the runs of each mean.
+    """
+    distinct = list(dict.fromkeys(values)) if isinstance(values, list) else np.unique(values).tolist()
+    if not isinstance(values, list) and len(distinct) > MAX_VALUES:
+        return [], values, np.array_split(np.argsort(values, kind="stable"), BINS)
+    places = {value: place for place, value in enumerate(distinct)}
+    positions = np.array([places[value] for value in values], dtype=np.float64)
+    texts = [value if isinstance(value, str) else f"{value:.4g}" for value in distinct]
+    labels = [text if len(text) <= MAX_LETTERS else f"{text[: MAX_LETTERS - 1]}…" for text in texts]
+    return labels, positions, [np.flatnonzero(positions == place) for place in range(len(distinct))]
 
 
-def score_limits(scores: NDArray[np.float64], effects: Sequence[KeyEffect]) -> tuple[float, float]:
+def score_limits(scores: NDArray[np.float64]) -> tuple[float, float]:
     """Limits of the axis of scores: around all but those so far from most of them that they would flatten the rest."""
-    means = [mean for effect in effects for mean in effect.means]
-    ends = [end for mean in means for end in (mean.low, mean.value, mean.high) if end is not None]
     low, high = np.quantile(scores, [0.05, 0.95])
     reach = high - low or np.ptp(scores)
-    shown = np.array([*scores, *ends])
-    near = shown[(shown >= low - reach) & (shown <= high + reach)]
+    near = scores[(scores >= low - reach) & (scores <= high + reach)]
     low, high = widened(near.min(), near.max(), np.abs(near).max())
     pad = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
     return float(low - pad), float(high + pad)
-
-
-def is_logarithmic(values: NDArray[np.float64]) -> bool:
-    """Whether sorted ``values`` span orders of magnitude, or grow by factors rather than by steps."""
-    if values[0] <= 0.0:
-        return False
-    steps, factors = np.diff(values), np.diff(np.log(values))
-    few = 3 <= len(values) <= MAX_VALUES
-    grows = few and np.std(factors) / np.mean(factors) < np.std(steps) / np.mean(steps)
-    return bool(values[-1] / values[0] >= LOGARITHMIC_RATIO or grows)

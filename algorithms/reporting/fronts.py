@@ -48,15 +48,7 @@ def covering_policies(front: Front, count: int) -> NDArray[np.intp]:
 
 
 def front_table(front: Front, measured: Mapping[str, float], title: str, width: int, whole: str = "") -> Group:
-    """A table of some policies of a front with the intervals of their returns, and the front's indicators below it.
-
-    Args:
-        front: evaluated policies; of more than TABLE_ROWS those are shown that cover it.
-        measured: the indicators.
-        title: what the front belongs to.
-        width: columns of the terminal: objectives that do not fit are in a further table.
-        whole: where all policies are, for a front that is not shown as a whole.
-    """
+    """A table of some policies of a front with the intervals of their returns, and the front's indicators below it."""
     indicators = [
         f"{name.replace('_', ' ')} {f'{value:,.0f}' if value >= 1e4 else f'{value:.4g}'}"
         for name, value in measured.items()

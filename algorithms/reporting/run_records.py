@@ -115,19 +115,19 @@ class ExperimentRecord(Recorded):
     evaluation: EvaluationRecord = EvaluationRecord()
 
     @property
-    def task(self) -> dict[str, Recorded | None]:
+    def task(self) -> dict[str, Any]:
         """What runs must share for their scores to be comparable: environment, utility, and how scores are calculated.
 
         Final scores are comparable if they are also of the same split; evaluations during training are all of one.
         """
-        how = EvaluationRecord(gamma=self.evaluation.gamma, reference_point=self.evaluation.reference_point)
-        return {"environment": self.environment, "utility": self.utility, "evaluation": how}
+        return self.model_dump(
+            include={"environment": True, "utility": True, "evaluation": {"gamma", "reference_point"}}
+        )
 
     @property
     def task_key(self) -> str:
         """A text that is equal for runs with equal :attr:`task`."""
-        values = {name: section and section.model_dump() for name, section in self.task.items()}
-        return json.dumps(values, sort_keys=True, default=str)
+        return json.dumps(self.task, sort_keys=True, default=str)
 
     @property
     def title(self) -> str:
@@ -186,14 +186,14 @@ class RunRecord:
 def find_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
     """The run directories among and below ``paths``, each once; links to runs and folders are followed.
 
-    Args:
-        paths: run directories, or folders that hold some.
-        warn: called with a line about every folder that holds none, if another one does.
+    A folder that holds none is refused; if another one does, ``warn`` is called with a line about it.
     """
     runs: dict[Path, Path] = {}
     without: list[str] = []
     for path in paths:
         below = sorted(_runs_below(path))
+        for run in below:
+            runs.setdefault(run.resolve(), run)
         if not below:
             without.append(
                 f"{str(path)!r} holds no run: there is no config.yaml in it or below it; nor is it a sweep, which has "
@@ -201,8 +201,6 @@ def find_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
             )
             if not path.is_dir():
                 raise ValueError(without[-1])
-        for run in below:
-            runs.setdefault(run.resolve(), run)
     if without and not runs:
         raise ValueError(without[0])
     for problem in without:
@@ -232,22 +230,19 @@ def read_runs(
     """
     records = []
     for path in paths:
+        file = path / "config.yaml"
         try:
-            records.append(_read_run(path, scores, metrics))
+            if not file.is_file():
+                raise ValueError(
+                    f"{str(path)!r} is not a run directory, which has a config.yaml, nor a sweep, which has a "
+                    "manifest.jsonl"
+                )
+            experiment = experiment_record(read_mapping(file), f"config file {str(file)!r}")
+            columns = read_metrics(path / "metrics.csv") if metrics else {}
+            records.append(RunRecord(path, experiment, final_scores(path) if scores else {}, columns))
         except ValueError as error:
             warn(f"{LEFT_OUT}{error}")
     return records
-
-
-def _read_run(path: Path, scores: bool, metrics: bool) -> RunRecord:
-    file = path / "config.yaml"
-    if not file.is_file():
-        raise ValueError(
-            f"{str(path)!r} is not a run directory, which has a config.yaml, nor a sweep, which has a manifest.jsonl"
-        )
-    experiment = experiment_record(read_mapping(file), f"config file {str(file)!r}")
-    columns = read_metrics(path / "metrics.csv") if metrics else {}
-    return RunRecord(path, experiment, final_scores(path) if scores else {}, columns)
 
 
 def read_evaluation(run: Path) -> FinalEvaluation | None:
@@ -257,12 +252,9 @@ def read_evaluation(run: Path) -> FinalEvaluation | None:
         return None
     try:
         values = json.loads(file.read_bytes())
-        if not isinstance(values, dict):
-            raise ValueError(f"it holds a {type(values).__name__}")
     except (OSError, ValueError, RecursionError) as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
-        raise ValueError(f"{str(file)!r} is not a final evaluation: {reason}") from None
-    return parse(FinalEvaluation, values, f"final evaluation {str(file)!r}")
+        raise ValueError(f"{str(file)!r} is not a final evaluation: {error}") from None
+    return parse(FinalEvaluation, values if isinstance(values, dict) else {}, f"final evaluation {str(file)!r}")
 
 
 def final_scores(run: Path) -> dict[str, Estimate]:
@@ -275,7 +267,7 @@ def final_scores(run: Path) -> dict[str, Estimate]:
 
 
 def final_metrics(run: Path) -> dict[str, float]:
-    """The values of :func:`final_scores`, with its errors."""
+    """The values of :func:`final_scores`."""
     return {name: score.value for name, score in final_scores(run).items()}
 
 

@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from matplotlib.figure import Figure
-    from matplotlib.legend import Legend
     from matplotlib.lines import Line2D
-    from matplotlib.text import Text
 
 # Of objectives, in their order, and of policies in the explorer; by Okabe and Ito, safe for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
@@ -39,15 +37,14 @@ TRAINING_COLOUR = "#9AA3AD"
 MARKERS = ("", "o", "s", "^", "D", "v", "P", "X")  # of several curves of one algorithm
 INK, DIM, FAINT = "#23282F", "#5B6470", "#B4BBC4"  # of text, of notes and axes, of what is in the background
 LABEL, GRID = "#3C434C", "#E4E7EB"
-# Captions of videos, which look like the panel of readings beside a map.
-VIDEO_BACKGROUND, VIDEO_INK = "#181C24", "#F0F3F8"
 
 MAX_POINTS = 150  # per curve; longer curves are averaged
 MINIMUM_SPAN = 0.1  # of an axis, as a share of the quantity's magnitude: smaller differences would look large
 DPI = 160  # of figures
 LARGE_DPI = 100  # of figures with hundreds of cells
-VIDEO_DPI = 100  # of captions of videos
 TITLE_SIZE, NOTE_SIZE = 13, 9.5  # points
+TITLE_LETTERS, NOTE_LETTERS = 8.0, 13.5  # that fit into an inch
+HANDLE_LETTERS = 6  # the space that a handle of a legend takes, beside its label
 
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
@@ -161,36 +158,18 @@ def surround(figure: Figure, heading: str, notes: Sequence[str] = (), handles: S
     from matplotlib.text import Annotation  # not at the top: tables need no matplotlib
 
     figure.set_layout_engine("constrained", h_pad=0.06, w_pad=0.06, hspace=0.04, wspace=0.02)
-    width = 0.94 * figure.bbox.width  # text is wider in a saved file, whose resolution is another one
-    title = figure.suptitle(heading, x=0.01, ha="left", fontsize=TITLE_SIZE, fontweight="bold")
-    title.set_text(_wrapped(title, width))
+    width = figure.get_figwidth()
+    titles = textwrap.wrap(heading, int(TITLE_LETTERS * width))
+    lines = [line for note in filter(None, notes) for line in textwrap.wrap(note, int(NOTE_LETTERS * width))]
+    # The notes are below the title, which makes room for them.
+    text = "\n".join([*titles, *[""] * len(lines)])
+    title = figure.suptitle(text, x=0.01, ha="left", fontsize=TITLE_SIZE, fontweight="bold")
     small: dict[str, Any] = {"fontsize": NOTE_SIZE, "color": DIM, "va": "bottom", "annotation_clip": False}
-    note = Annotation("", (0.0, 0.0), xycoords=title, **small)
-    figure.add_artist(note)
-    lines = []
-    for text in filter(None, notes):
-        note.set_text(text)
-        lines += _wrapped(note, width).split("\n")
-    note.set_text("\n".join(lines))
-    title.set_text(title.get_text() + "\n" * len(lines))  # the notes are below the title, which makes room for them
-    added = title.get_window_extent().height
+    figure.add_artist(Annotation("\n".join(lines), (0.0, 0.0), xycoords=title, **small))
+    added = title.get_window_extent().height / figure.dpi
     if handles:
-        columns = len(handles)
-
-        def draw_legend() -> Legend:
-            return figure.legend(handles=handles, loc="outside lower left", ncols=columns, frameon=False)
-
-        legend = draw_legend()
-        while columns > 1 and legend.get_window_extent().width > width:
-            legend.remove()
-            columns -= 1
-            legend = draw_legend()
-        added += legend.get_window_extent().height
-    figure.set_figheight(figure.get_figheight() + added / figure.dpi)
-
-
-def _wrapped(text: Text, width: float) -> str:
-    """What ``text`` says, in lines of at most ``width`` pixels."""
-    words = text.get_text()
-    drawn = text.get_window_extent().width
-    return words if drawn <= width else "\n".join(textwrap.wrap(words, int(0.95 * len(words) * width / drawn)))
+        longest = max(len(str(handle.get_label())) for handle in handles) + HANDLE_LETTERS
+        columns = min(len(handles), max(1, int(NOTE_LETTERS * width / longest)))
+        legend = figure.legend(handles=handles, loc="outside lower left", ncols=columns, frameon=False)
+        added += legend.get_window_extent().height / figure.dpi
+    figure.set_figheight(figure.get_figheight() + added)

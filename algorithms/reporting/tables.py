@@ -6,12 +6,11 @@ are CSV, tidy, for programs, or LaTeX and Markdown, for papers and pages.
 
 from __future__ import annotations
 
-import math
 import re
 from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -34,8 +33,6 @@ from mo_deepdrive.evaluation.metrics import (
     ADDITIVE_EPSILON,
     CARDINALITY,
     COLLISION,
-    DISCOUNTED_UTILITY_ESR,
-    DISCOUNTED_UTILITY_SER,
     END,
     EXPECTED_UTILITY,
     FRONT,
@@ -105,42 +102,24 @@ _LATEX = {
     "²": "$^2$",
     "³": "$^3$",
 }
-# Metrics of an evaluation that may have the values of another one.
-_REPEATED = {
-    UTILITY_SER: UTILITY_ESR,
-    DISCOUNTED_UTILITY_SER: DISCOUNTED_UTILITY_ESR,
-    return_of("destination"): SUCCESS,
-}
-
 # ----------------------------------------------------------------------------------------------- scores over seeds
 
 
 @dataclass
 class ScoreGroup:
-    """The final scores of runs that differ in their seed alone.
+    """The final scores of runs that differ in their seed alone."""
 
-    Attributes:
-        about: the first cells of its rows, by column.
-        task: those of them that groups to be compared have in common.
-        algorithm: in which such groups differ.
-        measured: what else they must share, as text.
-        seeds: of the runs that have scores.
-        scores: one value per seed for every policy, vehicle and metric; the vehicle is "" for the scores of the only
-            vehicle, or of all together.
-        wanted: how many seeds there are to be; None if that is not known.
-        widths: the widths of the scores' own intervals, over evaluation episodes, where they are known.
-        evaluation: how the runs were evaluated.
-    """
-
-    about: dict[str, str]
-    task: dict[str, str]
-    algorithm: str
-    measured: str
-    seeds: list[int] = field(default_factory=list)
+    about: dict[str, str]  # the first cells of its rows, by column
+    task: dict[str, str]  # those of them that groups to be compared have in common
+    algorithm: str  # in which such groups differ
+    measured: str  # what else they must share, as text
+    seeds: list[int] = field(default_factory=list)  # of the runs that have scores
+    # A value per seed; the vehicle is "" for the scores of the only vehicle, or of all together.
     scores: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
-    wanted: int | None = None
+    wanted: int | None = None  # how many seeds there are to be, if that is known
+    # Of the scores' own intervals, over evaluation episodes, where they are known.
     widths: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
-    evaluation: EvaluationRecord = field(default_factory=EvaluationRecord)
+    evaluation: EvaluationRecord = field(default_factory=EvaluationRecord)  # how the runs were evaluated
 
     @property
     def rows(self) -> list[tuple[str, str]]:
@@ -156,21 +135,23 @@ class ScoreGroup:
             return " ".join(str(seed) for seed in sorted(self.seeds))
         return str(self.wanted) if len(self.seeds) == self.wanted else f"{len(self.seeds)} of {self.wanted}"
 
+    def labels(self, about: Sequence[str], policy: str, vehicle: str) -> list[str]:
+        """The first cells of a row: those named by ``about``, policy, vehicle and seeds."""
+        return [*(self.about.get(name, "") for name in about), policy, vehicle, self.seeds_text]
+
     def values(self, place: MetricName) -> list[float]:
         """The scores of one policy, vehicle and metric.
 
         Evaluations in another library's environment may have a success rate only if some episode succeeded
         (:mod:`mo_deepdrive.evaluation.evaluation`): where one seed has it, it is 0 for those evaluated without.
         """
-        known = self.scores[place]
-        if place.metric != SUCCESS:
-            return known
-        evaluated = self.scores.get(place._replace(metric=LENGTH), [])
+        place = place._replace(metric=UTILITY_ESR) if place.metric == UTILITY_IQM else place
+        known = self.scores.get(place, [])
+        evaluated = self.scores.get(place._replace(metric=LENGTH), []) if known and place.metric == SUCCESS else []
         return known + [0.0] * (len(evaluated) - len(known))
 
 
-@dataclass(frozen=True)
-class ScoreEstimate:
+class ScoreEstimate(NamedTuple):
     """A score of a group over its n seeds; ``text`` has the digits that the intervals support."""
 
     group: ScoreGroup
@@ -183,10 +164,7 @@ class ScoreEstimate:
 def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything: bool = False) -> list[ScoreGroup]:
     """Group the finished runs among and below ``paths`` by :mod:`algorithms.reporting.run_records`.
 
-    Args:
-        paths: run directories, or folders that hold some.
-        warn: called with a message about every run that is left out, because it has no final evaluation.
-        everything: also read metrics that are neither of :data:`TABLE_METRICS` nor returns.
+    Of metrics those of tables and the returns are read, or ``everything``; ``warn`` is told which runs are left out.
     """
     records = read_runs(find_runs(paths, warn), warn, scores=True)
     for run in records:
@@ -194,52 +172,34 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything
             warn(f"{LEFT_OUT}{run.path} has no final evaluation")
     members = group_by_experiment([run for run in records if run.scores])
     experiments = [runs[0].experiment for runs in members]
-    labels = {
-        name: distinct_labels([label_of(section) for section in sections], sections)
-        for name, sections in (
-            ("environment", [experiment.environment for experiment in experiments]),
-            ("utility", [experiment.utility for experiment in experiments]),
-        )
-    }
+    environments, utilities = (
+        distinct_labels(list(map(label_of, sections)), sections)
+        for sections in ([e.environment for e in experiments], [e.utility for e in experiments])
+    )
     groups = []
-    for e, (experiment, runs) in enumerate(zip(experiments, members, strict=True)):
-        task = {name: texts[e] for name, texts in labels.items()}
+    for experiment, runs, environment, utility in zip(experiments, members, environments, utilities, strict=True):
+        task = {"environment": environment, "utility": utility}
         steps = experiment.training.total_timesteps
         about = {**task, "algorithm": experiment.algorithm.name, "steps": "" if steps is None else str(steps)}
         measured = f"{experiment.task_key} {experiment.evaluation.split}"
         group = ScoreGroup(about, task, experiment.algorithm.name, measured, evaluation=experiment.evaluation)
         for run in runs:
             group.seeds.append(run.experiment.training.seed)
+            collides = any(name.endswith(return_of(COLLISION)) for name in run.scores)
             for name, score in run.scores.items():
                 place = split_name(name)
+                if place.metric == end_by(COLLISION) and not (collides or score.value):
+                    continue  # there is nothing to collide with
                 if everything or place.metric in TABLE_METRICS or place.metric.startswith(RETURN):
                     group.scores[place].append(score.value)
                     if score.low is not None and score.high is not None:
                         group.widths[place].append(score.high - score.low)
-        _remove_impossible_collisions(group, runs[0].scores)
         groups.append(group)
-    _tell_apart(groups, [identifying_settings(experiment) for experiment in experiments])
+    names = [" ".join(group.about.values()) for group in groups]
+    settings = [identifying_settings(experiment) for experiment in experiments]
+    for group, name, distinct in zip(groups, names, distinct_labels(names, settings), strict=True):
+        group.about["settings"] = distinct.removeprefix(name).strip()
     return sorted(groups, key=lambda group: (*group.task.values(), algorithm_order(group.algorithm)))
-
-
-def _tell_apart(groups: Sequence[ScoreGroup], settings: Sequence[Mapping[str, Any]]) -> None:
-    """Add the settings that differ to what is said about groups of the same task, algorithm and steps."""
-    namesakes: dict[tuple[str, ...], list[int]] = defaultdict(list)
-    for g, group in enumerate(groups):
-        namesakes[tuple(group.about.values())].append(g)
-    for members in namesakes.values():
-        labels = distinct_labels([""] * len(members), [settings[g] for g in members])
-        for g, label in zip(members, labels, strict=True):
-            groups[g].about["settings"] = label
-
-
-def _remove_impossible_collisions(group: ScoreGroup, scores: Mapping[str, Estimate]) -> None:
-    """Remove collision rates of 0 where collisions are no objective: there is nothing to collide with."""
-    if any(name.endswith(return_of(COLLISION)) for name in scores):
-        return
-    for place in [place for place in group.scores if place.metric == end_by(COLLISION)]:
-        if not any(group.scores[place]):
-            del group.scores[place]
 
 
 def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> list[ScoreEstimate]:
@@ -248,23 +208,21 @@ def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None 
     They are in the order of the groups and of the metrics, None for :data:`TABLE_METRICS` and all others of the groups.
     """
     wanted = metrics or [*TABLE_METRICS, UTILITY_IQM, *(place.metric for group in groups for place in group.scores)]
-    measured = dict.fromkeys(UTILITY_ESR if name == UTILITY_IQM else name for name in wanted)
     places = [
         (group, place)
         for group in groups
-        for (policy, vehicle), metric in product(group.rows, measured)
-        if (place := MetricName(policy, vehicle, metric)) in group.scores
+        for (policy, vehicle), metric in product(group.rows, dict.fromkeys(wanted))
+        if group.values(place := MetricName(policy, vehicle, metric))
     ]
     samples = [group.values(place) for group, place in places]
     estimates = []
     for (group, place), values, mean in zip(places, samples, means(samples), strict=True):
-        width = float(np.mean(group.widths.get(place, [0.0])))
-        estimates.append(ScoreEstimate(group, place, mean, len(values), mean.text(width)))
-        if place.metric == UTILITY_ESR:
-            middle = interquartile_mean(np.array(values))
-            name = place._replace(metric=UTILITY_IQM)
-            estimates.append(ScoreEstimate(group, name, Estimate(middle), len(values), f"{middle:.3f}"))
-    return [estimate for estimate in estimates if estimate.place.metric in wanted]
+        text = mean.text(float(np.mean(group.widths.get(place, [0.0]))))
+        if place.metric == UTILITY_IQM:
+            mean = Estimate(interquartile_mean(np.array(values)))
+            text = f"{mean.value:.3f}"
+        estimates.append(ScoreEstimate(group, place, mean, len(values), text))
+    return estimates
 
 
 def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Rows:
@@ -281,9 +239,8 @@ def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = N
     rows: dict[tuple[int, str, str], list[str]] = {}
     for estimate in estimates:
         policy, vehicle, metric = estimate.place
-        group = estimate.group
-        labels = [*(group.about.get(name, "") for name in about), policy, vehicle, group.seeds_text]
-        row = rows.setdefault((id(group), policy, vehicle), [*labels, *[""] * len(columns)])
+        labels = estimate.group.labels(about, policy, vehicle)
+        row = rows.setdefault((id(estimate.group), policy, vehicle), [*labels, *[""] * len(columns)])
         row[len(labels) + columns.index(metric)] = estimate.text
     body = [*rows.values(), *_difference_rows(groups, about, columns)]
     return without_empty_columns([[*about, "policy", "vehicle", "seeds", *columns], *body])
@@ -300,19 +257,20 @@ def _difference_rows(groups: Sequence[ScoreGroup], about: Sequence[str], columns
     for group in groups:
         alike[group.measured].append(group)
     for first, second in (members for members in alike.values() if len(members) == 2):
-        texts = [(first.about.get(name, ""), second.about.get(name, "")) for name in about]
-        labels = [old if old == new else f"{new or 'none'} minus {old or 'none'}" for old, new in texts]
-        seeds = first.seeds_text if first.seeds_text == second.seeds_text else ""
         for policy, vehicle in first.rows:
-            row = [*labels, policy, vehicle, seeds]
+            texts = zip(first.labels(about, policy, vehicle), second.labels(about, policy, vehicle), strict=True)
+            labels = [old if old == new else f"{new or 'none'} minus {old or 'none'}" for old, new in texts]
+            if first.seeds_text != second.seeds_text:
+                labels[-1] = ""
+            cells = []
             for metric in columns:
-                place = MetricName(policy, vehicle, UTILITY_ESR if metric == UTILITY_IQM else metric)
-                samples = [np.array(group.values(place)) for group in (second, first) if place in group.scores]
-                enough = len(samples) == 2 and min(map(len, samples)) >= MIN_SAMPLES
+                place = MetricName(policy, vehicle, metric)
+                samples = [np.array(group.values(place)) for group in (second, first)]
+                enough = min(map(len, samples)) >= MIN_SAMPLES
                 difference = iqm_difference if metric == UTILITY_IQM else mean_difference
-                row.append(difference(*samples).text() if enough else "")
-            if any(row[-len(columns) :]):
-                yield row
+                cells.append(difference(*samples).text() if enough else "")
+            if any(cells):
+                yield [*labels, *cells]
 
 
 def check_columns(groups: Sequence[ScoreGroup], columns: Sequence[str] | None) -> None:
@@ -402,14 +360,7 @@ def interval_note(groups: Sequence[ScoreGroup]) -> str:
 def print_runs(
     paths: Sequence[Path], console: Console, warn: Callable[[str], None], columns: Sequence[str] | None = None
 ) -> list[ScoreGroup]:
-    """Print the scores of runs over seeds and the comparisons of their algorithms, task by task; returns the scores.
-
-    Args:
-        paths: run directories, or folders that hold some.
-        console: where to print.
-        warn: called with a message about every run that is left out.
-        columns: of the scores; None for :data:`TABLE_COLUMNS`.
-    """
+    """Print the scores of runs over seeds and the comparisons of their algorithms, task by task; returns the scores."""
     groups = group_runs(paths, warn, everything=columns is not None)
     if not groups:
         raise ValueError("no run has a final evaluation that can be read")
@@ -440,50 +391,32 @@ def _by_task(rows: Rows, task: Iterable[str]) -> dict[str, Rows]:
 def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
     """A table with a row per metric and a column per policy, with intervals over the episodes.
 
-    Ends that no episode had and metrics that repeat another one (SER of a linear utility, the return of our
-    destination) are left out; the files have all.
+    Ends that no episode had are left out; the files have all.
     """
     columns = {policy: evaluation.estimates() for policy, evaluation in evaluations.items()}
-    names: list[str] = []
-    for estimates in columns.values():
-        place = 0
-        for name in estimates:
-            if name not in names:
-                names.insert(place, name)
-            place = names.index(name) + 1
-    names = [name for name in names if _says_more(name, list(columns.values()))]
-    for policy, evaluation in evaluations.items():
-        never = rate(np.zeros(len(evaluation.returns), dtype=np.bool_))
-        if any(map(_is_end, columns[policy])):
-            columns[policy] = {**dict.fromkeys(filter(_is_end, names), never), **columns[policy]}
+    names = list(dict.fromkeys(name for estimates in columns.values() for name in estimates))
+    ends = [name for name in names if split_name(name).metric.startswith(END)]
+    happened = {name for name in ends for column in columns.values() if name in column and column[name].value > 0.0}
     how = f"95% intervals{of_three((len(evaluation.returns) for evaluation in evaluations.values()), 'episodes')}"
     table = Table(title=f"{title}; {how}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     table.add_column("", overflow="fold")
-    if any(_is_end(name) for estimates in columns.values() for name in estimates):
+    if ends:
         table.caption = f"{SUCCESS}: the share of arrivals; other ends ({END}...) that no episode had are left out."
         table.caption_justify = "left"
     for policy in columns:
         table.add_column(policy, justify="right", overflow="fold")
     for name in names:
-        cells = [estimates[name].text() if name in estimates else "" for estimates in columns.values()]
+        if name in ends and name not in happened:
+            continue
+        cells = []
+        for policy, estimates in columns.items():
+            if name in ends and name not in estimates and any(end in estimates for end in ends):
+                never = np.zeros(len(evaluations[policy].returns), dtype=np.bool_)
+                cells.append(rate(never).text())
+            else:
+                cells.append(estimates[name].text() if name in estimates else "")
         table.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
     return table
-
-
-def _is_end(name: str) -> bool:
-    return split_name(name).metric.startswith(END)
-
-
-def _says_more(name: str, columns: Sequence[Mapping[str, Estimate]]) -> bool:
-    """Whether a metric is not that of an end that no episode had, and differs from the metric that it may repeat."""
-    metric = split_name(name).metric
-    if _is_end(name):
-        return any(name in column and column[name].value > 0.0 for column in columns)
-    if metric in _REPEATED:
-        other = name.removesuffix(metric) + _REPEATED[metric]
-        pairs = [(column[name].value, column[other].value) for column in columns if name in column and other in column]
-        return not pairs or not all(math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-9) for pair in pairs)
-    return True
 
 
 # --------------------------------------------------------------------------------------------------------- a terminal
@@ -493,14 +426,8 @@ def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: s
     """Print a table below its title, in parts that fit the console, so that nothing is cut off.
 
     If it does not fit, first the labels that all rows share move to the title; then columns follow in further parts.
-
-    Args:
-        console: where to print.
-        rows: header first.
-        title: printed above the table.
-        labels: number of the first columns, which say what a row is.
-        rest: how to see all columns; if it is given, the first part alone is printed, then the names of the columns
-            that are not in it, and this.
+    The first ``labels`` columns say what a row is. With ``rest``, how to see all columns, the first part alone is
+    printed, then the names of the columns that are not in it, and this.
     """
     if sum(_widths(rows)) + MARGIN > console.width and len(rows) > 1:
         shared, rows, labels = lift_labels(rows, labels)
@@ -516,58 +443,40 @@ def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: s
 
 
 def fitted_tables(rows: Rows, labels: int, width: int) -> list[Table]:
-    """The parts of :func:`split_columns` as tables: labels are wrapped where they are too long, values are not."""
-    parts, labels = split_columns(rows, labels, width)
+    """A table in parts that fit a width, each of which begins with the labels.
+
+    Labels are wrapped where they are too long; those that take too much of the width are joined in one column
+    ("name=value, name=value"). Rows without any value in a part are left out of it.
+    """
+    most = int(LABEL_SHARE * width)
+    if labels > 1 and sum(_widths(rows)) + MARGIN > width and sum(_widths(rows)[:labels]) > most:
+        header, *body = rows
+        named = [[f"{name}={cell}" for name, cell in zip(header, row[:labels], strict=False) if cell] for row in body]
+        joined = (", ".join(texts) for texts in named)
+        rows = [["", *header[labels:]], *([text, *row[labels:]] for text, row in zip(joined, body, strict=True))]
+        labels = 1
+    widths = _widths(rows)
+    room = width - MARGIN - min(sum(widths[:labels]), most)
+    parts: list[list[int]] = [[]]
+    for i in range(labels, len(widths)):
+        if parts[-1] and sum(widths[k] for k in parts[-1]) + widths[i] > room:
+            parts.append([])
+        parts[-1].append(i)
     tables = []
-    for header, *body in parts:
+    for part in parts:
         table = Table(box=SIMPLE_HEAD)
-        for i, name in enumerate(header):
+        for i in (*range(labels), *part):
             justify: Any = "left" if i < labels else "right"
-            table.add_column(Text(name), justify=justify, overflow="fold", no_wrap=i >= labels)
-        for row in body:
-            table.add_row(*map(Text, row))
+            table.add_column(Text(rows[0][i]), justify=justify, overflow="fold", no_wrap=i >= labels)
+        for row in rows[1:]:
+            if any(row[i] for i in part):
+                table.add_row(*(Text(row[i]) for i in (*range(labels), *part)))
         tables.append(table)
     return tables
 
 
-def split_columns(rows: Rows, labels: int, width: int) -> tuple[list[Rows], int]:
-    """Split a table that is too wide into parts, each of which begins with the labels.
-
-    Labels that take too much of the width are joined in one column ("name=value, name=value"), which may be wrapped.
-    Rows without any value in a part are left out of it. Returns the parts and the number of labels in each.
-    """
-    widths = _widths(rows)
-    if sum(widths) + MARGIN <= width:
-        return [rows], labels
-    values, most = widths[labels:], int(LABEL_SHARE * width)
-    if labels > 1 and sum(widths[:labels]) > most:
-        rows, labels = _join(rows, labels), 1
-        widths = _widths(rows)
-    room = width - MARGIN - min(sum(widths[:labels]), most)
-    parts: list[list[int]] = [[]]
-    used = 0
-    for i, value_width in enumerate(values, labels):
-        if parts[-1] and used + value_width > room:
-            parts.append([])
-            used = 0
-        parts[-1].append(i)
-        used += value_width
-    tables = [[[*row[:labels], *(row[i] for i in part)] for row in rows] for part in parts]
-    return [[row for row in table if any(row[labels:])] for table in tables], labels
-
-
 def _widths(rows: Rows) -> list[int]:
-    return [max(cell_len(row[i]) for row in rows) + PADDING for i in range(len(rows[0]))]
-
-
-def _join(rows: Rows, labels: int) -> Rows:
-    """The rows with their labels in one column."""
-    header, *body = rows
-    texts = [
-        ", ".join(f"{name}={cell}" for name, cell in zip(header[:labels], row[:labels], strict=True) if cell)
-        for row in body
-    ]
-    return [["", *header[labels:]], *([text, *row[labels:]] for text, row in zip(texts, body, strict=True))]
+    return [max(map(cell_len, column)) + PADDING for column in zip(*rows, strict=True)]
 
 
 def lift_labels(rows: Rows, labels: int) -> tuple[str, Rows, int]:
@@ -589,12 +498,6 @@ def write_tables(
 
     A CSV has one number per cell, and the returns of all objectives; LaTeX and Markdown have the table of the terminal,
     with names as people write them.
-
-    Args:
-        path: the first file, whose ending is one of :data:`FORMATS`; both are returned.
-        scores: the rows of the first table.
-        compared: the groups of the second table.
-        columns: metrics of the first table; None for all of a CSV, and :data:`TABLE_COLUMNS` of the others.
     """
     note, tidy = interval_note(scores), path.suffix.lower() == ".csv"
     tables: dict[str, tuple[Cells, str]]

@@ -14,9 +14,8 @@ import imageio_ffmpeg
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image, ImageColor
+from PIL import Image, ImageDraw, ImageFont
 
-from algorithms.reporting.style import VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK, figure_style
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, is_drivable, make_env
 from mo_deepdrive.evaluation.policy import drive
 from mo_deepdrive.evaluation.splits import SPLITS
@@ -37,7 +36,8 @@ MAX_FRAMES = 2000  # of a video, three of our longest episodes; the rest is cut 
 HOLD = 0.5  # s for which the last frame of an episode is shown
 DEFAULT_FPS = 10  # where the environment does not say
 CAPTION_PIXELS = 36  # height of a caption
-FONT_SIZES = np.arange(13.0, 6.5, -0.5)  # of captions; the first one that fits
+FONT_SIZES = range(18, 9, -1)  # pixels, of captions; the first one that fits
+BACKGROUND, INK = "#181C24", "#F0F3F8"  # of captions, which look like the panel of readings beside a map
 GAP = 4  # pixels between tiles that are side by side
 MAX_WIDTH = 1600  # pixels of a video of several; wider ones are scaled down
 GIF_COLOURS = 255  # of the palette; one further index marks pixels that do not change
@@ -57,17 +57,7 @@ def record(
 ) -> int:
     """Write an MP4 of a few episodes, one after the other; the file appears when it is complete.
 
-    Args:
-        policy: what acts.
-        env_id: of the environment.
-        env_arguments: keyword arguments of the environment.
-        path: the file.
-        episodes: number of episodes; if they exceed MAX_FRAMES, the rest is cut off, which the last frame says.
-        seed: of the first episode.
-        greedy: take the most likely (or mean) action instead of sampling.
-
-    Returns:
-        The number of frames.
+    What exceeds MAX_FRAMES is cut off, which the last frame says. Returns the number of frames.
     """
     env = make_render_env(env_id, env_arguments)
     try:
@@ -112,16 +102,10 @@ def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -
 
 
 def _rendered(env: VectorEnv) -> Frame:
-    """The frame that the environment renders, padded to even sides, which video encoders need."""
     frames = env.render()
     if not frames or not isinstance(frames[0], np.ndarray):
         raise ValueError("the environment rendered no frame")
-    return _even(frames[0])
-
-
-def _even(frame: Frame) -> Frame:
-    height, width = frame.shape[:2]
-    return np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    return frames[0]
 
 
 def _held(frames: Iterable[Frame], seconds: float, fps: int) -> Iterator[Frame]:
@@ -148,28 +132,18 @@ def cut_off(frames: Iterable[Frame], count: int, fps: int) -> Iterator[Frame]:
 
 def caption_strip(text: str, width: int) -> Frame:
     """``text`` in one line on a strip (CAPTION_PIXELS, ``width``, 3), shortened if it is too long."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # not earlier: most videos go without Matplotlib
-    from matplotlib.figure import Figure
+    from matplotlib import get_data_path  # which has a font with all the letters of units
 
-    line = " ".join(text.split())
-    with figure_style():
-        size = (width / VIDEO_DPI, CAPTION_PIXELS / VIDEO_DPI)
-        figure = Figure(figsize=size, dpi=VIDEO_DPI, facecolor=VIDEO_BACKGROUND)
-        canvas: Any = FigureCanvasAgg(figure)
-        words = figure.text(10 / width, 0.5, line, color=VIDEO_INK, va="center_baseline", parse_math=False)
-
-        def fits() -> bool:
-            return words.get_window_extent(canvas.get_renderer()).width <= width - 20
-
-        for font_size in FONT_SIZES:
-            words.set_fontsize(font_size)
-            if fits():
-                break
-        while line and not fits():
-            line = line[:-1].rstrip()
-            words.set_text(f"{line}…")
-        canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    line, room = " ".join(text.split()), width - 20
+    fonts = [ImageFont.truetype(f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf", size) for size in FONT_SIZES]
+    font = next((font for font in fonts if font.getlength(line) <= room), fonts[-1])
+    if font.getlength(line) > room:
+        line = next(
+            (f"{line[:end]}…" for end in range(len(line), 0, -1) if font.getlength(f"{line[:end]}…") <= room), ""
+        )
+    strip = Image.new("RGB", (width, CAPTION_PIXELS), BACKGROUND)
+    ImageDraw.Draw(strip).text((10, CAPTION_PIXELS / 2), line, INK, font, anchor="lm")
+    return np.asarray(strip)
 
 
 # ------------------------------------------------------------------------------------------------------------ MP4
@@ -177,22 +151,21 @@ def caption_strip(text: str, width: int) -> Frame:
 
 @contextmanager
 def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]]:
-    """A function that appends a frame with even sides to an MP4; the file appears when it is complete, unless empty.
+    """A function that appends a frame to an MP4; the file appears when it is complete, unless empty.
 
     A process that is killed leaves a file that is named as the temporary ones of :mod:`mo_deepdrive.support.atomic_io`.
     """
     path = without_links(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     count, encoder = 0, None
+    # The temporary name does not tell the format; encoders need even sides.
+    options = {"output_params": ["-f", "mp4", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"], "ffmpeg_log_level": "quiet"}
 
     def write(frame: Frame) -> None:
         nonlocal count, encoder
         if encoder is None:
             size = frame.shape[1], frame.shape[0]
-            mp4 = ["-f", "mp4"]  # the temporary name does not tell
-            encoder = imageio_ffmpeg.write_frames(
-                str(part), size, fps=fps, macro_block_size=1, quality=7, ffmpeg_log_level="quiet", output_params=mp4
-            )
+            encoder = imageio_ffmpeg.write_frames(str(part), size, fps=fps, macro_block_size=1, quality=7, **options)
             encoder.send(None)
         try:
             encoder.send(np.ascontiguousarray(frame))
@@ -204,7 +177,12 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]
         yield write
         if encoder is not None:
             encoder.close()
-            _check_whole(part, path, count)
+            try:  # ffmpeg's errors at the end of a video are not reported otherwise
+                written, _ = imageio_ffmpeg.count_frames_and_secs(part)
+            except RuntimeError:  # with all that ffmpeg has to say
+                written = 0
+            if written != count:
+                raise OSError(f"{str(path)!r}: ffmpeg could write {written:,} of {count:,} frames; is the disk full?")
             part.replace(path)
     finally:
         if encoder is not None:
@@ -212,23 +190,18 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]
         part.unlink(missing_ok=True)
 
 
-def _check_whole(part: Path, path: Path, count: int) -> None:
-    """Refuse a video that lacks frames: ffmpeg's errors at its end are not reported otherwise."""
-    try:
-        written, _ = imageio_ffmpeg.count_frames_and_secs(part)
-    except RuntimeError:  # with all that ffmpeg has to say
-        written = 0
-    if written != count:
-        raise OSError(f"{str(path)!r}: ffmpeg could write {written:,} of {count:,} frames; is the disk full?")
-
-
 def _write_video(frames: Iterable[Frame], path: str | Path, fps: int) -> int:
-    """Write an MP4; returns the number of frames."""
+    """Write an MP4, or a GIF; returns the number of frames."""
     count = 0
+    if str(path).lower().endswith(".gif"):
+        if fps < 1 or 100 % fps:
+            raise ValueError(f"fps = {fps} must divide 100, because a GIF counts hundredths of a second")
+        shown = list(frames)
+        atomic_write(path, _encode_gif(shown, 1000 // fps))
+        return len(shown)
     with video_writer(path, fps) as write:
-        for frame in frames:
+        for count, frame in enumerate(frames, 1):  # noqa: B007  (returned below)
             write(frame)
-            count += 1
     return count
 
 
@@ -240,94 +213,54 @@ def video_seconds(path: str | Path) -> float:
 
 
 def write_video_grid(tracks: Sequence[Track], path: str | Path, fps: int, *, hold: float = HOLD) -> int:
-    """Write an MP4 of all ``tracks`` at once, each below its caption; the file appears when it is complete.
+    """Write an MP4, or a looping GIF, of all ``tracks`` at once, each below its caption.
 
-    Up to three tracks are side by side, more in a grid that is as square as possible. A track that ends early keeps its
-    last frame.
-
-    Args:
-        tracks: captions, and frames (height, width, 3) of uint8, all of the same size.
-        path: the file.
-        fps: frames per second.
-        hold: time for which the last frame is shown (s).
+    Up to three tracks, and all of a GIF, are side by side, more in a grid that is as square as possible. A track that
+    ends early keeps its last frame. All frames (height, width, 3) have the same size, and the last one is shown for
+    ``hold`` seconds. The file, whose ending is the format, appears when it is complete.
 
     Returns:
         The number of frames.
     """
-    columns = len(tracks) if len(tracks) <= 3 else math.ceil(math.sqrt(len(tracks)))
-
-    def tile(frame: Frame) -> Frame:
-        height, width = frame.shape[:2]
-        room = (MAX_WIDTH - GAP * (columns - 1)) / columns
-        if width > room:
-            return scaled(frame, max(2, int(height * room / width) // 2 * 2), max(2, int(room) // 2 * 2))
-        return _even(frame)
-
-    frames = _sheets(tracks, tile, columns, ImageColor.getrgb(VIDEO_BACKGROUND))
-    return _write_video(_held(frames, hold, fps), path, fps)
+    gif = str(path).lower().endswith(".gif")
+    columns = len(tracks) if gif or len(tracks) <= 3 else math.ceil(math.sqrt(len(tracks)))
+    return _write_video(_held(_sheets(tracks, columns, "white" if gif else BACKGROUND), hold, fps), path, fps)
 
 
-def _sheets(
-    tracks: Sequence[Track], tile: Callable[[Frame], Frame], columns: int, background: tuple[int, ...]
-) -> Iterator[Frame]:
-    """The frames of all ``tracks`` at once, each below its caption; the same array each time.
-
-    ``tile`` is what is shown of a frame, of the same size for all; a track that ends early keeps its last frame.
-    """
+def _sheets(tracks: Sequence[Track], columns: int, background: str) -> Iterator[Frame]:
+    """The frames of all ``tracks`` at once, each below its caption; one that ends early keeps its last frame."""
     if not tracks:
         raise ValueError("there is no track; at least one is needed")
     sources = [iter(frames) for _, frames in tracks]
-    new: list[Frame | None] = []
-    for (caption, _), frames in zip(tracks, sources, strict=True):
-        first = next(frames, None)
+    shown = [next(frames, None) for frames in sources]
+    height = width = 0
+    for (caption, _), first in zip(tracks, shown, strict=True):
         if first is None:
             raise ValueError(f"track {caption!r} has no frames")
-        shown = tile(first)
-        height, width = len(shown) + CAPTION_PIXELS, shown.shape[1]
-        new.append(np.vstack([caption_strip(caption, width), shown]))
+        height, width = first.shape[:2]
+    scale = min(1.0, (MAX_WIDTH - GAP * (columns - 1)) / columns / width)
+    height, width = int(scale * height), int(scale * width)
     rows = -(-len(tracks) // columns)
-    sheet = np.full((rows * height, columns * (width + GAP) - GAP, 3), background, dtype=np.uint8)
-    while any(tile_frame is not None for tile_frame in new):
-        for k, tile_frame in enumerate(new):
-            if tile_frame is not None:
-                bottom, left = (k // columns + 1) * height, k % columns * (width + GAP)
-                sheet[bottom - len(tile_frame) : bottom, left : left + width] = tile_frame
-        yield sheet
-        new = [None if (frame := next(frames, None)) is None else tile(frame) for frames in sources]
+    sheet = Image.new("RGB", (columns * (width + GAP) - GAP, rows * (height + CAPTION_PIXELS)), background)
+    places = [(k % columns * (width + GAP), k // columns * (height + CAPTION_PIXELS)) for k in range(len(tracks))]
+    for (caption, _), place in zip(tracks, places, strict=True):
+        sheet.paste(Image.fromarray(caption_strip(caption, width)), place)
+    while any(frame is not None for frame in shown):
+        for frame, (left, top) in zip(shown, places, strict=True):
+            if frame is not None:
+                sheet.paste(Image.fromarray(resized(frame, width, height)), (left, top + CAPTION_PIXELS))
+        yield np.array(sheet)
+        shown = [next(frames, None) for frames in sources]
 
 
-def scaled(frame: Frame, height: int, width: int) -> Frame:
-    """``frame`` (h, w, 3) scaled down with antialiasing."""
+def resized(frame: Frame, width: int, height: int) -> Frame:
+    """``frame`` (h, w, 3) with another size, antialiased."""
+    if frame.shape[:2] == (height, width):
+        return frame
     return np.asarray(Image.fromarray(frame).resize((width, height), Image.Resampling.BILINEAR))
 
 
 # ------------------------------------------------------------------------------------------------------------ GIF
-
-
-def write_gif(clips: Sequence[Track], path: str | Path, *, fps: int = 10, side: int = 320) -> tuple[int, int]:
-    """Write a looping GIF that shows ``clips`` side by side, each below its caption.
-
-    A clip that is shorter than the longest one keeps showing its last frame.
-
-    Args:
-        clips: captions, and frames (height, width, 3) of uint8. The left square of each frame is shown.
-        path: the file; it appears when it is complete.
-        fps: frames per second, a divisor of 100, because a GIF counts hundredths of a second.
-        side: pixels of a clip's width and height.
-
-    Returns:
-        The number of frames and of bytes.
-    """
-    if fps < 1 or 100 % fps:
-        raise ValueError(f"fps = {fps} must divide 100, because a GIF counts hundredths of a second")
-
-    def tile(frame: Frame) -> Frame:
-        return scaled(frame[:, : len(frame)], side, side)
-
-    frames = [sheet.copy() for sheet in _sheets(clips, tile, len(clips), (255, 255, 255))]
-    content = _encode_gif(frames, 1000 // fps)
-    atomic_write(path, content)
-    return len(frames), len(content)
 
 
 def video_as_gif(path: str | Path, *, max_width: int = 480, max_frames: int = 150) -> tuple[bytes, int, int]:
@@ -347,7 +280,7 @@ def video_as_gif(path: str | Path, *, max_width: int = 480, max_frames: int = 15
         scale = min(1.0, max_width / width)
         width, height = round(scale * width), round(scale * height)
         shown = itertools.islice(reader, 0, None, stride)
-        frames = [np.asarray(Image.fromarray(frame).resize((width, height))) for frame in shown]
+        frames = [resized(frame, width, height) for frame in shown]
     return _encode_gif(frames, 1000 * stride / about["fps"]), height, width
 
 

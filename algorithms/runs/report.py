@@ -274,7 +274,7 @@ def show_results(run: Run, step: int, console: Console) -> None:
     """Draw the learning curves of a run that ended at a step, and show its results in TensorBoard; print what fails."""
     with _beside(console, "the curves could not be drawn"):
         # No rows are left if metrics.csv was deleted.
-        if run.experiment.logging.save_figures and rows_until(run.path / METRICS_FILE, step)[1]:
+        if run.experiment.logging.save_figures and len(rows_until(run.path / METRICS_FILE, step)):
             from algorithms.reporting.curves import load_groups, plot
 
             plot(load_groups([run.path]), run.path / "curves.png")

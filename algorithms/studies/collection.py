@@ -18,7 +18,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 from collections import Counter
@@ -30,7 +29,7 @@ import numpy as np
 import polars as pl
 
 from algorithms.reporting.run_records import ExperimentRecord, experiment_record, final_scores
-from algorithms.reporting.training_log import DIGITS, read_header, read_metrics
+from algorithms.reporting.training_log import read_rows
 from algorithms.runs.run_directory import METRICS_FILE, changed_files, read_status
 from algorithms.studies.manifest import ManifestRow, label, read_manifest
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
@@ -156,26 +155,11 @@ def _metrics_frame(rows: Sequence[ManifestRow], sweep: Path) -> tuple[pl.DataFra
         path = sweep / row.directory / METRICS_FILE
         try:
             if path.is_file():
-                frames.append(_read_rows(path).insert_column(0, pl.lit(row.id).alias("run")))
+                frames.append(read_rows(path).fill_nan(None).insert_column(0, pl.lit(row.id).alias("run")))
         except (ValueError, OSError) as error:
             unreadable.append(str(error))
     frame = pl.concat(frames, how="diagonal")
     return frame.select("run", STEP, *sorted({*frame.columns} - {"run", STEP})), unreadable
-
-
-def _read_rows(path: Path) -> pl.DataFrame:
-    """The complete rows of a metrics.csv, with null for missing values."""
-    data = path.read_bytes()
-    data = data[: data.rfind(b"\n") + 1]
-    # read_metrics is slow but tolerates ragged rows and says what is wrong; polars reads only files that are regular.
-    with contextlib.suppress(ValueError, pl.exceptions.PolarsError):
-        names = read_header(data[: data.find(b"\n") + 1])
-        if data.count(b",") == (len(names) - 1) * data.count(b"\n") and b"\0" not in data:
-            types = {name: pl.Int64() if name == STEP else pl.Float64() for name in names}
-            frame = pl.read_csv(data, schema=types).fill_nan(None)
-            if frame[STEP].is_between(0, 10**DIGITS - 1).all() and not frame[STEP].has_nulls():
-                return frame
-    return pl.DataFrame(read_metrics(path)).with_columns(pl.col(STEP).cast(pl.Int64)).fill_nan(None)
 
 
 def _runs_frame(

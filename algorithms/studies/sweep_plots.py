@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from algorithms.reporting.curves import CurveGroup, VariedScores, describe, drawn, plot, plot_effects
+from algorithms.reporting.curves import CurveGroup, VariedScores, describe, plot, plot_effects
 from algorithms.studies.collection import Collection, collect
 from algorithms.studies.sweep_tables import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
@@ -47,10 +47,8 @@ def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[Cur
     """
     places = sorted((place, r) for r, ranking in enumerate(rankings) for place in range(len(ranking.ranked)))
     cells = [rankings[r].cells[place] for r, place in sorted((r, place) for place, r in places[:MAX_CURVES])]
-    names = collection.metrics.columns
-    wanted = {name for cell in cells for name in drawn(names, cell.experiment)}
-    if len(cells) > 1:
-        wanted = {name for name in wanted if name.startswith(EVALUATION)}
+    names = [name for name in collection.metrics.columns if name not in ("run", STEP)]
+    wanted = names if len(cells) == 1 else [name for name in names if name.startswith(EVALUATION)]
     runs = {run for ranking in rankings for run in ranking.scores}
     labels = cell_labels(cells, varying_keys([cell.keys for cell in collection.cells]))
     groups = []

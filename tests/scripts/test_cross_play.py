@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,6 +12,7 @@ from algorithms import zoo
 from algorithms.runs.build import build
 from algorithms.runs.config import make_experiment
 from algorithms.runs.run_directory import Run
+from tests.helpers.script_runs import Call, refused
 
 PAIR = "intersection_nonlinear-mo_ppo"
 ROUNDABOUT = "mo-deepdrive-roundabout-v0"
@@ -21,13 +20,12 @@ ONE_ROLE = "intersection_linear-mo_ppo-strangers_0"  # learnt to drive vehicle 0
 
 
 @pytest.mark.slow
-def test_every_driver_meets_every_driver_of_the_other_vehicle(
-    load_script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_driver_meets_every_driver_of_the_other_vehicle(call: Call, tmp_path: Path) -> None:
     rules = ["--vehicle-0", "rule:gap_8", "--vehicle-1", "rule:straight_3", "rule:straight_6"]
     options = ["--episodes", "20", "--split", "validation", "--output", str(tmp_path / "made")]
     # Of a run in a folder the name is what is beyond the folder that all runs are in.
-    assert load_script("cross_play").main([str(zoo.find(PAIR)), ONE_ROLE, *rules, *options]) == 0
+    code, out, error = call("cross_play", zoo.find(PAIR), ONE_ROLE, *rules, *options)
+    assert code == 0, error
     with (tmp_path / "made" / "cross_play.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     straight = [PAIR, "rule:straight_3", "rule:straight_6"]
@@ -40,15 +38,12 @@ def test_every_driver_meets_every_driver_of_the_other_vehicle(
     assert float(rows[1]["success"]) < 0.6
     assert min(float(row["success"]) for row in rows[3:]) >= 0.9
     assert (tmp_path / "made" / "cross_play.png").read_bytes().startswith(b"\x89PNG")
-    out = capsys.readouterr().out
     assert "vehicle_0 with those that it met: 20 episodes" in out
     assert "written" in out
 
 
 @pytest.mark.slow
-def test_drivers_of_several_preferences_meet_in_a_roundabout(
-    load_script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_drivers_of_several_preferences_meet_in_a_roundabout(call: Call, tmp_path: Path) -> None:
     experiment = make_experiment(
         {
             "environment": {"id": ROUNDABOUT, "arguments": {"vehicles": 3}},
@@ -63,8 +58,9 @@ def test_drivers_of_several_preferences_meet_in_a_roundabout(
     run.unlock()
     matrix = ["--env", ROUNDABOUT, "--vehicles", "3", "--preference", "hurried", "time=5", "--preference", "careful"]
     options = ["--episodes", "4", "--output", str(tmp_path / "made"), "--show", "vehicle_0/utility_esr"]
-    assert load_script("cross_play").main([str(run.path), *matrix, *options, "--utility", "own"]) == 0
-    assert "among careful" in capsys.readouterr().out
+    code, out, error = call("cross_play", run.path, *matrix, *options, "--utility", "own")
+    assert code == 0, error
+    assert "among careful" in out
     with (tmp_path / "made" / "cross_play.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert [(row["vehicle_0"], row["others"]) for row in rows] == [
@@ -76,9 +72,8 @@ def test_drivers_of_several_preferences_meet_in_a_roundabout(
     weights[:2, agent.env.objectives.index("time")] = 5.0
     expected = (returns * weights / agent.scales).sum(axis=1) / weights.sum(axis=1)
     np.testing.assert_allclose([float(row["vehicle_0/utility_esr"]) for row in rows], expected, rtol=1e-3)
-    refused = [str(run.path), *matrix, "--others", "rule:balanced", *options[:3], str(tmp_path), "--utility", "own"]
-    assert load_script("cross_play").main(refused) == 2
-    assert "--utility own: 'rule:balanced' has no preference" in capsys.readouterr().err
+    with_a_rule = [str(run.path), *matrix, "--others", "rule:balanced", *options[:3], str(tmp_path), "--utility", "own"]
+    refused(call("cross_play", *with_a_rule), "--utility own: 'rule:balanced' has no preference")
 
 
 @pytest.mark.parametrize(
@@ -97,15 +92,8 @@ def test_drivers_of_several_preferences_meet_in_a_roundabout(
         ([PAIR, "--utility", "intersection_linaer", "--episodes", "1"], "intersection_linear"),
     ],
 )
-def test_mistakes_are_errors_of_one_line(
-    load_script: Callable[[str], ModuleType],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    message: str,
-) -> None:
-    assert load_script("cross_play").main([*arguments, "--output", str(tmp_path / "made")]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+def test_mistakes_are_errors_of_one_line(call: Call, tmp_path: Path, arguments: list[str], message: str) -> None:
+    done = call("cross_play", *arguments, "--output", tmp_path / "made")
+    refused(done, message)
+    assert done[2].count("\n") == 1
     assert not (tmp_path / "made").exists()

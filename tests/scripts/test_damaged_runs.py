@@ -17,8 +17,11 @@ from tests.helpers.script_runs import Call, refused
 HEADER = b"step,eval/greedy/utility_esr\n"
 # What is in the file, and how the line about it ends.
 METRICS: dict[str, tuple[Any, str]] = {
-    "not UTF-8": (HEADER + b"0,\xff\n", "is not a CSV file: 'utf-8' codec can't decode"),
-    "no number": (HEADER + b"0,1.0\n10,one\n", "is broken: eval/greedy/utility_esr = 'one' at step 10 is not a number"),
+    "not UTF-8": (HEADER + b"0,\xff\n", "'utf-8' codec can't decode"),
+    "no number": (
+        HEADER + b"0,1.0\n10,one\n",
+        "could not parse `one` as dtype `f64` at column 'eval/greedy/utility_esr'",
+    ),
 }
 FINE = {
     "torn row": HEADER + b"0,1.0\n10,2",
@@ -28,7 +31,7 @@ FINE = {
 VALUE = "'policies.greedy.utility_esr.value'"
 SCORES: dict[str, tuple[Any, str]] = {
     "no JSON": ("{", "is not a final evaluation: Expecting property name"),
-    "nested": ("[" * 100_000, "is not a final evaluation: it is nested too deeply"),
+    "nested": ("[" * 100_000, "is not a final evaluation: maximum recursion depth exceeded"),
     "no policies": ({}, "'policies' is missing"),
     **{
         repr(value): ({"policies": {"greedy": {"utility_esr": {"value": value}}}}, f"{VALUE} = {value!r}: {fault}")

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import runpy
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
-from tests.helpers.paths import REPOSITORY
+from tests.helpers.script_runs import Call, refused
 
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
-def main() -> Callable[[list[str]], int]:
-    return runpy.run_path(str(REPOSITORY / "scripts" / "gif.py"))["main"]
-
-
-def test_a_policy_of_the_zoo_and_a_rule_side_by_side(main: Callable[[list[str]], int], tmp_path: Path) -> None:
+def test_a_policy_of_the_zoo_and_a_rule_side_by_side(call: Call, tmp_path: Path) -> None:
     path = tmp_path / "two.gif"
     names = ["one_waypoint_linear-ppo", "rule:hurried", "--frames", "40"]
-    assert main([*names, "--output", str(path), "--side", "48", "--seed", "7"]) == 0
+    code, _, error = call("gif", *names, "--output", path, "--side", "48", "--seed", "7")
+    assert code == 0, error
     with Image.open(path) as image:
         assert image.n_frames > 30
         assert image.size[0] == 2 * 48 + 4
@@ -38,13 +32,6 @@ def test_a_policy_of_the_zoo_and_a_rule_side_by_side(main: Callable[[list[str]],
         (["one_waypoint_linear-ppo", "--side", "3"], "--side 3 must be at least 16"),
     ],
 )
-def test_what_cannot_be_shown_is_refused(
-    arguments: list[str],
-    message: str,
-    main: Callable[[list[str]], int],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main([*arguments, "--output", str(tmp_path / "none.gif")]) == 2
-    assert message in capsys.readouterr().err
+def test_what_cannot_be_shown_is_refused(arguments: list[str], message: str, call: Call, tmp_path: Path) -> None:
+    refused(call("gif", *arguments, "--output", tmp_path / "none.gif"), message)
     assert not list(tmp_path.iterdir())

@@ -51,60 +51,34 @@ class DiscountedReturns(NamedTuple):
 
 @dataclass(frozen=True)
 class ExplorableFront:
-    """A front of K policies with d objectives, all maximised, as the explorer shows it.
-
-    Attributes:
-        title: what the front belongs to.
-        objectives: d names.
-        returns: (K, E, d) undiscounted returns of E episodes of each policy.
-        scales: (d,) nominal magnitudes of the returns, for :func:`mo_deepdrive.evaluation.choice.rank_policies`.
-        signs: (d,) +1 or -1, by which a return is multiplied to get a magnitude.
-        success: (K,) share of the episodes that arrived; NaN where that is not known.
-        lengths: (K,) mean number of decisions.
-        command: what evaluates the choice, with ``{preference}`` for "--weights ..." and so on, or ``{policy}`` for the
-            number of the policy.
-        numbers: (K,) numbers of the policies; from 0 on if empty.
-        note: how the numbers were measured, one sentence.
-        best_known: (k, d) best-known undiscounted returns; None where there are none.
-        discounted: the returns of the same episodes with a discount factor; None where they are not known.
-        scenes: scenarios, each with K drives; none for an environment whose drives cannot be recorded. Those that do
-            not fit into MAX_DRIVES are not stored.
-        budget_name: of the utility with a comfort budget for these objectives; "" for none.
-        budget: its numbers; None for none.
-    """
+    """A front of K policies with d objectives, all maximised, as the explorer shows it."""
 
     title: str
     objectives: tuple[str, ...]
-    returns: NDArray[np.float64]
-    scales: NDArray[np.float64]
-    signs: NDArray[np.float64]
-    success: NDArray[np.float64]
-    lengths: NDArray[np.float64]
-    command: str
-    numbers: tuple[int, ...] = ()
-    note: str = ""
-    best_known: NDArray[np.float64] | None = None
-    discounted: DiscountedReturns | None = None
-    scenes: tuple[Scene, ...] = ()
-    budget_name: str = ""
+    returns: NDArray[np.float64]  # (K, E, d) undiscounted, of E episodes of each policy
+    scales: NDArray[np.float64]  # (d,) nominal, for mo_deepdrive.evaluation.choice.rank_policies
+    signs: NDArray[np.float64]  # (d,) +1 or -1, by which a return is multiplied to get a magnitude
+    success: NDArray[np.float64]  # (K,) share of the episodes that arrived; NaN where that is not known
+    lengths: NDArray[np.float64]  # (K,) mean number of decisions
+    command: str  # what evaluates a choice, with {preference} for "--weights ..." and so on, or with {policy}
+    numbers: tuple[int, ...] = ()  # (K,) of the policies; from 0 on if empty
+    note: str = ""  # how the numbers were measured, one sentence
+    best_known: NDArray[np.float64] | None = None  # (k, d) undiscounted
+    discounted: DiscountedReturns | None = None  # of the same episodes
+    scenes: tuple[Scene, ...] = ()  # with K drives each, where they can be recorded
+    budget_name: str = ""  # of the utility with a comfort budget for these objectives
     budget: ComfortBudget | None = None
-
-    def _kinds_of_returns(self) -> list[DiscountedReturns]:
-        """The undiscounted returns, and after them the discounted ones where they are known."""
-        undiscounted = DiscountedReturns(1.0, self.returns, self.best_known)
-        return [undiscounted] if self.discounted is None else [undiscounted, self.discounted]
 
     def to_json(self) -> dict[str, Any]:
         """The front as plain lists and numbers; returns and scales are exact, drives rounded to RESOLUTION."""
-        named = [name_and_unit(name) for name in self.objectives]
+        kinds = [DiscountedReturns(1.0, self.returns, self.best_known), *([self.discounted] if self.discounted else [])]
         budget = self.budget
         return {
             "title": self.title,
             "objectives": [
                 {"key": key, "name": name, "unit": unit, "scale": scale, "sign": sign}
-                for key, (name, unit), scale, sign in zip(
-                    self.objectives, named, self.scales.tolist(), self.signs.tolist(), strict=True
-                )
+                for key, scale, sign in zip(self.objectives, self.scales.tolist(), self.signs.tolist(), strict=True)
+                for name, unit in [name_and_unit(key)]
             ],
             "returns": [
                 {
@@ -112,7 +86,7 @@ class ExplorableFront:
                     "episodes": kind.returns.tolist(),
                     "bestKnown": [] if kind.best_known is None else rounded(kind.best_known),
                 }
-                for kind in self._kinds_of_returns()
+                for kind in kinds
             ],
             "success": [None if np.isnan(share) else share for share in self.success.tolist()],
             "successRange": [self._success_range(share) for share in self.success.tolist()],
@@ -139,20 +113,13 @@ class ExplorableFront:
         if np.isnan(share) or episodes == 1:
             return None
         arrivals = rate(np.arange(episodes) < round(share * episodes))
-        interval: list[float] = rounded(np.array([arrivals.low, arrivals.high], dtype=np.float64), 3)
-        return interval
+        return [round(end, 3) for end in (arrivals.low, arrivals.high) if end is not None]
 
     def _scenes_to_json(self) -> list[dict[str, Any]]:
         """The first scenario, and those after it that fit into MAX_DRIVES."""
-        stored: list[dict[str, Any]] = []
-        size = 0
-        for scene in self.scenes:
-            plain = scene_to_json(scene)
-            size += len(json.dumps(plain, separators=(",", ":")))
-            if stored and size > MAX_DRIVES:
-                break
-            stored.append(plain)
-        return stored
+        stored = [scene_to_json(scene) for scene in self.scenes]
+        sizes = np.cumsum([len(json.dumps(scene, separators=(",", ":"))) for scene in stored])
+        return stored[: max(1, int((sizes <= MAX_DRIVES).sum()))]
 
 
 def explorable_front(
@@ -209,8 +176,7 @@ def explorable_front(
 def explorable_best_known(name: str) -> ExplorableFront:
     """A best-known front, undiscounted and with the time among its objectives, with the drives of its actions.
 
-    Args:
-        name: SCENARIO_ACTIONS, such as "one_waypoint_discrete".
+    It is named SCENARIO_ACTIONS, such as "one_waypoint_discrete".
     """
     scenario_name, _, action_type = name.rpartition("_")
     policies = reference_fronts.shipped(scenario_name, action_type)
@@ -294,14 +260,14 @@ def drive_to_json(drive: Drive) -> dict[str, Any]:
     The sum of the first n + 1 numbers times the resolution is the reading after n decisions, rounded once. Readings of
     a vehicle are stored up to its end, poses of cars up to the last one; where a car is absent there is None.
     """
+
+    def series(columns: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, list[int | None]]:
+        return {name: _differences(columns[:, k] / RESOLUTION[name]) for k, name in enumerate(names)}
+
     return {
-        "vehicles": [{**_series(drive.readings[:, v], READINGS), "end": end} for v, end in enumerate(drive.ends)],
-        "cars": [_series(drive.cars[:, car], POSE) for car in range(drive.cars.shape[1])],
+        "vehicles": [{**series(drive.readings[:, v], READINGS), "end": end} for v, end in enumerate(drive.ends)],
+        "cars": [series(drive.cars[:, car], POSE) for car in range(drive.cars.shape[1])],
     }
-
-
-def _series(columns: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, list[int | None]]:
-    return {name: _differences(columns[:, k] / RESOLUTION[name]) for k, name in enumerate(names)}
 
 
 def _differences(values: NDArray[np.float64]) -> list[int | None]:

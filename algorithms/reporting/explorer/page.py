@@ -38,13 +38,21 @@ def explorer_page(fronts: Sequence[ExplorableFront], title: str) -> str:
     It needs no network, which its content security policy forbids. Data are data: they are in a block of JSON that no
     browser runs, and the page writes them as text.
     """
+    from vl_convert import get_vega_version  # not earlier: it starts a JavaScript engine
+
+    series = " ".join(
+        f"--{page}-{number}: {COLOURS[colour]};"
+        for page, colours in (("light", LIGHT_SERIES), ("dark", DARK_SERIES))
+        for number, colour in enumerate(colours)
+    )
+    version = get_vega_version()
     data = {"format": FORMAT, "fronts": [front.to_json() for front in fronts]}
     parts = {
         "title": html.escape(title),
-        "style": _read("explorer.css").replace("/* series */", _series()),
+        "style": _read("explorer.css").replace("/* series */", series),
         "data": as_json(data),
-        "licences": _read("licences.txt").replace("@version@", _vega_version()),
-        "vega": _vega(),
+        "licences": _read("licences.txt").replace("@version@", version),
+        "vega": _vega(version),
         "script": "\n".join(map(_read, SCRIPTS)).replace("/* format */ 0", str(FORMAT)),
     }
     page = _read("page.html")
@@ -67,33 +75,18 @@ def as_json(data: Any) -> str:
 
 
 @functools.cache
-def _vega() -> str:
+def _vega(version: str) -> str:
     """Vega's runtime as JavaScript that sets ``window.vega``."""
-    from vl_convert import javascript_bundle  # not earlier: it starts a JavaScript engine
+    from vl_convert import javascript_bundle
 
     # The name that Vega-Embed's modules import it by, a file in vl-convert-python; nothing is fetched.
-    module = f"https://cdn.jsdelivr.net/npm/vega@{_vega_version()}/+esm"
     bundle: str = javascript_bundle(
-        f"import * as runtime from '{module}';"
+        f"import * as runtime from 'https://cdn.jsdelivr.net/npm/vega@{version}/+esm';"
         "window.vega = {View: runtime.View, parse: runtime.parse, Error: runtime.Error};"
     )
     if re.search("</script|<!--", bundle, flags=re.IGNORECASE):
         raise ValueError("Vega's code cannot be inside an HTML page: it holds the end of a script")
     return bundle
-
-
-def _vega_version() -> str:
-    from vl_convert import get_vega_version
-
-    return str(get_vega_version())
-
-
-def _series() -> str:
-    """CSS variables with the colours of policies, for light and for dark pages."""
-    rules = []
-    for name, chosen in (("light", LIGHT_SERIES), ("dark", DARK_SERIES)):
-        rules += [f"--{name}-{number}: {COLOURS[colour]};" for number, colour in enumerate(chosen)]
-    return " ".join(rules)
 
 
 def _read(name: str) -> str:

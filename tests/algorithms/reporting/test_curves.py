@@ -18,11 +18,8 @@ from algorithms.reporting.curves import (
     VariedScores,
     curve,
     curve_panels,
-    drawn,
-    effect_of_numbers,
-    effect_of_words,
-    is_logarithmic,
     load_groups,
+    parts_of_key,
     plot,
     plot_effects,
     score_limits,
@@ -70,7 +67,7 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(make: Make) -> None:
     runs = [make("a", seed=0), make("b", seed=1), make("c", "a2c", seed=0), make("d", seed=2, gamma=0.9)]
     groups = load_groups(runs)
     assert [len(group.runs) for group in groups] == [1, 2, 1]
-    assert [group.label for group in groups] == ["a2c, gamma 0.99", "mo_a2c, gamma 0.99", "mo_a2c, gamma 0.9"]
+    assert [group.label for group in groups] == ["a2c", "mo_a2c algorithm.gamma=0.99", "mo_a2c algorithm.gamma=0.9"]
 
 
 def test_what_cannot_be_drawn_is_refused(make: Make, tmp_path: Path) -> None:
@@ -192,11 +189,17 @@ def test_scores_under_other_arguments_have_separate_panels_that_name_them() -> N
 
     assert panels(group("mo_ppo")) == {"Utility per episode": (0, 1)}
     assert panels(group("mo_ppo", weight=9)) == {
-        "Utility: linear weights=[1, 1]": (0,),
-        "Utility: linear weights=[9, 1]": (1,),
+        "Utility: utility.arguments.weights=[1, 1]": (0,),
+        "Utility: utility.arguments.weights=[9, 1]": (1,),
     }
-    assert panels(group("mo_ppo", size=9)) == {"Utility: theirs-v0 size=8": (0,), "Utility: theirs-v0 size=9": (1,)}
-    assert panels(group("mo_ppo", gamma=1.0)) == {"Utility: gamma=0.99": (0,), "Utility: gamma=1.0": (1,)}
+    assert panels(group("mo_ppo", size=9)) == {
+        "Utility: environment.arguments.size=8": (0,),
+        "Utility: environment.arguments.size=9": (1,),
+    }
+    assert panels(group("mo_ppo", gamma=1.0)) == {
+        "Utility: evaluation.gamma=0.99": (0,),
+        "Utility: evaluation.gamma=1.0": (1,),
+    }
     assert panels(group("mo_ppo", split="validation")) == {"Utility per episode": (0, 1)}, "of the final scores alone"
 
 
@@ -218,60 +221,38 @@ def test_runs_with_one_vehicle_are_drawn_beside_runs_with_two() -> None:
         ("Vehicle 1: arrival rate", (1,)),
         ("All vehicles: arrival rate", (1,)),
     ]
-    every = sorted({name for group in groups for columns in group.runs for name in columns} - {"step"})
-    assert drawn(every, groups[0].experiment) == every
 
 
 # -------------------------------------------------------------------------------------------- scores against keys
 
 
-@pytest.mark.parametrize(
-    ("numbers", "expected"),
-    [
-        ([1e-4, 1e-3, 1e-2], True),
-        ([16, 32, 64], True),
-        ([0.001, 0.003], False),
-        ([1, 2, 3], False),
-        ([0.9, 0.95, 0.99], False),
-        ([0, 10, 1000], False),
-        (np.linspace(0.1, 1.0, 50), False),
-        (np.geomspace(0.1, 10.0, 50), True),
-    ],
-)
-def test_numbers_that_grow_by_factors_are_on_logarithmic_axes(numbers: Any, expected: bool) -> None:
-    assert is_logarithmic(np.asarray(numbers, dtype=np.float64)) is expected
-
-
 def test_every_value_has_a_mean_and_many_values_are_binned() -> None:
-    scores = np.arange(60.0)
-    few = effect_of_numbers(np.repeat([8.0, 16.0, 32.0], 20), scores)
-    assert [each.value for each in few.means] == [9.5, 29.5, 49.5]
-    assert [*few.ticks.values()] == ["8", "16", "32"]
-    many = effect_of_numbers(np.linspace(0.9, 1.0, 60), scores)
-    assert many.ticks is None
-    assert [len(part) for part in many.parts] == [8, 8, 8, 8, 7, 7, 7, 7]
-    words = effect_of_words(["b", "a", "b"] * 20, scores)
-    assert list(words.ticks.values()) == ["b", "a"]
-    assert not words.slanted
-    assert effect_of_words([f"a rather long word {i}" for i in range(60)], scores).slanted
+    labels, positions, parts = parts_of_key(np.repeat([8.0, 32.0, 16.0], 20))
+    assert labels == ["8", "16", "32"]
+    np.testing.assert_array_equal(positions, np.repeat([0, 2, 1], 20))
+    assert [part[0] for part in parts] == [0, 40, 20]
+    labels, _, parts = parts_of_key(np.linspace(0.9, 1.0, 60))
+    assert not labels
+    assert [len(part) for part in parts] == [8, 8, 8, 8, 7, 7, 7, 7]
+    labels, positions, _ = parts_of_key(["b", "a rather long word, in fact", "b"])
+    assert labels == ["b", "a rather long wor…"]
+    assert positions.tolist() == [0, 1, 0]
 
 
 def test_a_few_outliers_do_not_flatten_the_other_runs() -> None:
-    words = ["a"] * 50 + ["b"] * 50
     scores = np.linspace(0.0, 1.0, 100)
-    whole = score_limits(scores, [effect_of_words(words, scores)])
-    assert whole == pytest.approx((-0.06, 1.06))
+    assert score_limits(scores) == pytest.approx((-0.06, 1.06))
     scores[-1] = -1e6
-    effect = effect_of_words(words, scores)
-    assert effect.means[1].value < -1e4
-    low, high = score_limits(scores, [effect])
+    low, high = score_limits(scores)
     assert -0.5 < low < 0.0
     assert 0.9 < high < 1.5
     scores[-20:] = -1e6  # no longer a few
-    assert score_limits(scores, [effect_of_words(words, scores)])[0] < -1e6
-    mostly_equal = np.array([1.0] * 99 + [0.0])
-    low, high = score_limits(mostly_equal, [effect := effect_of_words(words, mostly_equal)])
-    assert low < effect.means[1].value < 1.0 < high
+    assert score_limits(scores)[0] < -1e6
+
+
+def test_scores_are_not_magnified() -> None:
+    low, high = score_limits(np.array([10.0, 10.001, 10.002, 10.003, 10.0]))
+    assert high - low >= 1.0
 
 
 def test_scores_are_drawn_against_what_was_varied(tmp_path: Path) -> None:
@@ -292,11 +273,3 @@ def test_scores_are_drawn_against_what_was_varied(tmp_path: Path) -> None:
     assert (tmp_path / "scores.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="xyz"):
         plot_effects([first], tmp_path / "scores.xyz", "title")
-
-
-def test_means_of_two_runs_have_no_interval_and_scores_are_not_magnified() -> None:
-    scores = np.array([10.0, 10.001, 10.002, 10.003, 10.0])
-    effect = effect_of_words(["x", "x", "y", "y", "y"], scores)
-    assert [mean.low is None for mean in effect.means] == [True, False]
-    low, high = score_limits(scores, [effect])
-    assert high - low >= 1.0

@@ -20,14 +20,13 @@ from algorithms.reporting.tables import (
     print_rows,
     print_runs,
     scores_table,
-    split_columns,
     tidy_scores,
 )
 from algorithms.runs.config import make_experiment
 from mo_deepdrive.evaluation.evaluation import Evaluation, write_evaluation
 from mo_deepdrive.evaluation.statistics import Estimate
 from mo_deepdrive.support.yaml import dump
-from mo_deepdrive.utilities import Utility, make_utility
+from mo_deepdrive.utilities import Utility
 
 ONE = "mo-deepdrive-one-waypoint-v0"
 OBJECTIVES = ("distance", "jerk")
@@ -219,7 +218,7 @@ def test_ends_that_occurred_have_a_row_with_the_rate_of_every_policy() -> None:
     table = evaluation_table({"greedy": held, "stochastic": other}, "a title")
     names, *columns = (list(column.cells) for column in table.columns)
     cells = {name: texts for name, *texts in zip(names, *columns, strict=True) if name.startswith("end/")}
-    assert list(cells) == ["end/time_limit", "end/circling", "end/harmful_jerk"]
+    assert set(cells) == {"end/time_limit", "end/circling", "end/harmful_jerk"}
     never, always = r"0.000 \[0.000, 0.071]", r"1.000 \[0.929, 1.000]"
     assert cells["end/time_limit"] == [never, always]
     assert cells["end/harmful_jerk"][1] == never
@@ -228,16 +227,6 @@ def test_ends_that_occurred_have_a_row_with_the_rate_of_every_policy() -> None:
     table = evaluation_table({"greedy": held, "stochastic": without}, "a title")
     assert list(table.columns[2].cells)[names.index("end/circling") - 1] == "", "it is not known"
     assert evaluation_table({"greedy": without}, "a title").caption is None
-
-
-def test_rows_that_repeat_others_are_not_shown() -> None:
-    held = evaluation()
-    assert "utility_ser" in shown({"greedy": held})
-    held.objectives = ("destination", "collision")
-    held.returns[..., 0] = held.succeeded
-    held.utilities = (make_utility("linear", held.objectives, weights=[1.0, 0.01]),)
-    rows = shown({"greedy": held, "stochastic": held})
-    assert not {"return/destination", "utility_ser", "discounted_utility_ser"} & set(rows)
 
 
 def test_estimates_have_the_values_of_the_metrics() -> None:
@@ -334,7 +323,7 @@ def printed(rows: list[list[str]], labels: int, width: int, rest: str | None = N
 
 
 def test_a_table_that_fits_stays_one_table() -> None:
-    assert split_columns(ROWS, 4, 1000) == ([ROWS], 4)
+    assert len(printed(ROWS, 4, 1000)) == len(ROWS) + 4
     lines = printed([row[:5] for row in ROWS], 4, 100)
     assert lines[0] == "a title"
     assert lines[2].split() == [*LABELS, METRICS[0]]
@@ -342,11 +331,6 @@ def test_a_table_that_fits_stays_one_table() -> None:
 
 
 def test_columns_that_do_not_fit_follow_in_further_tables_with_the_same_labels() -> None:
-    parts, labels = split_columns(ROWS, 4, 100)
-    assert labels == 4
-    assert len(parts) > 1
-    assert [name for part in parts for name in part[0][4:]] == list(METRICS)
-    assert all([row[:4] for row in part] == [row[:4] for row in ROWS] for part in parts)
     lines = printed(ROWS, 4, 100)
     for name in METRICS:
         assert sum(name in line for line in lines) == 1
@@ -358,14 +342,12 @@ def test_columns_that_do_not_fit_follow_in_further_tables_with_the_same_labels()
 def test_nothing_is_cut_off_however_many_keys_a_cell_has(width: int) -> None:
     keys = [f"learning_rate_of_the_{i}th_network" for i in range(8)]
     rows = [[*keys, *METRICS], *([f"0.000{r}{i}" for i in range(8)] + ROWS[1][4:] for r in range(3))]
-    parts, labels = split_columns(rows, 8, width)
-    assert labels == 1
-    assert parts[0][1][0] == ", ".join(f"{name}={value}" for name, value in zip(keys, rows[1], strict=False))
+    joined = ", ".join(f"{name}={value}" for name, value in zip(keys, rows[1], strict=False))
     lines = printed(rows, 8, width)
     assert max(map(len, lines)) <= width
     assert not any("…" in line for line in lines)
     text = "".join(line.split("  ")[1].strip() if line.startswith("  ") else "" for line in lines)
-    assert "".join(parts[0][1][0].split()) in "".join(text.split())
+    assert "".join(joined.split()) in "".join(text.split())
     assert all(any(cell in line for line in lines) for cell in ROWS[1][4:])
 
 

@@ -84,7 +84,7 @@ def test_results_that_cannot_be_read_are_refused_with_what_to_do(finished: Job, 
     shutil.copytree(finished.path, changed)
     (changed / "evaluation.json").write_text((changed / "evaluation.json").read_text() + "\n")
     for path, fault in (
-        (pruned.path, ".*has no column 'step'.*; delete it, and it is made again"),
+        (pruned.path, ".*its columns must be 'step'.*; delete it, and it is made again"),
         (unreadable, ".*is not a final evaluation.*; delete it, and it is made again"),
         (changed, "evaluation.json: .*; --remake makes it again"),
     ):

@@ -16,22 +16,18 @@ from matplotlib.figure import Figure
 
 from algorithms.reporting.explorer import plots
 from algorithms.reporting.explorer.plots import (
-    BARS,
     REPRESENTATIVES,
     FrontView,
     draw_front,
     importance,
-    number_formatter,
     principal_components,
-    separate,
 )
 from algorithms.reporting.style import DPI
 from mo_deepdrive.evaluation.metrics import joint_objectives
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from tests.helpers.fronts import driving, front_of
 
-FIGURES = ("importance", "reduction", "parallel", "bars", "scatter")
-MINUS = "\N{MINUS SIGN}"
+FIGURES = ("importance", "reduction", "scatter")
 
 
 @pytest.fixture(autouse=True)
@@ -98,9 +94,9 @@ def test_importance_shows_numbers_and_their_range_in_real_units() -> None:
     assert [round(bar.get_height(), 2) for bar in distance.patches] == [0.0, 0.4, 1.0]
     assert [round(bar.get_height(), 2) for bar in comfort.patches] == [1.0, 0.75, 0.0]
     assert not destination.patches
-    assert "0.500, the same for every policy" in texts(figure)
-    assert [tick.get_text() for tick in distance.get_yticklabels()] == ["0.00 m = 0", "5.00 m = 1"]
-    assert [tick.get_text() for tick in comfort.get_yticklabels()] == [f"{MINUS}15.0 g = 0", f"{MINUS}5.0 g = 1"]
+    assert "0.5, the same for every policy" in texts(figure)
+    assert [tick.get_text() for tick in distance.get_yticklabels()] == ["0 m = 0", "5 m = 1"]
+    assert [tick.get_text() for tick in comfort.get_yticklabels()] == ["-15 g = 0", "-5 g = 1"]
     assert [tick.get_text() for tick in comfort.get_xticklabels()] == ["0", "2", "1"]
     assert {"comfort: g-force (discounted, g)", "pcn: importance of the objectives"} <= set(texts(figure))
 
@@ -129,38 +125,6 @@ def test_scatter_shows_discounted_returns_in_front_of_the_reference_front() -> N
         np.testing.assert_array_equal(hollow, front.success < 0.5)
     assert any("gamma 0.99" in text for text in texts(figure))
     assert "best-known front (4 points)" in texts(figure)
-
-
-def test_parallel_distinguishes_policies_that_arrive_and_numbers_representatives() -> None:
-    front = driving(30, 4)
-    figure = plots._parallel(FrontView(front))
-    lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) == 4]
-    assert len(lines) == 30
-    assert sum(line.get_linestyle() == "--" for line in lines) == (front.success < 0.5).sum()
-    shown = FrontView(front).representatives()
-    assert sum(line.get_alpha() == 1.0 for line in lines) == len(shown)
-    assert {str(policy) for policy in shown} <= set(texts(figure))
-    unknown = replace(front, success=np.full(30, np.nan))
-    lines = plots._parallel(FrontView(unknown)).axes[0].lines
-    assert all(line.get_linestyle() == "-" for line in lines)
-
-
-def test_bars_show_means_intervals_and_arrival_rates() -> None:
-    front = driving(12, 4)
-    view = FrontView(front)
-    shown = view.representatives(BARS)
-    figure = plots._bars(view)
-    assert front.is_arrival_rate(1), "and needs no panel of its own"
-    for i, axis in zip((0, 2, 3), figure.axes, strict=False):
-        np.testing.assert_allclose([bar.get_width() for bar in axis.patches], front.returns[shown, i])
-    ends = figure.axes[0].collections[0].get_segments()
-    for policy, ((low, _), (high, _)) in zip(shown, ends, strict=True):
-        np.testing.assert_allclose((low, high), (front.low[policy, 0], front.high[policy, 0]))
-    rates = figure.axes[3]
-    np.testing.assert_array_equal([bar.get_width() for bar in rates.patches], front.success[shown])
-    assert any("95% bootstrap intervals" in text for text in texts(figure))
-    alone = plots._bars(FrontView(front_of([[1.0, -2.0]], episodes=1)))
-    assert not any("bootstrap" in text for text in texts(alone))
 
 
 def test_importance_is_0_for_the_worst_and_1_for_the_best_and_unknown_where_policies_do_not_differ() -> None:
@@ -209,7 +173,6 @@ def test_representatives_cover_the_front_and_are_ordered_by_distance() -> None:
     assert (np.diff(front.returns[shown, 0]) >= 0).all()
     for i in range(4):
         assert front.returns[shown, i].max() == front.returns[:, i].max()
-    assert set(view.representatives(BARS)) < set(shown), "all figures show the same ones"
     few = FrontView(front.take(range(5)))
     assert sorted(few.representatives()) == list(range(5))
 
@@ -220,29 +183,3 @@ def test_policies_are_ordered_by_distance_or_else_by_the_first_objective() -> No
     other = front_of([[2.0, 5.0], [1.0, 6.0]], ("speed", "fuel"))
     np.testing.assert_array_equal(FrontView(other).representatives(), [1, 0])
     assert (FrontView(other).colours[0] != FrontView(other).colours[1]).any()
-
-
-@pytest.mark.parametrize(
-    ("values", "value", "text"),
-    [
-        ((0.0, 15.34), 15.34, "15.3 m"),
-        ((-1482.4, -3.0), -1482.4, f"{MINUS}1,482 m"),
-        ((0.0, 1.0), 1.0, "1.00 m"),
-        ((0.0, 0.0), 0.0, "0.0 m"),
-        ((-1500.12, -1500.01), -1500.12, f"{MINUS}1,500.120 m"),
-        ((-3.0, 0.0), -0.0001, "0.00 m"),
-    ],
-)
-def test_numbers_are_formatted_with_the_digits_that_matter(values: tuple[float, ...], value: float, text: str) -> None:
-    assert number_formatter(values, "m")(value) == text
-    assert number_formatter(values)(value) == text.removesuffix(" m")
-
-
-def test_positions_are_separated_by_the_smallest_moves() -> None:
-    free = np.array([0.9, 0.1, 0.5])
-    np.testing.assert_allclose(separate(free, 0.2, (0.0, 1.0)), free)
-    np.testing.assert_allclose(separate([0.5, 0.5], 0.2, (0.0, 1.0)), [0.4, 0.6])
-    np.testing.assert_allclose(separate([0.0, 0.0, 0.9], 0.2, (0.0, 1.0)), [0.0, 0.2, 0.9])
-    np.testing.assert_allclose(separate([1.0, 0.9, 1.0], 0.2, (0.0, 1.0)), [0.8, 0.6, 1.0])
-    np.testing.assert_allclose(separate(np.zeros(11), 0.2, (0.0, 1.0)), np.linspace(0.0, 1.0, 11))
-    np.testing.assert_allclose(separate([0.3], 0.2, (0.0, 1.0)), [0.3])

@@ -21,101 +21,79 @@ needs_git = pytest.mark.skipif(IN_A_REPOSITORY.returncode != 0, reason="not a Gi
 
 
 @pytest.fixture
-def paired(load_script: Callable[[str], ModuleType]) -> ModuleType:
+def benchmark(load_script: Callable[[str], ModuleType]) -> ModuleType:
     """The script as a module."""
-    return load_script("paired_benchmark")
+    return load_script("benchmark")
 
 
-def test_a_row_has_medians_and_the_median_of_the_ratios(paired: ModuleType) -> None:
-    old, new = [100.0, 200.0, 100.0], [300.0, 300.0, 200.0]
-    row = paired.Pairs("make", old, new).row()
-    assert (row.old, row.new, row.speedup, row.pairs) == (100.0, 300.0, 2.0, 3)
-    assert (row.low, row.high) == (None, None), "three pairs say too little"
-    assert row.cells() == ["make", "100.00", "300.00", "steps/s", "2.000"]
+def test_a_row_has_medians_and_the_median_of_the_ratios(benchmark: ModuleType) -> None:
+    row = benchmark.comparison("make", [100.0, 200.0, 100.0], [300.0, 300.0, 200.0])
+    assert (row["old"], row["new"], row["speedup"], row["pairs"]) == (100.0, 300.0, 2.0, 3)
+    assert (row["low"], row["high"]) == (None, None), "three pairs say too little"
 
 
-def test_the_environment_is_as_before_after_processes_of_one_thread(
-    paired: ModuleType, monkeypatch: pytest.MonkeyPatch
+def test_fewer_seconds_are_a_speedup(benchmark: ModuleType) -> None:
+    row = benchmark.comparison("import", [1.0, 2.0], [0.5, 1.0])
+    assert (row["unit"], row["old"], row["new"], row["speedup"]) == ("s", 1.5, 0.75, 2.0)
+
+
+@pytest.mark.parametrize(("count", "low", "high"), [(5, None, None), (6, 1, 6), (10, 2, 9), (20, 6, 15)])
+def test_the_interval_is_between_order_statistics(
+    benchmark: ModuleType, count: int, low: int | None, high: int | None
 ) -> None:
-    monkeypatch.setattr(paired, "ONE_THREAD", {"MO_DEEPDRIVE_SET": "1", "MO_DEEPDRIVE_NOT_SET": "1"})
-    monkeypatch.setenv("MO_DEEPDRIVE_SET", "4")
-    with paired.one_thread_each():
-        assert os.environ["MO_DEEPDRIVE_SET"] == os.environ["MO_DEEPDRIVE_NOT_SET"] == "1"
-    assert os.environ["MO_DEEPDRIVE_SET"] == "4"
-    assert "MO_DEEPDRIVE_NOT_SET" not in os.environ
-
-
-def test_fewer_seconds_are_a_speedup(paired: ModuleType) -> None:
-    row = paired.Pairs("import", [1.0, 2.0], [0.5, 1.0]).row()
-    assert (row.unit, row.old, row.new, row.speedup) == ("s", 1.5, 0.75, 2.0)
-
-
-@pytest.mark.parametrize(("count", "low", "high"), [(6, 1, 6), (10, 2, 9), (20, 6, 15)])
-def test_the_interval_is_between_order_statistics(paired: ModuleType, count: int, low: int, high: int) -> None:
     ratios = np.random.default_rng(0).permutation(np.arange(1.0, count + 1.0))
-    assert paired.median_interval(ratios) == (low, high)
-    row = paired.Pairs("make", [1.0] * count, list(ratios)).row()
-    assert row.cells()[-1] == f"{(count + 1) / 2:.3f} [{low:.3f}, {high:.3f}]"
+    row = benchmark.comparison("make", [1.0] * count, list(ratios))
+    assert (row["low"], row["high"]) == (low, high)
 
 
-def test_five_pairs_have_no_interval(paired: ModuleType) -> None:
-    assert paired.median_interval([1.0, 2.0, 3.0, 4.0, 5.0]) == (None, None)
-
-
-def test_trees_alternate_and_the_first_round_is_not_counted(paired: ModuleType) -> None:
+def test_trees_alternate_and_the_first_round_is_not_counted(benchmark: ModuleType) -> None:
     calls = []
 
     def measure(tree: Path, name: str) -> float:
         calls.append((tree, name))
         return float(len(calls))
 
-    rows = paired.compare(OLD, NEW, ["make", "import"], 2, measure)
+    rows = benchmark.compare(OLD, NEW, ["make", "import"], 2, measure)
     first, swapped = [OLD, NEW, OLD, NEW], [NEW, OLD, NEW, OLD]
     assert [tree for tree, _ in calls] == swapped + first + swapped
     assert [name for _, name in calls] == ["make", "make", "import", "import"] * 3
-    assert [(row.measurement, row.pairs, row.old, row.new) for row in rows] == [
+    assert [(row["measurement"], row["pairs"], row["old"], row["new"]) for row in rows] == [
         ("make", 2, (5 + 10) / 2, (6 + 9) / 2),
         ("import", 2, (7 + 12) / 2, (8 + 11) / 2),
     ]
 
 
-def test_what_a_tree_cannot_run_is_said_once(paired: ModuleType) -> None:
+def test_what_a_tree_cannot_run_is_said_once(benchmark: ModuleType) -> None:
     calls = []
 
     def measure(tree: Path, name: str) -> float:
         calls.append(name)
         if tree == OLD and name == "import":
-            raise paired.CannotMeasureError("No module named 'x'")
+            raise benchmark.CannotMeasureError("No module named 'x'")
         return 1.0
 
-    rows = paired.compare(OLD, NEW, ["make", "import"], 3, measure)
-    assert [row.problem for row in rows] == ["", "the old side cannot run it: No module named 'x'"]
-    assert [row.pairs for row in rows] == [3, 0]
-    assert rows[1].cells() == ["import", "", "", "s", "the old side cannot run it: No module named 'x'"]
+    rows = benchmark.compare(OLD, NEW, ["make", "import"], 3, measure)
+    assert [row["problem"] for row in rows] == ["", "the old side cannot run it: No module named 'x'"]
+    assert [row["pairs"] for row in rows] == [3, 0]
     assert calls.count("import") == 2, "not again in later pairs"
 
 
 def test_the_file_has_a_row_per_measurement(
-    paired: ModuleType, load_script: Callable[[str], ModuleType], tmp_path: Path
+    benchmark: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rows = [paired.Pairs("make", [1.0] * 6, [1.5] * 6).row(), paired.Pairs("import", problem="no").row()]
-    about = {"old_commit": "a", "machine": "b, 2 CPUs", "threads": 1}
-    load_script("result_file").write_results(tmp_path / "pairs.csv", rows, about)
+    rows = [benchmark.comparison("make", [1.0] * 6, [1.5] * 6), benchmark.comparison("import", [], [], "no")]
+    benchmark.show(rows, tmp_path / "pairs.csv", {"old_commit": "a", "machine": "b, 2 CPUs", "threads": 1})
+    assert "make" in capsys.readouterr().out
     with (tmp_path / "pairs.csv").open(newline="") as file:
-        read = list(csv.DictReader(file))
-    assert [row["measurement"] for row in read] == ["make", "import"]
-    assert {name: read[0][name] for name in ("speedup", "low", "high", "pairs")} == {
-        "speedup": "1.5",
-        "low": "1.5",
-        "high": "1.5",
-        "pairs": "6",
-    }
-    assert (read[1]["speedup"], read[1]["problem"], read[1]["machine"]) == ("", "no", "b, 2 CPUs")
+        made, imported = csv.DictReader(file)
+    numbers = [made[name] for name in ("measurement", "speedup", "low", "high", "pairs")]
+    assert numbers == ["make", "1.5", "1.5", "1.5", "6"]
+    assert (imported["speedup"], imported["problem"], imported["machine"]) == ("", "no", "b, 2 CPUs")
 
 
-def test_names_are_selected_by_patterns(paired: ModuleType) -> None:
-    assert paired.select([]) == list(paired.CASES)
-    assert paired.select(["make_vec*", "import"]) == [
+def test_names_are_selected_by_patterns(benchmark: ModuleType) -> None:
+    assert benchmark.select([]) == list(benchmark.CASES)
+    assert benchmark.select(["make_vec*", "import"]) == [
         "make_vec-one-waypoint",
         "make_vec-static-obstacle",
         "make_vec-intersection",
@@ -124,14 +102,14 @@ def test_names_are_selected_by_patterns(paired: ModuleType) -> None:
         "import",
     ]
     with pytest.raises(ValueError, match="'imports' matches no measurement"):
-        paired.select(["make", "imports"])
+        benchmark.select(["make", "imports"])
 
 
-def test_every_algorithm_is_measured(paired: ModuleType) -> None:
+def test_every_algorithm_is_measured(benchmark: ModuleType) -> None:
     for algorithm in ("a2c", "mo_a2c", "ppo", "mo_ppo"):
         for rest in ("64-32-discrete", "64-32-continuous", "128-64-discrete", "128-64-continuous"):
-            assert f"{algorithm}-{rest}" in paired.CASES
-    assert {"two-a2c-128-64", "two-mo_ppo-128-64", "pcn-collection", "pcn", "make"} <= set(paired.CASES)
+            assert f"{algorithm}-{rest}" in benchmark.CASES
+    assert {"two-a2c-128-64", "two-mo_ppo-128-64", "pcn-collection", "pcn", "make"} <= set(benchmark.CASES)
 
 
 @needs_git
@@ -154,7 +132,7 @@ def test_every_algorithm_is_measured(paired: ModuleType) -> None:
         (["--against", "HEAD", "--output", "no/pairs.csv"], "there is no folder no"),
     ],
 )
-@pytest.mark.usefixtures("paired")
+@pytest.mark.usefixtures("benchmark")
 def test_what_cannot_be_compared_is_refused(call: Call, options: list[str], message: str) -> None:
     refused(call("benchmark", *options), message)
 
@@ -162,7 +140,7 @@ def test_what_cannot_be_compared_is_refused(call: Call, options: list[str], mess
 @pytest.mark.processes
 @needs_git
 @pytest.mark.slow
-def test_the_head_is_compared_with_the_working_tree(paired: ModuleType, call: Call, tmp_path: Path) -> None:
+def test_the_head_is_compared_with_the_working_tree(benchmark: ModuleType, call: Call, tmp_path: Path) -> None:
     code, out, error = call(
         "benchmark", "--against", "HEAD", "--pairs", "1", "--only", "import", "--output", "pairs.csv"
     )
@@ -173,14 +151,14 @@ def test_the_head_is_compared_with_the_working_tree(paired: ModuleType, call: Ca
     assert (row["measurement"], row["unit"], row["pairs"], row["threads"]) == ("import", "s", "1", "1")
     assert float(row["speedup"]) == pytest.approx(float(row["old"]) / float(row["new"]), rel=1e-4)
     assert 0.01 < float(row["new"]) < 60.0
-    assert row["old_commit"] == paired.revision("HEAD")
+    assert row["old_commit"] == benchmark.revision("HEAD")
     assert row["new_commit"].removesuffix("-dirty") == row["old_commit"]
 
 
 @pytest.mark.processes
 @pytest.mark.slow
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="needs two cores")
-def test_training_on_two_threads_is_compared_with_one(paired: ModuleType, call: Call, tmp_path: Path) -> None:
+def test_training_on_two_threads_is_compared_with_one(benchmark: ModuleType, call: Call, tmp_path: Path) -> None:
     options = "--pairs", "1", "--only", "a2c-64-32-discrete", "--output", "threads.csv"
     code, out, error = call("benchmark", "--threads", "2", *options)
     assert code in (0, None), error
@@ -190,23 +168,22 @@ def test_training_on_two_threads_is_compared_with_one(paired: ModuleType, call: 
     found = [row[name] for name in ("measurement", "unit", "pairs", "threads", "device")]
     assert found == ["a2c-64-32-discrete", "steps/s", "1", "2", "cpu"]
     assert float(row["speedup"]) == pytest.approx(float(row["new"]) / float(row["old"]), rel=1e-4)
-    assert row["commit"] == paired.working_tree()
+    assert row["commit"] == benchmark.working_tree()
 
 
 @needs_git
 @pytest.mark.slow
-def test_packages_of_the_given_tree_are_measured(paired: ModuleType) -> None:
-    with paired.checkout("HEAD") as tree:
+def test_packages_of_the_given_tree_are_measured(benchmark: ModuleType) -> None:
+    with benchmark.checkout("HEAD") as tree:
         (tree / "mo_deepdrive" / "__init__.py").write_text("raise RuntimeError('this tree')")
-        with pytest.raises(paired.CannotMeasureError, match="RuntimeError: this tree"):
-            paired.measure(tree, "import")
+        with pytest.raises(benchmark.CannotMeasureError, match="RuntimeError: this tree"):
+            benchmark.measure_apart(tree, "import")
     assert not tree.exists()
 
 
 @pytest.mark.slow
-def test_modules_of_another_tree_are_an_error(paired: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    case = paired.Case(lambda: 1.0)
-    monkeypatch.setitem(paired.CASES, "make", case)
-    paired.main("make", REPOSITORY)
+def test_modules_of_another_tree_are_an_error(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(benchmark.CASES, "make", lambda place: 1.0)
+    assert benchmark.measure("make", benchmark.CPU_TIME, REPOSITORY) == 1.0
     with pytest.raises(ImportError, match=r"elsewhere has no module (algorithms|mo_deepdrive)"):
-        paired.main("make", Path("elsewhere"))
+        benchmark.measure("make", benchmark.CPU_TIME, Path("elsewhere"))
