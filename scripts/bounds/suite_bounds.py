@@ -425,7 +425,7 @@ def roundabout_rules() -> dict[str, RoundaboutDriver]:
 
 def meeting_rule(gap: float) -> Any:
     """The rule of vehicle 0 at the intersection that waits for a gap, as a function of all vehicles' observations."""
-    driver = make_rule(f"rule:gap_{gap:g}", "discrete")
+    driver: Any = make_rule(f"rule:gap_{gap:g}", "discrete")
 
     def policy(observations: Any, *_: Any) -> Any:
         return np.stack([driver(observations[:, 0])] * observations.shape[1], axis=1)
