@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import gymnasium
 import numpy as np
@@ -18,6 +18,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from mo_deepdrive.drawing.quiet_pygame import INVISIBLE_DRIVERS, pygame
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.simulation.actions import DECREASE, INCREASE, MAINTAIN, decode_discrete
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Record
 from mo_deepdrive.world import actions as action_sets
@@ -25,7 +26,10 @@ from mo_deepdrive.world import actions as action_sets
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    import torch
+
     from mo_deepdrive.envs.vector import DrivingVectorEnv
+    from mo_deepdrive.evaluation.policy import Policy
 
 FRAMES_PER_DECISION = 3
 END_HOLD = 1.5  # s for which the last frame of an episode is shown
@@ -47,27 +51,6 @@ KEYBOARD = {
     "W A S D": (pygame.K_w, pygame.K_s, pygame.K_a, pygame.K_d),
 }
 RESTART_KEY = pygame.K_r
-
-
-class Driver(Protocol):
-    """Drives the vehicles that no person drives."""
-
-    def reset(self) -> None:
-        """Start a new episode."""
-
-    def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """Choose actions.
-
-        Args:
-            observations: (1, V, size) observations of all vehicles.
-
-        Returns:
-            (1, V) or (1, V, 3) actions of all vehicles, as the environment takes them. Those of the vehicles that
-            people drive are ignored.
-        """
-
-    def observe(self, rewards: NDArray[np.float32]) -> None:
-        """Receive the rewards (1, V, d) of all vehicles after a decision."""
 
 
 def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
@@ -148,7 +131,8 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
     Args:
         env: a single environment, from :func:`make_play_env`.
         seats: the vehicles that people drive.
-        driver: drives the other vehicles.
+        policy: drives the other vehicles.
+        generator: random numbers for its sampled actions; None for greedy ones.
         on_frame: called with the frame of every decision.
 
     Attributes:
@@ -167,10 +151,11 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         env: DrivingVectorEnv,
         seats: Sequence[int],
         *,
-        driver: Driver | None = None,
+        policy: Policy | None = None,
+        generator: torch.Generator | None = None,
         on_frame: Callable[[NDArray[np.uint8]], None] | None = None,
     ):
-        if driver is None and set(seats) != set(range(env.vehicles)):
+        if policy is None and set(seats) != set(range(env.vehicles)):
             raise ValueError(f"seats = {list(seats)} leave some of the {env.vehicles} vehicles without a driver")
         self.vector_env = env
         self.seats = tuple(seats)
@@ -178,7 +163,7 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         self.observation_space = env.observation_space
         self._keys = len(seats) * len(Keys._fields) + 1
         self.action_space = spaces.MultiBinary(self._keys)
-        self._driver = driver
+        self._policy, self._generator = policy, generator
         self._on_frame = on_frame
         self._action_type = "discrete" if env.batch.continuous else env.config.action_type
         self._table = action_sets.action_table(self._action_type)
@@ -201,8 +186,7 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         self._seed = self._first_seed + self._finished
         self._observations, _ = self.vector_env.reset(seed=self._seed, options=options)
         self._returns = np.zeros((self.vector_env.vehicles, self.vector_env.reward_dim))
-        if self._driver is not None:
-            self._driver.reset()
+        self._accrued_reward = AccruedReward.begin(1, *self._returns.shape)
         self._pressed = np.zeros(self._keys, dtype=np.bool_)
         self._frames = 0
         self._over = False
@@ -241,14 +225,16 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         for v, held in zip(self.seats, keys, strict=True):
             chosen[0, v] = choose_action(held, env.batch.state[0, v], self._action_type)
         joint: NDArray[Any] = self._continuous(chosen) if env.batch.continuous else chosen
-        if self._driver is not None:
+        if self._policy is not None:
             others = [v for v in range(env.vehicles) if v not in self.seats]
-            joint[:, others] = self._driver.act(self._observations.reshape(1, env.vehicles, -1))[:, others]
+            observations = self._observations.reshape(1, env.vehicles, -1)
+            actions = self._policy.act(observations, self._accrued_reward, self._generator)
+            joint[:, others] = self._policy.env.environment_actions(actions)[:, others]
         self._observations, raw, terminated, truncated, _ = env.step(joint.reshape(env.action_space.shape))
         rewards = raw.reshape(self._returns.shape)
         self._returns += rewards
-        if self._driver is not None:
-            self._driver.observe(rewards[None])
+        if self._policy is not None:
+            self._accrued_reward.add(rewards[None], self._policy.gamma)
         self._over = bool((terminated | truncated).all())
         self._frame = None
         return rewards

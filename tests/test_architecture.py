@@ -21,23 +21,6 @@ def test_the_import_contracts_are_kept(
     assert exit_code == 0, capsys.readouterr().out
 
 
-def test_a_broken_contract_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    contracts = """[tool.importlinter]
-root_package = "mo_deepdrive"
-[[tool.importlinter.contracts]]
-id = "upside_down"
-name = "upside down"
-type = "layers"
-layers = ["mo_deepdrive.world.objectives", "mo_deepdrive.envs"]
-"""
-    (tmp_path / "pyproject.toml").write_text(contracts)
-    monkeypatch.chdir(tmp_path)
-    assert lint_imports(config_filename=str(tmp_path / "pyproject.toml"), no_cache=True, no_logo=True) == 1
-    assert "mo_deepdrive.envs is not allowed to import mo_deepdrive.world.objectives" in capsys.readouterr().out
-
-
 def samples_without_generator(tree: ast.AST) -> Iterator[str]:
     """Calls of torch's samplers that use its global generator."""
     for node in ast.walk(tree):
@@ -55,8 +38,3 @@ def test_torch_samples_from_given_generators(repository: Path) -> None:
     assert len(files) > 50
     found = {str(path): list(samples_without_generator(ast.parse(path.read_text(encoding="utf-8")))) for path in files}
     assert {path: calls for path, calls in found.items() if calls} == {}
-
-
-def test_a_sample_without_a_generator_is_found() -> None:
-    assert list(samples_without_generator(ast.parse("import torch\ntorch.randn(3)"))) == ["torch.randn in line 2"]
-    assert list(samples_without_generator(ast.parse("torch.randn(3, generator=g)\nrng.normal()"))) == []

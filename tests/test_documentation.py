@@ -229,7 +229,7 @@ def test_a_command_is_understood_by_its_program(
     if words[0].startswith("docs/examples/"):
         assert words[1:] == [], "examples take no arguments"
         return
-    assert words[0] in COMMANDS or re.fullmatch(r"scripts/\w+\.py", words[0])
+    assert words[0] in COMMANDS or re.fullmatch(r"scripts/(bounds/)?\w+\.py", words[0])
     parsed = parse(words, monkeypatch)
     config = getattr(parsed.options, "config", None)
     keys = [key for key, _ in parse_overrides(parsed.others)]
@@ -264,6 +264,17 @@ def test_what_is_installed_exists(where: str, words: list[str]) -> None:
             assert (REPOSITORY / value).is_file(), where
     for extras in re.findall(r"\.\[([\w,]+)\]", " ".join(words)):
         assert set(extras.split(",")) <= set(known), where
+
+
+def test_the_versions_of_other_libraries_are_those_that_are_tested() -> None:
+    files = ("constraints-integrations.txt", "constraints-peers.txt", "constraints.txt")
+    pins = "".join((REPOSITORY / name).read_text(encoding="utf-8") for name in files)
+    pins = re.sub(r'.*;.*< "3\.11".*\n', "", pins).lower().replace("_", "-")
+    page = (REPOSITORY / "docs" / "compatibility.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^\| \[([\w-]+)\]\(#\S+\) \| ([\d.]+) \|", page, flags=re.MULTILINE)
+    assert len(shown) == 10
+    for library, version in shown:
+        assert f"\n{library.lower().replace('rllib', 'ray')}=={version}" in f"\n{pins}", library
 
 
 def test_targets_of_make_exist() -> None:

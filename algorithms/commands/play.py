@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from mo_deepdrive.envs.vector import DrivingVectorEnv
-    from mo_deepdrive.evaluation.policy import Policy, PolicyDriver
+    from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.play import EpisodeOutcome
 
 ENVIRONMENT: dict[str, str] = {}  # SDL chooses the driver of the window
@@ -124,26 +124,23 @@ def play(options: Namespace) -> int:
     from mo_deepdrive.play import HumanPlayEnv, describe_controls, open_display, play_in_window
 
     check_options(options)
-    driver: PolicyDriver | None = None
+    generator: torch.Generator | None = None
     recorder: AbstractContextManager[Callable[[Any], None] | None] = nullcontext()
     try:
         env, policy, seats = open_environment(options)
         # Only a user who sets SDL_VIDEODRIVER can want a window without a display.
         open_display(allow_invisible=bool(os.environ.get("SDL_VIDEODRIVER")))
         rate = env.config.decision_frequency
-        if policy is not None:
+        if policy is not None and options.stochastic:
             import torch
 
-            from mo_deepdrive.evaluation.policy import PolicyDriver
-
-            generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
-            driver = PolicyDriver(policy, generator)
+            generator = torch.Generator().manual_seed(options.seed or 0)
         if options.record:
             with needed_for("--record"):
                 from algorithms.reporting.videos import video_seconds, video_writer
             recorder = video_writer(options.record, rate)
         with recorder as on_frame:
-            human_env = HumanPlayEnv(env, seats, driver=driver, on_frame=on_frame)
+            human_env = HumanPlayEnv(env, seats, policy=policy, generator=generator, on_frame=on_frame)
             human_env.reset(seed=options.seed)
             print(describe_controls(seats))
             try:

@@ -107,11 +107,7 @@ def run_command(
 ) -> int:
     """Do what the options of :func:`run_options` say; returns the exit code.
 
-    Args:
-        options: the options.
-        directory: of the runs.
-        make_plan: what makes the plan of the runs.
-        finish: what follows after training, and instead of it with --tables.
+    ``finish`` is what follows after training, and instead of it with --tables.
     """
     from algorithms.runs.console import make_console, print_line
     from algorithms.studies.execution import Backend, Runner, progress, verify

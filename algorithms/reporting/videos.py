@@ -9,25 +9,24 @@ import os
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-import gymnasium
 import imageio
 import imageio_ffmpeg
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
 from algorithms.reporting.style import VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK, figure_style
-from mo_deepdrive.envs.vector import DrivingVectorEnv
-from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
-from mo_deepdrive.evaluation.policy import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, is_drivable, make_env
+from mo_deepdrive.evaluation.policy import drive
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.support.atomic_io import atomic_write, without_links
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
+
+    from gymnasium.vector import VectorEnv
 
     from mo_deepdrive.evaluation.policy import Policy
 
@@ -84,17 +83,14 @@ def record(
 
 
 def make_render_env(env_id: str, env_arguments: Mapping[str, Any] | None = None) -> VectorEnv:
-    """A vector environment with one environment that renders RGB arrays and, if it is ours, does not reset itself."""
-    arguments = {**(env_arguments or {}), "render_mode": "rgb_array"}
-    if _is_ours(env_id):
-        return gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
+    """A vector environment with one environment that renders RGB arrays, also in the step in which it ends."""
     check_renderable(env_id, env_arguments)
-    return make_env(env_id, 1, arguments)
+    return make_env(env_id, 1, {**(env_arguments or {}), "render_mode": "rgb_array"}, keep_ended=True)
 
 
 def check_renderable(env_id: str, env_arguments: Mapping[str, Any] | None = None) -> None:
     """Refuse an environment that does not declare the render mode "rgb_array"."""
-    if _is_ours(env_id):
+    if is_drivable(env_id):
         return
     env = make_env(env_id, 1, dict(env_arguments or {}))
     modes = list(env.unwrapped.metadata.get("render_modes", []))
@@ -105,35 +101,14 @@ def check_renderable(env_id: str, env_arguments: Mapping[str, Any] | None = None
         )
 
 
-def _is_ours(env_id: str) -> bool:
-    return str(find_spec(env_id).vector_entry_point).startswith("mo_deepdrive.")
-
-
 def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -> Iterator[Frame]:
     """The frames (height, width, 3) of one episode in an environment of :func:`make_render_env`, with even sides."""
-    trained_on = policy.env
-    vehicles, d = trained_on.vehicles, len(trained_on.objectives)
+    adapter = EnvAdapter(env, keep_ended=True)
     generator = None if greedy else torch.Generator(policy.device).manual_seed(seed)
-    # Ours is stepped without an adapter, which would have to reset it at the end of the episode.
-    adapter = None if isinstance(env.unwrapped, DrivingVectorEnv) else EnvAdapter(env)
-    accrued_reward = AccruedReward.begin(1, vehicles, d)
-    running = np.ones((1, vehicles), dtype=np.bool_)
-    observations = env.reset(seed=seed)[0].reshape(1, vehicles, -1) if adapter is None else adapter.reset(seed)
+    observations = adapter.reset(seed)
     yield _rendered(env)
-    for _ in itertools.count() if adapter is None else adapter.decisions():
-        actions = policy.act(observations, accrued_reward, generator)
-        if adapter is None:
-            raw, rewards, *flags, _ = env.step(trained_on.environment_actions(actions))
-            observations, rewards = raw.reshape(1, vehicles, -1), rewards.reshape(1, vehicles, d)
-            over = (flags[0] | flags[1]).reshape(1, vehicles)
-        else:
-            step = adapter.step(actions)
-            observations, rewards, over = step.observations, step.rewards, step.terminated | step.truncated
-        accrued_reward.add(rewards, policy.gamma)
-        running &= ~over
+    for _ in drive(policy, adapter, observations, generator):
         yield _rendered(env)
-        if not running.any():
-            break
 
 
 def _rendered(env: VectorEnv) -> Frame:

@@ -115,7 +115,7 @@ def report_front(
     console.print(front_table(front, measured, title, console.width, whole))
     with _beside(console, "the front could not be drawn") as drawing:
         if directory is not None and len(front.objectives) > 1:  # there are no figures of a single objective
-            from algorithms.reporting.front_plots import draw_front
+            from algorithms.reporting.explorer.plots import draw_front
 
             draw_front(front, directory, reference_front=best_known, title=title)
     return measured, drawing.works

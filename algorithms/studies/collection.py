@@ -56,13 +56,7 @@ SCORE_TYPES = {
 
 @dataclass(frozen=True)
 class Cell:
-    """Runs that differ in their seed alone.
-
-    Attributes:
-        keys: the varied values, by key, as in the manifest.
-        trial: number of the point in a search or tuning; None without one.
-        rows: the runs in the manifest.
-    """
+    """Runs that differ in their seed alone: the varied values and the number of the trial, as in the manifest."""
 
     keys: dict[str, Any]
     trial: int | None
@@ -76,13 +70,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Collection:
-    """The results of a sweep, as returned by :func:`collect`; the module's docstring describes the frames.
-
-    Attributes:
-        sweep: its directory.
-        rows: its manifest.
-        runs, scores, logged: its runs, their final evaluations and their metrics.
-    """
+    """The manifest of a sweep, its runs, their final evaluations and what they logged, as in the module's docstring."""
 
     sweep: Path
     rows: tuple[ManifestRow, ...]
@@ -114,11 +102,7 @@ class Collection:
         return {name: column.cast(pl.Float64).fill_null(np.nan).to_numpy() for name, column in frame.to_dict().items()}
 
     def latest_scores(self) -> tuple[str, pl.DataFrame]:
-        """The best scores that are known: final evaluations, or the last evaluations during training if there are none.
-
-        Returns:
-            "final" or "last", and a frame with the columns run, policy, vehicle, metric and value.
-        """
+        """The best scores that are known, "final" ones or, if there are none, the "last" ones during training."""
         final = self.scores.select("run", *SCORE_KEYS, "value")
         names = [name for name in self.metrics.columns if name.startswith(EVALUATION)]
         if len(final) or not names:
@@ -135,12 +119,7 @@ class Collection:
 
 
 def collect(sweep: Path, warn: Callable[[str], None]) -> Collection:
-    """Collect the results of all runs, and update ``SWEEP/collected/`` where it can be written.
-
-    Args:
-        sweep: a directory with a manifest.
-        warn: called with a line about everything that is left out or not stored.
-    """
+    """Collect the results of all runs, and write ``SWEEP/collected/``; ``warn`` is told what is left out."""
     rows = tuple(read_manifest(sweep))
     if not rows:
         raise ValueError(

@@ -44,13 +44,10 @@ WORKER_MEMORY = GIB / 4  # bytes of a process that trains, without its rollouts
 
 @dataclass(frozen=True)
 class Backend:
-    """What trains runs.
+    """What trains runs: one of :data:`algorithms.studies.BACKENDS`, "manifest" only to list them.
 
-    Attributes:
-        name: "local" for worker processes on this machine, "ray", "slurm", or "manifest" to only write the manifest.
-        workers: maximum number of concurrent runs (local, Ray); None for as many as there are cores or resources for.
-        address: of a running Ray cluster, or "auto"; None starts Ray in this process.
-        wait: whether to wait for the jobs after submitting them (Slurm).
+    Locally and on Ray, at most ``workers`` runs are concurrent, None for as many as there are resources for. A running
+    Ray cluster has an ``address``; with Slurm, ``wait`` says whether to wait for the jobs that are submitted.
     """
 
     name: str = "local"

@@ -93,9 +93,12 @@ class Scores:
 
 def label(cell: Mapping[str, Any]) -> str:
     """A cell as text: ``algorithm.learning_rate=0.001 training.num_envs=16``."""
-    return " ".join(
-        f"{key}={value if isinstance(value, str) else json.dumps(value, default=str)}" for key, value in cell.items()
-    )
+    return " ".join(f"{key}={value_text(value)}" for key, value in cell.items())
+
+
+def value_text(value: Any) -> str:
+    """The value of a key as text: strings as they are, anything else as JSON."""
+    return value if isinstance(value, str) else json.dumps(value, default=str)
 
 
 def run_id(config: Mapping[str, Any]) -> str:

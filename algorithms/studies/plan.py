@@ -20,13 +20,13 @@ from algorithms.runs.shipped import find_config
 from algorithms.studies.manifest import ManifestRow, Scores, cell_rows, overridden, refuse_duplicates, short_names
 from algorithms.studies.settings import ELSEWHERE, SEED_KEYS, learners_in, replaced_keys
 from mo_deepdrive import suite
-from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
+from mo_deepdrive.evaluation.metrics import SUITE_SCORE, lower_is_better
 from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.support.names import nearest, nearest_few
 from mo_deepdrive.support.yaml import read_mapping
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     import optuna
 
@@ -140,29 +140,30 @@ class SweepPlan(Plan):
         if not isinstance(evaluation, dict) or "split" not in evaluation:
             values = overridden(values, {"evaluation.split": "validation"}, cell)
         by_point: list[list[ManifestRow]] = []
-        means: list[float | None] | None = None
-        proposals, first = propose_points(search), 0
-        while points := proposals.send(means):
+        means: list[float | None] = []
+        first = 0  # of the last batch
+        while points := propose_points(search, means)[len(by_point) :]:
             batch = []
             for trial, point in enumerate(points, len(by_point)):
                 keys = {**cell, **point}
                 sections, metric = overridden(values, point, keys), None if trial else search.metric
                 batch.append(self._cell(keys, sections, self.settings.seeds, trial, metric=metric))
-            earlier, later = ([row for rows in points for row in rows] for points in (by_point[first:], batch))
+            earlier, later = ([row for rows in part for row in rows] for part in (by_point[first:], batch))
             if not scores.settle(earlier, later):
                 break
             first = len(by_point)
             by_point += batch
-            means = [scores.mean(rows, search.metric) for rows in batch]
+            means += [scores.mean(rows, search.metric) for rows in batch]
             if any(mean is not None and math.isnan(mean) for mean in means):
                 break
         return _once(row for rows in by_point for row in rows)  # a search may choose a point twice
 
 
-def propose_points(search: SearchSettings) -> Generator[list[dict[str, Any]], list[float | None] | None, None]:
-    """The points of a search, values by key: batches, each of which takes the scores of the one before, then nothing.
+def propose_points(search: SearchSettings, scores: Sequence[float | None]) -> list[dict[str, Any]]:
+    """The points of a search, values by key, up to the end of the first batch whose scores are not all there.
 
-    The same scores give the same points. A point without a score, None, has failed.
+    The search is replayed from its seed, so that the same scores give the same points. A point without a score, None,
+    has failed.
     """
     with needed_for("a search"):
         import optuna
@@ -175,12 +176,15 @@ def propose_points(search: SearchSettings) -> Generator[list[dict[str, Any]], li
     study = optuna.create_study(sampler=sampler, direction=search.direction)
     space = {key: _distribution(key, values) for key, values in search.space.items()}
     size = search.batch if search.sampler == "tpe" else search.trials
+    points: list[dict[str, Any]] = []
     for first in range(0, search.trials, size):
         trials = [study.ask(space) for _ in range(min(size, search.trials - first))]
-        scores = yield [dict(trial.params) for trial in trials]
-        for trial, score in zip(trials, scores or [], strict=True):
+        points += [dict(trial.params) for trial in trials]
+        if len(scores) < len(points):
+            break
+        for trial, score in zip(trials, scores[first:], strict=False):
             study.tell(trial, score, optuna.trial.TrialState.FAIL if score is None else None)
-    yield []
+    return points
 
 
 def _distribution(key: str, values: SearchRange) -> optuna.distributions.BaseDistribution:
@@ -441,6 +445,4 @@ def _metric(study: Study, name: str) -> str:
     metric = task.metric or default
     if metric is None:
         raise ValueError(f"task {name!r} has no metric; give one to it or to the study")
-    if not split_name(metric).policy:
-        raise ValueError(f"task {name!r}: metric = {metric!r} must begin with a policy, one of {', '.join(POLICIES)}")
     return metric

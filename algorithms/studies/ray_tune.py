@@ -54,7 +54,7 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
         self._reports: queue.SimpleQueue[TuneReport | BaseException] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._last: TuneReport = {}
-        self._thread = threading.Thread(target=self._train, args=(Job.unpack(config["run"]),), daemon=True)
+        self._thread = threading.Thread(target=self._train, args=(config["run"],), daemon=True)
         self._thread.start()
 
     def reset_config(self, new_config: dict[str, Any]) -> bool:
@@ -76,7 +76,7 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
         self._stop.set()
         self._thread.join()
 
-    def _train(self, job: Job) -> None:
+    def _train(self, packed: dict[str, Any]) -> None:
         reports, stop = self._reports, self._stop  # reset_config replaces them
 
         def watch(step: int, metrics: Mapping[str, float]) -> None:
@@ -84,6 +84,7 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
                 reports.put({STEP: step, **metrics})
 
         try:
+            job = Job.unpack(packed)
             for step, metrics in _logged_evaluations(job):
                 watch(step, metrics)
             while not stop.is_set():

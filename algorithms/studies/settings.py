@@ -402,12 +402,10 @@ def load_study(path: str | Path) -> Study:
 def _load(model: type[P], kind: str, path: str | Path) -> P:
     name, path = str(path), find_config(path)
     values = read_mapping(path)
-    other, (command, _) = next(
-        ((key, value) for key, value in COMMANDS.items() if value[1] in values), (kind, ("", ""))
-    )
-    if other != kind:
-        article = "an" if other == "experiment" else "a"
-        raise ValueError(f"{name!r} is the file of {article} {other}; mo-deepdrive {command} --config {name} trains it")
+    actual = next((other for other, (_, key) in COMMANDS.items() if key in values), kind)
+    if actual != kind:
+        command = f"mo-deepdrive {COMMANDS[actual][0]} --config {name}"
+        raise ValueError(f"{name!r} is the file of a{'n' * (actual[0] == 'e')} {actual}; {command} trains it")
     return parse(model, _with_paths(values, path), f"{kind} {name!r}")
 
 
@@ -442,12 +440,7 @@ def tried_keys(values: Mapping[str, list[Any]]) -> list[str]:
 
 
 def key_problems(places: Mapping[str, list[str]], elsewhere: Mapping[str, str]) -> list[str]:
-    """What is wrong with the experiment keys in a file, one line each: they are set elsewhere, or twice in a place.
-
-    Args:
-        places: the keys of every place in the file.
-        elsewhere: the keys that are set elsewhere, and where.
-    """
+    """What is wrong with the keys of every place in a file, one line each: set elsewhere, or twice in a place."""
     problems = []
     for place, keys in places.items():
         problems += [f"{key!r} in {place}: {elsewhere[key]}" for key in dict.fromkeys(keys) if key in elsewhere]

@@ -123,11 +123,6 @@ class ArrayTask:
 
     On SIGUSR2, which submitit handles and Slurm sends before the time limit, and on SIGTERM, which Slurm sends on
     pre-emption, it saves its runs and requeues itself. When it starts again, the runs resume from their directories.
-
-    Attributes:
-        jobs: the runs.
-        side_by_side: number of concurrent runs.
-        retries: as in :func:`algorithms.runs.jobs.verdict`.
     """
 
     jobs: tuple[Job, ...]
@@ -177,11 +172,9 @@ def _query_states(jobs: Iterable[str]) -> dict[str, str] | None:
 
 
 class SlurmQueue:
-    """The submitted jobs of a sweep, stored in slurm/jobs.json so that no run is submitted twice.
+    """The submitted jobs of a sweep, with the ids of their runs: in slurm/jobs.json, so that none is submitted twice.
 
-    Attributes:
-        jobs: ids of the runs, by id of the job.
-        states: of the jobs, as of the last :meth:`refresh`.
+    ``states`` are those of the jobs as of the last :meth:`refresh`.
     """
 
     def __init__(self, sweep: Path):

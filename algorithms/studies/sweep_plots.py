@@ -9,7 +9,7 @@ import numpy as np
 from algorithms.reporting.curves import CurveGroup, VariedScores, describe, drawn, plot, plot_effects
 from algorithms.studies.collection import Collection, collect
 from algorithms.studies.sweep_tables import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
-from mo_deepdrive.evaluation.metrics import EVALUATION
+from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,11 +21,7 @@ MAX_CURVES = 8  # cells, as many as there are markers
 def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], warn: Callable[[str], None]) -> None:
     """Draw the curves of the best cells of a sweep, and into ``OUTPUT-cells`` the scores of all runs against each key.
 
-    Args:
-        sweep: its directory.
-        output: the image file of the curves.
-        print_line: called with every line that describes what was drawn.
-        warn: called with a message about everything that is left out.
+    ``print_line`` is called with every line about what was drawn, ``warn`` with those about what is left out.
     """
     collection = collect(sweep, warn)
     when, scores = collection.latest_scores()
@@ -60,7 +56,8 @@ def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[Cur
     groups = []
     for label, cell in zip(labels, cells, strict=True):
         columns = (collection.columns_of(row.id, sorted(wanted)) for row in cell.rows if row.id in runs)
-        groups.append(CurveGroup(label, cell.experiment, tuple(columns)))
+        if logged := tuple(of_run for of_run in columns if len(of_run[STEP])):
+            groups.append(CurveGroup(label, cell.experiment, logged))
     return groups
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,6 +22,7 @@ from algorithms.reporting.tables import (
     scores_table,
 )
 from algorithms.studies.collection import SCORE_KEYS, Cell, Collection, as_json, collect
+from algorithms.studies.manifest import value_text
 from mo_deepdrive.evaluation.metrics import (
     EXPECTED_UTILITY,
     FRONT,
@@ -84,11 +84,17 @@ def print_sweep(
     check_columns(all_groups, columns)
     to_compare: list[ScoreGroup] = []
     for ranking, groups in zip(rankings, groups_of_rankings, strict=True):
-        to_compare += [_ranked_scores(ranking, group) for group in groups]
+        # Those of one vehicle alone, that by which the ranking is sorted.
+        vehicle = "" if ranking.vehicle == TOTAL else ranking.vehicle
+        of_vehicle = [
+            replace(group, scores={name: values for name, values in group.scores.items() if name.vehicle == vehicle})
+            for group in groups
+        ]
+        to_compare += of_vehicle
         if ranking.ranked:
             shown = min(top, len(ranking.ranked))
             title = f"{ranking.title}: {shown} of {len(ranking.cells)} cells, by {ranking.score_name}"
-            rows = best_cells(ranking, groups[:shown], columns or TABLE_COLUMNS)
+            rows = best_cells(ranking, of_vehicle[:shown], columns or TABLE_COLUMNS)
             print_rows(console, rows, title, rows[0].index(ranking.metric), rest=REST)
         elif groups:
             warn(f"left out: no run has {metric or 'a utility or an indicator of a front'} in {ranking.title}")
@@ -129,12 +135,6 @@ def group_cells(collection: Collection, ranking: Ranking, columns: Sequence[str]
     return groups
 
 
-def _ranked_scores(ranking: Ranking, group: ScoreGroup) -> ScoreGroup:
-    """A group with the scores of one vehicle alone, that by which its ranking is sorted."""
-    vehicle = "" if ranking.vehicle == TOTAL else ranking.vehicle
-    return replace(group, scores={name: values for name, values in group.scores.items() if name.vehicle == vehicle})
-
-
 def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], metrics: Sequence[str] = TABLE_COLUMNS) -> Rows:
     """The first cells of a ranking for the terminal: short names of their keys, and the scores of one vehicle."""
     keys = short_names(varying_keys([cell.keys for cell in ranking.cells]))
@@ -143,7 +143,7 @@ def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], metrics: Sequence
     for i, group in enumerate(groups):
         trial = {name: text for name, text in group.about.items() if name == "trial"}
         about = {name: texts[i] for name, texts in zip(keys.values(), columns, strict=True)}
-        brief.append(replace(_ranked_scores(ranking, group), about={**trial, **about}))
+        brief.append(replace(group, about={**trial, **about}))
     rows = scores_table(brief, [ranking.metric, *(name for name in metrics if name != ranking.metric)])
     return [[cell for name, cell in zip(rows[0], row, strict=True) if name != "vehicle"] for row in rows]
 
@@ -155,9 +155,8 @@ class Ranking(NamedTuple):
     """Cells whose scores are comparable, ranked: same environment, utility, discount and reference point.
 
     Attributes:
-        title: environment and utility as text.
-        policy, vehicle, metric: the score that the cells are ranked by. The vehicle is "" for one vehicle, or all
-            together, and TOTAL for the sum over vehicles; all three are "" if no run has a score.
+        policy, vehicle, metric: the score that the cells are ranked by; the vehicle is "" for one vehicle, or all
+            together, and TOTAL for the sum over vehicles. All three are "" if no run has a score.
         cells: best first, then those without a score.
         ranked: the means of the former.
         scores: by run id.
@@ -179,20 +178,15 @@ class Ranking(NamedTuple):
 
 
 def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None) -> list[Ranking]:
-    """Group comparable cells and rank each group by a score.
+    """Group comparable cells and rank each group by a score, None for the first of DEFAULT_METRICS that the runs have.
 
-    Args:
-        cells: in any order.
-        scores: with the columns run, policy, vehicle, metric and value.
-        metric: such as "greedy/utility_esr" or "stochastic/vehicle_0/success"; without a policy, the first of
-            :data:`mo_deepdrive.evaluation.metrics.POLICIES` that has the metric; None for the first of
-            :data:`DEFAULT_METRICS` that the runs have.
+    The metric is one such as "stochastic/vehicle_0/success"; its policy and vehicle may be omitted.
     """
     comparable: dict[str, list[int]] = defaultdict(list)
     for i, cell in enumerate(cells):
         comparable[f"{cell.experiment.task_key} {cell.experiment.evaluation.split}"].append(i)
     finite = scores.select("run", *SCORE_KEYS, "value").filter(pl.col("value").is_finite())
-    if metric is not None:  # its policy and vehicle may be omitted
+    if metric is not None:
         places = sorted(finite.select(SCORE_KEYS).unique().rows())
         forms = (form for place in places for form in (place, place[1:], (place[0], place[2]), place[2:]))
         known_metric(metric, dict.fromkeys("/".join(filter(None, form)) for form in forms))
@@ -251,11 +245,6 @@ def short_names(keys: Sequence[str]) -> dict[str, str]:
     """``learning_rate`` for ``algorithm.learning_rate``, unless another key has the same last part."""
     last = Counter(key.rpartition(".")[2] for key in keys)
     return {key: end if last[end := key.rpartition(".")[2]] == 1 else key for key in keys}
-
-
-def value_text(value: Any) -> str:
-    """The value of a key as text: strings as they are, anything else as JSON."""
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 def value_labels(values: Sequence[Any]) -> list[str]:

@@ -3,59 +3,51 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode
 
-from mo_deepdrive.evaluation.env_adapter import find_spec
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, is_drivable, make_env
+from mo_deepdrive.evaluation.episodes import as_policy
+from mo_deepdrive.evaluation.policy import drive
 from mo_deepdrive.simulation.state import ENDS, MAP_CENTRE, MAP_SIZE
+from mo_deepdrive.world.action_sequences import idle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from mo_deepdrive.evaluation.policy import Policy, PolicyFunction
     from mo_deepdrive.world.routes import Route
 
 READINGS = ("x", "y", "heading", "speed", "g_force", "jerk")  # fields of the state: m, m, rad, m/s, g, m/s^3
 POSE = READINGS[:3]
 
 
-class BatchDriver(Protocol):
-    """Acts for the vehicles of N environments, as :class:`mo_deepdrive.evaluation.policy.PolicyDriver` does."""
-
-    def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """Actions, as the vector environment takes them, for observations (N, V, o)."""
-
-    def observe(self, rewards: NDArray[np.float32]) -> None:
-        """Receive the rewards (N, V, d) of a decision."""
-
-
-class PlanDriver:
-    """Sequences of actions of one vehicle as a :class:`BatchDriver`; after its last action it is idle.
+class Playback:
+    """A function as a policy that replays a sequence of actions in each of parallel environments, and idles after it.
 
     Args:
-        plans: N sequences, as :func:`mo_deepdrive.world.action_sequences.decode` returns them.
-        idle: the action that does nothing.
+        sequences: of environment actions, one per episode, in their order; or one for all.
+        action_type: "discrete", "discrete-16" or "continuous".
     """
 
-    def __init__(self, plans: Sequence[NDArray[Any]], idle: NDArray[Any]):
-        self._plans = plans
-        self._idle = idle
-        self._decision = 0
+    def __init__(self, sequences: Sequence[NDArray[Any]], action_type: str):
+        longest = max(map(len, sequences)) + 1  # at least one idle action
+        nothing = idle(action_type)
+        self._actions = np.tile(nothing, (longest, len(sequences), *(1,) * nothing.ndim))
+        for row, sequence in enumerate(sequences):
+            self._actions[: len(sequence), row] = sequence
+        self._decisions = 0
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """As of :class:`BatchDriver`."""
-        del observations
-        now = self._decision
-        return np.stack([plan[now] if now < len(plan) else self._idle for plan in self._plans])
-
-    def observe(self, rewards: NDArray[np.float32]) -> None:
-        """As of :class:`BatchDriver`."""
-        del rewards
-        self._decision += 1
+    def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], discounts: NDArray[Any]) -> NDArray[Any]:
+        """Actions (N,) or (N, k); an episode begins where nothing has been discounted yet."""
+        self._decisions = 0 if (discounts == 1.0).all() and not accrued.any() else self._decisions + 1
+        actions: NDArray[Any] = self._actions[min(self._decisions, len(self._actions) - 1)]
+        if len(actions) == 1:
+            return np.repeat(actions, len(observations), axis=0)
+        return actions[np.minimum(np.arange(len(observations)), len(actions) - 1)]
 
 
 @dataclass(frozen=True)
@@ -133,18 +125,18 @@ class Scene:
         return left, bottom, side
 
 
-def is_drivable(env_id: str) -> bool:
-    """Whether an environment is one of this package, whose drives can be recorded."""
-    return str(find_spec(env_id).vector_entry_point).startswith("mo_deepdrive.")
-
-
 def record_scenes(
-    driver: BatchDriver, env_id: str, env_arguments: Mapping[str, Any], *, seeds: Sequence[int], drives: int
+    policy: Policy | PolicyFunction,
+    env_id: str,
+    env_arguments: Mapping[str, Any],
+    *,
+    seeds: Sequence[int],
+    drives: int,
 ) -> list[Scene]:
     """Record one episode of each of K drivers in each of S scenarios.
 
     Args:
-        driver: acts in N = S K environments: those of the first scenario first.
+        policy: acts in N = S K environments: those of the first scenario first.
         env_id: of an environment of this package, with V vehicles.
         env_arguments: its keyword arguments.
         seeds: of the S scenarios.
@@ -159,22 +151,19 @@ def record_scenes(
     if not is_drivable(env_id):
         raise ValueError(f"drives in {env_id!r} cannot be recorded: it is not a driving scenario")
     count = len(seeds) * drives
-    env: Any = gymnasium.make_vec(env_id, num_envs=count, autoreset_mode=AutoresetMode.NEXT_STEP, **env_arguments)
+    env: Any = make_env(env_id, count, dict(env_arguments), keep_ended=True)
     try:
-        inner = env.unwrapped
-        shape = (count, inner.vehicles)
-        observations, _ = env.reset(seed=[seed for seed in seeds for _ in range(drives)])
-        state = inner.batch.state
+        adapter, inner = EnvAdapter(env, keep_ended=True), env.unwrapped
+        state, shape = inner.batch.state, (count, adapter.vehicles)
+        last, ends = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
+        actor = as_policy(policy, adapter)
+        observations = adapter.reset([seed for seed in seeds for _ in range(drives)])
         places = state[::drives].copy()
         readings, cars = [_stacked(state, READINGS)], [_cars(state)]
-        last = np.zeros(shape, dtype=np.int64)
-        ends = np.zeros(shape, dtype=np.int64)
-        while (last == 0).any():  # a world whose episode is over begins another one, which is not kept
-            observations, rewards, terminated, truncated, _ = env.step(driver.act(observations.reshape(*shape, -1)))
-            driver.observe(rewards.reshape(*shape, -1))
+        for decision in drive(actor, adapter, observations):
             readings.append(np.where((last == 0)[..., None], _stacked(state, READINGS), np.nan))
             cars.append(_cars(state))
-            over = (last == 0) & (terminated | truncated).reshape(shape)
+            over = (last == 0) & ~decision.running
             last[over] = len(readings) - 1
             ends[over] = state["end"][over]
         scenario = inner.batch.scenario

@@ -45,21 +45,29 @@ def find_spec(env_id: str) -> EnvSpec:
     return gymnasium.spec(name)
 
 
-def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None) -> VectorEnv:
+def is_drivable(env_id: str) -> bool:
+    """Whether an environment is one of this package, whose drives can be recorded."""
+    return str(find_spec(env_id).vector_entry_point).startswith("mo_deepdrive.")
+
+
+def make_env(
+    env_id: str, num_envs: int, arguments: dict[str, Any] | None = None, *, keep_ended: bool = False
+) -> VectorEnv:
     """A vector environment with vector rewards (N, d) of ``num_envs`` copies of a MO-Gymnasium environment.
 
     Args:
         env_id: a registered id, or ``module:id`` to import the module that registers it first.
         num_envs: N.
         arguments: keyword arguments of the environment.
+        keep_ended: leave worlds of this package as they are in the step in which an episode ends.
 
     Raises:
         ValueError: if they cannot fit into memory.
     """
-    spec = find_spec(env_id)
     arguments = arguments or {}
-    if str(spec.vector_entry_point).startswith("mo_deepdrive."):
-        return gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
+    if is_drivable(env_id):
+        mode = AutoresetMode.NEXT_STEP if keep_ended else AutoresetMode.SAME_STEP
+        return gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=mode, **arguments)
     return MOSyncVectorEnv(_constructors(env_id, num_envs, arguments))
 
 
@@ -103,6 +111,7 @@ class EnvAdapter:
 
     Args:
         env: a vector environment with vector rewards: DrivingVectorEnv under SAME_STEP, or MOSyncVectorEnv.
+        keep_ended: whether it is one of :func:`make_env` with ``keep_ended``, for one episode at a time.
 
     Attributes:
         name: the id of the environment, or its class where it has no id.
@@ -128,7 +137,7 @@ class EnvAdapter:
             component of the reward a name of its own.
     """
 
-    def __init__(self, env: VectorEnv):
+    def __init__(self, env: VectorEnv, *, keep_ended: bool = False):
         if not isinstance(env, VectorEnv):
             raise TypeError(
                 f"env = {env!r} must be a vector environment: mo_deepdrive.evaluation.env_adapter.make_env makes one"
@@ -142,7 +151,7 @@ class EnvAdapter:
         self.name = type(single.unwrapped).__name__ if spec is None else spec.id
         space = env.single_action_space
         if isinstance(inner, DrivingVectorEnv):
-            if inner.autoreset_mode is not AutoresetMode.SAME_STEP:
+            if inner.autoreset_mode is not AutoresetMode.SAME_STEP and not keep_ended:
                 raise ValueError(f"autoreset_mode = {inner.autoreset_mode} must be SAME_STEP for training")
             self.vehicles = inner.vehicles
             self.objectives: tuple[str, ...] = inner.objectives

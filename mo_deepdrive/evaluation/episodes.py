@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, is_drivable, make_env
 from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.evaluation.evaluation_files import Provenance
-from mo_deepdrive.evaluation.policy import AccruedReward, FunctionPolicy, Policy, check_same_task, seeded_generator
+from mo_deepdrive.evaluation.policy import FunctionPolicy, Policy, check_same_task, drive, seeded_generator
 from mo_deepdrive.evaluation.splits import first_seed
 from mo_deepdrive.support.machine import check_memory
 from mo_deepdrive.support.plain_values import is_finite
@@ -94,7 +94,7 @@ def evaluate(
         found = _evaluate(policy, made, first + np.arange(episodes), utility, greedy, gamma)
     finally:
         made.close()
-    if not str(find_spec(env).vector_entry_point).startswith("mo_deepdrive."):
+    if not is_drivable(env):
         # The environment itself knows neither the module that registers it nor its arguments.
         found.provenance = Provenance(env, first, gamma, greedy, arguments)
     return found
@@ -240,35 +240,22 @@ def _first_episodes(
 ) -> tuple[NDArray[Any], ...]:
     """The first episode of every environment after a reset."""
     n, v, d = adapter.num_envs, adapter.vehicles, len(adapter.objectives)
-    returns = np.zeros((n, v, d))
-    discounted = np.zeros((n, v, d))
-    largest = np.zeros((n, v, d))
+    returns, discounted, largest = np.zeros((3, n, v, d))
     lengths = np.zeros((n, v), dtype=np.int64)
     succeeded = np.zeros((n, v), dtype=np.bool_)
     ends = np.full((n, v), None, dtype=object)
-    running = np.ones((n, v), dtype=np.bool_)
     unfinished = np.ones(n, dtype=np.bool_)
-    accrued_reward = AccruedReward.begin(n, v, d)
     factor = 1.0
-    observations = adapter.reset(seeds)
-    for _ in adapter.decisions():
-        step = adapter.step(policy.act(observations, accrued_reward, generator))
-        counted = running & step.acted
+    for _, step, counted, running in drive(policy, adapter, adapter.reset(seeds), generator):
         rewards = np.where(counted[..., None], step.rewards, 0.0)
         returns += rewards
         discounted += factor * rewards
         factor *= gamma
-        accrued_reward.add(step.rewards, policy.gamma)
         largest = np.maximum(largest, np.abs(rewards))
         lengths += counted
         succeeded |= counted & step.succeeded
-        running &= ~(step.terminated | step.truncated)
         over = unfinished & ~running.any(axis=1)
-        if over.any():
-            if step.ends is not None:
-                ends[over] = step.ends.reshape(n, v)[over]
-            unfinished &= ~over
-        if not unfinished.any():
-            break
-        observations = step.observations
+        if step.ends is not None and over.any():
+            ends[over] = step.ends.reshape(n, v)[over]
+        unfinished &= ~over
     return returns, discounted, lengths, succeeded, ends, largest

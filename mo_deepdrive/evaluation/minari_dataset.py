@@ -12,7 +12,7 @@ import numpy as np
 
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import as_policy
-from mo_deepdrive.evaluation.policy import PolicyDriver, seeded_generator
+from mo_deepdrive.evaluation.policy import AccruedReward, seeded_generator
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED
 from mo_deepdrive.support.faults import check_vehicles
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     import gymnasium
+    import torch
 
     from mo_deepdrive.evaluation.policy import Policy, PolicyFunction
 
@@ -80,17 +81,19 @@ def record_dataset(
         if adapter.vehicles > 1:
             raise ValueError(f"env_id = {env_id!r} has {adapter.vehicles} vehicles; a Minari data set holds one agent")
         actor = as_policy(policy, adapter, gamma=gamma)
-        driver = PolicyDriver(actor, None if greedy else seeded_generator(actor, seed))
-        buffers = [_episode(env, adapter, driver, seed + i) for i in range(episodes)]
+        generator = None if greedy else seeded_generator(actor, seed)
+        buffers = [_episode(env, adapter, actor, generator, seed + i) for i in range(episodes)]
         return minari.create_dataset_from_buffers(dataset_id, buffers, env=env, data_format=DATA_FORMAT, **metadata)
     finally:
         env.close()
         shapes.close()
 
 
-def _episode(env: gymnasium.Env[Any, Any], adapter: EnvAdapter, driver: PolicyDriver, seed: int) -> EpisodeBuffer:
+def _episode(
+    env: gymnasium.Env[Any, Any], adapter: EnvAdapter, policy: Policy, generator: torch.Generator | None, seed: int
+) -> EpisodeBuffer:
     observation, info = env.reset(seed=seed)
-    driver.reset()
+    accrued_reward = AccruedReward.begin(1, 1, len(adapter.objectives))
     observations, infos = [observation], [info]
     actions: list[Any] = []
     rewards: list[Any] = []
@@ -99,11 +102,11 @@ def _episode(env: gymnasium.Env[Any, Any], adapter: EnvAdapter, driver: PolicyDr
     for _ in adapter.decisions():
         seen = adapter.policy_observations(np.asarray(observation)[None])
         check_vehicles("observation", seen, adapter.name)
-        action = driver.act(seen)[0]
+        action = adapter.environment_actions(policy.act(seen, accrued_reward, generator))[0]
         observation, reward, terminated, truncated, info = env.step(action)
         vector = np.asarray(reward, dtype=np.float32)
         check_vehicles("reward", vector[None, None], adapter.name, adapter.objectives)
-        driver.observe(vector[None, None])
+        accrued_reward.add(vector[None, None], policy.gamma)
         observations.append(observation)
         actions.append(action)
         rewards.append(vector)

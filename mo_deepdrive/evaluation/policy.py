@@ -1,10 +1,10 @@
-"""What acts: policies, the past on which they may depend, and functions of other libraries as policies."""
+"""What acts: policies, the past on which they may depend, functions as policies, and the loop that drives them."""
 
 from __future__ import annotations
 
 import inspect
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
@@ -12,12 +12,12 @@ from gymnasium.spaces import Box, Discrete
 from mo_deepdrive.support.importing import failure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import torch
     from numpy.typing import NDArray
 
-    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter, Step
     from mo_deepdrive.utilities import Utility
 
     PolicyFunction = Callable[[NDArray[Any], NDArray[np.float32], NDArray[np.float32]], Any]
@@ -212,31 +212,45 @@ def _check_signature(function: Any) -> None:
         ) from None
 
 
-class PolicyDriver:
-    """A policy that keeps the accrued reward itself: a driver for people who play, and of drives that are recorded.
+class Decision(NamedTuple):
+    """One decision of the first episodes of N environments.
 
-    Args:
-        policy: acts for all V vehicles of N environments.
-        generator: random numbers for sampled actions; None for greedy actions.
-        num_envs: N.
+    Attributes:
+        actions: (N, V) or (N, V, k) of the policy.
+        step: what they led to.
+        counted: (N, V) which vehicles were in their first episode.
+        running: (N, V) which are still, after it.
     """
 
-    def __init__(self, policy: Policy, generator: torch.Generator | None = None, num_envs: int = 1):
-        self._policy = policy
-        self._generator = generator
-        self._num_envs = num_envs
-        self.reset()
+    actions: NDArray[Any]
+    step: Step
+    counted: NDArray[np.bool_]
+    running: NDArray[np.bool_]
 
-    def reset(self) -> None:
-        """Start new episodes."""
-        adapter = self._policy.env
-        self._accrued_reward = AccruedReward.begin(self._num_envs, adapter.vehicles, len(adapter.objectives))
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) of all vehicles, as the environment takes them, for observations (N, V, o)."""
-        actions = self._policy.act(observations, self._accrued_reward, self._generator)
-        return self._policy.env.environment_actions(actions)
+def drive(
+    policy: Policy, env: EnvAdapter, observations: NDArray[np.float32], generator: torch.Generator | None = None
+) -> Iterator[Decision]:
+    """Drive the first episode of every environment: what evaluates, records and films policies reads it from here.
 
-    def observe(self, rewards: NDArray[np.float32]) -> None:
-        """Add the rewards (N, V, d) of a decision to the accrued reward."""
-        self._accrued_reward.add(rewards, self._policy.gamma)
+    Args:
+        policy: acts in all N environments.
+        env: in which; it has just been reset.
+        observations: (N, V, o) of the reset.
+        generator: random numbers for sampled actions; None for greedy ones.
+
+    Yields:
+        The decisions, until all vehicles have ended.
+    """
+    accrued_reward = AccruedReward.begin(env.num_envs, env.vehicles, len(env.objectives))
+    running = np.ones((env.num_envs, env.vehicles), dtype=np.bool_)
+    for _ in env.decisions():
+        actions = policy.act(observations, accrued_reward, generator)
+        step = env.step(actions)
+        counted = running & step.acted
+        running = running & ~(step.terminated | step.truncated)
+        accrued_reward.add(step.rewards, policy.gamma)
+        yield Decision(actions, step, counted, running)
+        if not running.any():
+            break
+        observations = step.observations

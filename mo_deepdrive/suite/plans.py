@@ -10,40 +10,12 @@ import functools
 import json
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from mo_deepdrive.evaluation.drives import Playback
 from mo_deepdrive.suite.tasks import DATA, load
-from mo_deepdrive.world.action_sequences import decode, idle
+from mo_deepdrive.world.action_sequences import decode
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
-
-
-class Playback:
-    """A policy that replays a sequence of actions in each of parallel environments, and idles after it.
-
-    Args:
-        sequences: of environment actions, one per episode, in their order; or one for all.
-        action_type: "discrete", "discrete-16" or "continuous".
-    """
-
-    def __init__(self, sequences: Sequence[NDArray[Any]], action_type: str):
-        longest = max(map(len, sequences)) + 1  # at least one idle action
-        nothing = idle(action_type)
-        self._actions = np.tile(nothing, (longest, len(sequences), *(1,) * nothing.ndim))
-        for row, sequence in enumerate(sequences):
-            self._actions[: len(sequence), row] = sequence
-        self._decisions = 0
-
-    def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], discounts: NDArray[Any]) -> NDArray[Any]:
-        """Actions (N,) or (N, k); an episode begins where nothing has been discounted yet."""
-        self._decisions = 0 if (discounts == 1.0).all() and not accrued.any() else self._decisions + 1
-        actions: NDArray[Any] = self._actions[min(self._decisions, len(self._actions) - 1)]
-        if len(actions) == 1:
-            return np.repeat(actions, len(observations), axis=0)
-        return actions[np.minimum(np.arange(len(observations)), len(actions) - 1)]
 
 
 @functools.cache

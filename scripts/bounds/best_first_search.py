@@ -34,22 +34,14 @@ COASTING_TURN = YAW_FRICTION / (1.0 - YAW_FRICTION)  # rad that a car still turn
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """How wide and how fine a search is.
+    """How wide a search is, and the sizes of its bins."""
 
-    Attributes:
-        beam_share: share of the beam whose nodes are expanded at a time.
-        capacity: nodes kept at most, in expansions.
-        metres, radians: of position and heading, size of a bin.
-        steer: size of a bin (rad).
-        root_speed: size of a bin of the square root of the speed ((m/s)^0.5), so that bins are finer at low speed.
-    """
-
-    beam_share: float
-    capacity: int
+    beam_share: float  # of the beam whose nodes are expanded at a time
+    capacity: int  # nodes kept at most, in expansions
     metres: float
-    radians: float
-    steer: float
-    root_speed: float
+    radians: float  # of the heading
+    steer: float  # rad
+    root_speed: float  # of the square root of the speed ((m/s)^0.5), so that bins are finer at low speed
 
 
 # Each search is wider and finer than the one before.
@@ -67,14 +59,7 @@ def lies_left(start: NDArray[Any], end: NDArray[Any], point: NDArray[Any]) -> ND
 
 
 def estimated_costs(states: NDArray[Any]) -> NDArray[np.float64]:
-    """The cost by which nodes are ordered, f = g + h: decisions so far, the way to go around the bicycle, and turns.
-
-    Args:
-        states: (n,) of VEHICLE.
-
-    Returns:
-        (n,) in metres.
-    """
+    """The cost (n,) by which nodes are ordered, f = g + h: decisions so far, the way around the bicycle, and turns."""
     front = states["front_x"] + 1j * states["front_y"]
     goal, first, second = (xy @ (1, 1j) for xy in (states["waypoints"][:, 0], *states["obstacle"].swapaxes(0, 1)))
     outward = CLEARANCE * (second - first) / np.abs(second - first)
@@ -106,13 +91,7 @@ def bins(states: NDArray[Any], limits: SearchLimits) -> list[bytes]:
 
 
 class BestFirstSearch:
-    """A search from one state.
-
-    Args:
-        start: (1,) of VEHICLE.
-        limits: of the search.
-        beam: states simulated at a time; ``limits`` may take a share of it.
-    """
+    """A search from the state ``start`` (1,) of VEHICLE; ``beam`` states are simulated at a time, or a share of it."""
 
     def __init__(self, start: NDArray[Any], limits: SearchLimits, beam: int):
         self.limits = limits
@@ -184,10 +163,6 @@ class BestFirstSearch:
 
 def solve_scenario(start: NDArray[Any], beam: int) -> list[int]:
     """Search from ``start`` (1,) of VEHICLE, ever wider and finer, until a search arrives.
-
-    Args:
-        start: the state in which the scenario begins.
-        beam: states simulated at a time.
 
     Returns:
         An action per decision; none if no search arrives.

@@ -7,55 +7,272 @@ An evolutionary search over action sequences that starts from the shipped front,
 from random driving rules. Every sequence is evaluated in the simulation. The policies that make up most of the
 hypervolume replace the shipped front, unless that would make its hypervolume smaller. The same arguments, runs and
 shipped front give the same front.
+
+The algorithm is in the manner of epsilon-MOEA (Deb, Mohan and Mishra 2005): parents are drawn from an archive and,
+mostly, from the plans that would make up the front; offspring enter the archive if no other plan epsilon-dominates
+them. Random driving rules make the first generations and take over from some of the offspring later. The archive keeps
+one plan of every box of the objective space that no other box dominates (Laumanns et al. 2002, "Combining convergence
+and diversity in evolutionary multiobjective optimization"), which bounds it and spreads it over the front. The front is
+selected by hypervolume contribution (Guerreiro, Fonseca and Paquete 2016, "Greedy hypervolume subset selection in low
+dimensions") with lazy updates: a contribution can only shrink as others are selected (Minoux 1978).
 """
 
 from __future__ import annotations
 
+import heapq
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import moocore
 import numpy as np
+import torch
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-import mo_deepdrive
+from algorithms.agent import FrontAgent
+from algorithms.runs.build import build
 from algorithms.runs.cli import TRUST, make_parser
-from mo_deepdrive.fronts.reference_fronts import GAMMA, KnownPolicy
+from algorithms.runs.config import find_environment
+from algorithms.runs.run_directory import Run
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.policy import drive
+from mo_deepdrive.fronts.reference_fronts import DATA, GAMMA, KnownPolicy, front_config
 from mo_deepdrive.fronts.reference_fronts import read as read_front
 from mo_deepdrive.fronts.reference_fronts import write as format_front
+from mo_deepdrive.fronts.reference_points import reference_point
 from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.world.action_sequences import decode as decode_actions
 from mo_deepdrive.world.action_sequences import encode as encode_actions
 from mo_deepdrive.world.config import ActionType
+from mo_deepdrive.world.objectives import scales
 from mo_deepdrive.world.scenarios import SCENARIOS
-from scripts.bounds.front_search import UNKNOWN_SOURCE, FrontSearch
-from scripts.bounds.plans import CRITERIA, Criterion
+from scripts.bounds.plans import CRITERIA, Criterion, EvaluatedPlans, PlanEvaluator, random_calm_rules
 from scripts.result_file import check_folder, check_least
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Sequence
 
-    from scripts.bounds.plans import EvaluatedPlans
-    from scripts.bounds.trained_runs import RunRecording
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.evaluation.policy import Policy
+
+POPULATION = 4096  # plans per generation
+RULE_GENERATIONS = 5  # first generations, of rules only
+TAKEOVER_RATE = 0.1  # share of the offspring that a rule takes over
+FRONT_RATE = 0.8  # share of the parents that are drawn from the front
+FRONT_GENERATIONS = 50  # until the front is selected again
+# Long episodes cost time: above SHORT_EPISODE decisions a plan becomes a parent in inverse proportion to its length,
+# but at least with probability LEAST_PARENT_RATE.
+SHORT_EPISODE = 60
+LEAST_PARENT_RATE = 0.2
+UNKNOWN_SOURCE = -1
+EPSILON = 0.005  # edge of a box, as a share of each objective's nominal scale
+# For each of CRITERIA, the most plans that are selected for it and those after it.
+FRONT_SIZES = (350, 150, 100)
+
+
+class FrontSearch:
+    """A search for the front of one scenario and action set.
+
+    Attributes:
+        references: the reference point (d,) of hypervolumes for each of CRITERIA.
+        archive: the plans that are kept; at first one that idles, of UNKNOWN_SOURCE.
+        front: those of them that made up the front when it was last selected.
+    """
+
+    def __init__(self, scenario: str, action_type: str, seed: int):
+        self.objectives = [criterion.objectives(scenario) for criterion in CRITERIA]
+        self.references = [
+            reference_point(scenario, action_type, criterion.gamma, names).values
+            for criterion, names in zip(CRITERIA, self.objectives, strict=True)
+        ]
+        self.evaluator = PlanEvaluator(scenario, action_type)
+        self.rng = np.random.default_rng(seed)
+        self.generations = 0
+        self.archive = self.evaluator.evaluate(self.evaluator.format.idle_plans(1), UNKNOWN_SOURCE)
+        self.front = self.archive
+
+    def add(self, evaluated: EvaluatedPlans) -> None:
+        """Update the archive with plans."""
+        candidates = self.archive.append(evaluated)
+        self.archive = candidates.take(epsilon_nondominated(candidates, self.objectives))
+
+    def evolve(self, source: int) -> None:
+        """Make and evaluate one generation of plans and update the archive; ``source`` is the index of their source."""
+        plan_format = self.evaluator.format
+        rules = random_calm_rules(POPULATION, self.rng)
+        if self.generations < RULE_GENERATIONS:
+            plans = plan_format.idle_plans(POPULATION)
+        else:
+            if (self.generations - RULE_GENERATIONS) % FRONT_GENERATIONS == 0:
+                self.front = self.select_front()
+            candidates = self.archive.append(self.front)
+            parents, mates = self._select_parents(candidates), self._select_parents(candidates)
+            n = min(len(parents), len(mates))
+            parents, mates, rules = parents[:n], mates[:n], rules[:n]
+            plans = self.evaluator.offspring(candidates.plans, candidates.lengths, parents, mates, self.rng)
+            lengths = candidates.lengths[parents]
+            rules["first_decision"] = self.evaluator.takeovers(lengths, TAKEOVER_RATE, self.rng)
+        self.generations += 1
+        self.add(self.evaluator.evaluate(plans, source, rules))
+
+    def _select_parents(self, candidates: EvaluatedPlans) -> NDArray[np.int64]:
+        """Random rows of archive and front, at most POPULATION; plans of long episodes are selected less often."""
+        archived = len(self.archive.lengths)
+        from_front = self.rng.random(POPULATION) < FRONT_RATE
+        first, last = np.where(from_front, archived, 0), np.where(from_front, len(candidates.lengths), archived)
+        rows = self.rng.integers(first, last)
+        rates = np.maximum(SHORT_EPISODE / candidates.lengths[rows], LEAST_PARENT_RATE)
+        return rows[self.rng.random(POPULATION) < rates]
+
+    def select_front(self, also: EvaluatedPlans | None = None) -> EvaluatedPlans:
+        """The plans that make up the front, of those in the archive, on the front of before, and ``also``.
+
+        The archive keeps one plan per box, and may have dropped one that adds more hypervolume.
+        """
+        candidates = self.archive.append(self.front)
+        return select_front(candidates if also is None else candidates.append(also), self.references)
+
+    def hypervolumes(self, evaluated: EvaluatedPlans) -> list[float]:
+        """The hypervolume of plans for each of CRITERIA."""
+        return [dominated_volume(*each) for each in zip(evaluated.returns, self.references, strict=True)]
+
+
+def epsilon_nondominated(evaluated: EvaluatedPlans, objectives: Sequence[tuple[str, ...]]) -> NDArray[np.int64]:
+    """Sorted rows of the plans that the archive keeps, by the names of the objectives for each of CRITERIA.
+
+    For each of CRITERIA, one plan of every box of returns that no other box dominates. In a box the greatest sum of
+    scaled returns wins, then the shortest episode.
+    """
+    kept = []
+    for returns, names in zip(evaluated.returns, objectives, strict=True):
+        scaled = returns / scales(names)
+        boxes = np.floor(scaled / EPSILON)
+        order = np.lexsort((evaluated.lengths, -scaled.sum(axis=1)))
+        _, best = np.unique(boxes[order], axis=0, return_index=True)
+        rows = order[best]
+        kept.append(rows[moocore.is_nondominated(boxes[rows], maximise=True)])
+    return np.unique(np.concatenate(kept))
+
+
+def dominated_volume(returns: NDArray[Any], reference: NDArray[Any]) -> float:
+    """The hypervolume of ``returns`` (n, d) above ``reference`` (d,), maximised; 0 where no return dominates it."""
+    return float(moocore.hypervolume(returns, ref=reference, maximise=True))
+
+
+def greedy_hypervolume_subset(returns: NDArray[Any], reference: NDArray[Any], size: int) -> list[int]:
+    """At most ``size`` rows of ``returns`` (n, d), each the one that adds most hypervolume to those before it.
+
+    Rows that add nothing are not selected.
+    """
+    selected: list[int] = []
+    volume = 0.0
+    # Minus the contribution, the row, and how many rows were selected when the contribution was computed.
+    queue = [(-dominated_volume(returns[[row]], reference), row, 0) for row in range(len(returns))]
+    heapq.heapify(queue)
+    while queue and len(selected) < size:
+        loss, row, selected_then = heapq.heappop(queue)
+        if loss >= 0.0:
+            break
+        if selected_then == len(selected):
+            selected.append(row)
+            volume -= loss
+        else:
+            loss = volume - dominated_volume(returns[[*selected, row]], reference)
+            heapq.heappush(queue, (loss, row, len(selected)))
+    return selected
+
+
+def select_front(evaluated: EvaluatedPlans, references: Sequence[NDArray[Any]]) -> EvaluatedPlans:
+    """The plans of a front, the greatest discounted return of the first objective first.
+
+    For each of CRITERIA, from the last to the first: the best plan of each objective, then those that add most
+    hypervolume. Only plans that dominate the reference points of all CRITERIA are selected.
+    """
+    pairs = zip(evaluated.returns, references, strict=True)
+    dominating = [(returns >= reference).all(axis=1) for returns, reference in pairs]
+    evaluated = evaluated.take(np.flatnonzero(np.all(dominating, axis=0)))
+    rows: set[int] = set()
+    for returns, reference, size in zip(evaluated.returns[::-1], references[::-1], FRONT_SIZES[::-1], strict=True):
+        front = np.flatnonzero(moocore.is_nondominated(returns, maximise=True))
+        rows |= set(front[returns[front].argmax(axis=0)].tolist())
+        for row in front[greedy_hypervolume_subset(returns[front], reference, size)].tolist():
+            if len(rows) < size:
+                rows.add(row)
+    selected = evaluated.take(np.array(sorted(rows)))
+    return selected.take(np.lexsort(selected.returns[0].T[::-1])[::-1])
+
+
+@dataclass(frozen=True)
+class RunRecording:
+    """What the policies of a run do in the scenario of a front: (t,) or (t, 3) environment actions per episode."""
+
+    name: str
+    description: str
+    sequences: list[NDArray[Any]]
+
+    @property
+    def source(self) -> str:
+        """The run as the source of a policy of a front."""
+        return f"run {self.name}: {self.description}"
+
+
+def record_run(path: str, scenario: str, action_type: str, episodes: int, *, trust: bool = False) -> RunRecording:
+    """Record a run's policies: every policy of a run that learnt a front, the one policy of any other.
+
+    Of each there is an episode of greedy actions, and then ``episodes`` of sampled ones.
+    """
+    run = Run.open(path, trust=trust)
+    settings = run.experiment.environment
+    for name, expected, found in (
+        ("scenario", scenario, find_environment(settings.id).kwargs.get("scenario")),
+        ("action_type", action_type, settings.arguments.get("action_type", "discrete")),
+    ):
+        if found != expected:
+            raise ValueError(f"run {path!r} has {name} = {found!r}; the front needs {expected!r}")
+    agent = build(run.experiment, num_envs=1, guides=False)
+    agent.load(run.checkpoint, policy_only=True)
+    # The fixed scenario of the front, with the rewards that the run was trained on.
+    arguments: dict[str, Any] = front_config(scenario, action_type).model_dump(mode="json", exclude={"scenario"})
+    arguments |= {name: settings.arguments[name] for name in ("objectives", "cost_sign") if name in settings.arguments}
+    sequences = []
+    for sampled in (False, True):
+        repeats = episodes if sampled else 1
+        policy: Policy = agent
+        num_envs = repeats
+        if isinstance(agent, FrontAgent):
+            conditions = np.repeat(agent.conditions(), repeats, axis=0)
+            policy = agent.policies(conditions)
+            num_envs = len(conditions)
+        if num_envs:
+            env = EnvAdapter(make_env(settings.id, num_envs, arguments))
+            generator = torch.Generator(agent.device).manual_seed(0) if sampled else None
+            sequences += record_episodes(policy, env, generator)
+    training = run.experiment.training
+    return RunRecording(
+        name="/".join(run.path.absolute().parts[-3:]),
+        description=f"{run.experiment.algorithm.name}, seed {training.seed}, {training.total_timesteps} steps",
+        sequences=sequences,
+    )
+
+
+def record_episodes(policy: Policy, env: EnvAdapter, generator: torch.Generator | None) -> list[NDArray[Any]]:
+    """The actions, (t,) or (t, 3) as the environment takes them, of the first episode of each of ``env``'s copies."""
+    taken: list[NDArray[Any]] = []
+    lengths = np.zeros(env.num_envs, dtype=np.int64)
+    for actions, _, counted, _ in drive(policy, env, env.reset(0), generator):
+        taken.append(env.environment_actions(actions))
+        lengths += counted[:, 0]
+    return [np.stack(taken)[:length, row] for row, length in enumerate(lengths)]
 
 
 @dataclass(frozen=True)
 class FrontSearchSettings:
-    """Settings of a search, as on the command line.
-
-    Attributes:
-        scenario: "one_waypoint" or "static_obstacle".
-        action_type: "discrete", "discrete-16" or "continuous".
-        decisions: to simulate, at least; the last generation may exceed them.
-        seed: of all random choices.
-        anew: do not start from the shipped front.
-        episodes: sampled episodes per policy of the recorded runs; only for :meth:`command`.
-    """
+    """Settings of a search, as on the command line; the last generation may exceed the decisions."""
 
     scenario: str = "one_waypoint"
     action_type: str = "discrete"
@@ -75,14 +292,7 @@ class FrontSearchSettings:
 
 @dataclass(frozen=True)
 class FrontImprovement:
-    """The shipped front and the one that a search found.
-
-    Attributes:
-        settings: of the search.
-        policies: of the front found.
-        sizes: policies on the shipped front and on the one found, for each of CRITERIA.
-        hypervolumes: of the shipped front and of the one found, for each of CRITERIA.
-    """
+    """The front that a search found; sizes and hypervolumes before and after, for each of CRITERIA."""
 
     settings: FrontSearchSettings
     policies: list[KnownPolicy]
@@ -103,7 +313,7 @@ class FrontImprovement:
 
 def shipped_front_file(scenario: str, action_type: str) -> Path:
     """Where the best-known front of a scenario and action set is shipped."""
-    return Path(mo_deepdrive.__file__).parent / "data" / f"front_{scenario}_{action_type}.json"
+    return Path(str(DATA / f"front_{scenario}_{action_type}.json"))
 
 
 def improve_front(
@@ -112,13 +322,9 @@ def improve_front(
     recordings: Sequence[RunRecording] = (),
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> FrontImprovement:
-    """Search for a better front. The same arguments and shipped front give the same front.
+    """Search for a better front than the ``shipped`` one, whose file may be missing.
 
-    Args:
-        settings: of the search.
-        shipped: file of the shipped front, which may be missing.
-        recordings: of trained runs, from which the search also starts.
-        on_progress: called after every generation with the number of decisions simulated.
+    ``on_progress`` is called after every generation with the number of decisions simulated.
     """
     search = FrontSearch(settings.scenario, settings.action_type, settings.seed)
     evaluator, plan_format = search.evaluator, search.evaluator.format
@@ -200,8 +406,6 @@ def main(arguments: list[str]) -> int:
     runs, output, trust = options.pop("runs"), options.pop("output"), options.pop("trust")
     settings = FrontSearchSettings(**options)
     shipped = shipped_front_file(settings.scenario, settings.action_type)
-    from scripts.bounds.trained_runs import record_run  # not earlier: it imports torch
-
     try:
         recordings = [
             record_run(run, settings.scenario, settings.action_type, settings.episodes, trust=trust) for run in runs

@@ -1,9 +1,13 @@
-"""Floors and ceilings of the suite: scores of policies that need no skill, of planned drives and of rules."""
+"""Floors and ceilings of the suite: scores of policies that need no skill, of planned drives and of rules.
+
+Planned drives are the best that are found in scenarios of the test split, each of which is known.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -13,17 +17,280 @@ from algorithms.driving.left_turn_rules import GapDriver, GapRule
 from algorithms.driving.roundabout_rules import ROUNDABOUTS, RoundaboutDriver, RoundaboutRule
 from algorithms.driving.unskilled import unskilled_policies
 from mo_deepdrive import suite
+from mo_deepdrive.evaluation.drives import Playback
 from mo_deepdrive.evaluation.splits import SPLITS
-from mo_deepdrive.fronts.reference_fronts import shipped
-from mo_deepdrive.suite.plans import Playback, planned, planned_scenarios
-from mo_deepdrive.world.action_sequences import decode
+from mo_deepdrive.fronts.reference_fronts import DATA, shipped
+from mo_deepdrive.simulation.actions import decode_discrete
+from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
+from mo_deepdrive.suite.plans import planned, planned_actions, planned_scenarios
+from mo_deepdrive.support.atomic_io import atomic_write
+from mo_deepdrive.world.action_sequences import decode, encode
 from mo_deepdrive.world.scenarios import SCENARIOS
-from scripts.bounds.plan_evaluation import PlanEvaluator
-from scripts.bounds.suite_plans import HORIZON
-from scripts.bounds.utility_search import blind_plan
+from scripts.bounds.best_first_search import solve_scenario
+from scripts.bounds.plans import CRITERIA, Criterion, EvaluatedPlans, PlanEvaluator, random_calm_rules
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import NDArray
+
     from mo_deepdrive.suite import Task
+
+# ---------------------------------------------------------------------------------------------------- search of plans
+
+FIRST = 2048  # rules of the first generation
+POPULATION = 1024  # plans of each later one
+TAKEOVER_RATE = 0.05  # share of the offspring that a rule takes over
+KEPT = 96  # best plans, divided among the utilities; at least LEAST_KEPT of each
+LEAST_KEPT = 2
+BLIND_POPULATION, BLIND_KEPT, BLIND_GENERATIONS = 256, 48, 25
+UNDISCOUNTED = CRITERIA.index(Criterion(1.0, timed=True))
+
+
+class UtilitySearch:
+    """Searches for the best plan of a scenario under each of P utilities.
+
+    A decomposition-based evolutionary algorithm in the manner of MOEA/D (Zhang and Li 2007): every utility keeps its
+    best plans, and an offspring of any of them may improve any utility. Random driving rules make the first generation,
+    and take over from some of the offspring later.
+
+    Args:
+        evaluator: of the scenario's plans; its start is overwritten.
+        values: from returns (n, d) to utilities (n, P); the returns are undiscounted, in the order of the evaluator's
+            objectives with the time after them.
+        unfinished: seconds that are charged unless the drive arrives.
+        seed: of all random choices.
+    """
+
+    def __init__(
+        self,
+        evaluator: PlanEvaluator,
+        values: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+        unfinished: float,
+        seed: int,
+    ):
+        self.evaluator = evaluator
+        self._values = values
+        self._unfinished = unfinished
+        self._rng = np.random.default_rng(seed)
+        self._destination = evaluator.batch.objectives.index("destination")
+
+    def best(
+        self, start: NDArray[Any], sequences: Sequence[NDArray[Any]], generations: int
+    ) -> tuple[EvaluatedPlans, NDArray[np.float64]]:
+        """The best plan found for each utility, (P,) of them, and their utilities (P,).
+
+        Args:
+            start: (1,) of VEHICLE, the state in which the scenario begins.
+            sequences: of environment actions, from which the search also starts.
+            generations: after the first one.
+        """
+        self.evaluator.batch.state[0] = start
+        plan_format = self.evaluator.format
+        idle = plan_format.to_sequence(plan_format.idle_plans(1)[0])
+        kept = self.evaluator.evaluate(plan_format.from_sequences([idle, *sequences]), 0)
+        kept = kept.append(self._ruled(plan_format.idle_plans(FIRST), np.zeros(FIRST)))
+        kept, values = self._select(kept, self.values(kept))
+        for _ in range(generations):
+            parents, mates = self._rng.integers(len(kept.plans), size=(2, POPULATION))
+            plans = self.evaluator.offspring(kept.plans, kept.lengths, parents, mates, self._rng)
+            offspring = self._ruled(plans, self.evaluator.takeovers(kept.lengths[parents], TAKEOVER_RATE, self._rng))
+            kept, values = self._select(kept.append(offspring), np.concatenate([values, self.values(offspring)]))
+        best = values.argmax(axis=0)
+        return kept.take(best), values.max(axis=0)
+
+    def values(self, evaluated: EvaluatedPlans) -> NDArray[np.float64]:
+        """The utilities (n, P) of plans."""
+        return self._values(self.returns(evaluated))
+
+    def returns(self, evaluated: EvaluatedPlans) -> NDArray[np.float64]:
+        """The undiscounted returns (n, d) of plans, with the time that is charged last."""
+        returns = evaluated.returns[UNDISCOUNTED].copy()
+        arrived = returns[:, self._destination] > 0.0
+        returns[~arrived, -1] = -self._unfinished
+        return returns
+
+    def _ruled(self, plans: NDArray[np.int16], first_decisions: NDArray[Any]) -> EvaluatedPlans:
+        """The plans, in which random rules drive from the given decisions on."""
+        rules = random_calm_rules(len(plans), self._rng)
+        rules["first_decision"] = first_decisions
+        return self.evaluator.evaluate(plans, 0, rules)
+
+    def _select(
+        self, evaluated: EvaluatedPlans, values: NDArray[np.float64]
+    ) -> tuple[EvaluatedPlans, NDArray[np.float64]]:
+        """The best plans of every utility, with their utilities; of those that are worth the same the first."""
+        count = max(LEAST_KEPT, KEPT // values.shape[1])
+        rows = set()
+        for column in values.T:
+            _, first = np.unique(-column, return_index=True)
+            rows |= set(first[:count].tolist())
+        chosen = np.array(sorted(rows))
+        return evaluated.take(chosen), values[chosen]
+
+
+def as_continuous(evaluator: PlanEvaluator, start: NDArray[Any], actions: NDArray[Any]) -> NDArray[np.float64]:
+    """The continuous actions (t, 3) that give the vehicle the controls of discrete ones (t,).
+
+    ``start`` (1,) of VEHICLE is the state in which the scenario begins, ``evaluator`` of discrete plans.
+    """
+    batch = evaluator.batch
+    batch.state[0] = start
+    controls, found = np.zeros((1, 1, 3)), []
+    for action in actions:
+        decode_discrete(batch.state, 0, 0, action, batch.table, controls)
+        steer, throttle, brake = controls[0, 0]
+        found.append((steer / STEER_RANGE, throttle / MAX_ACCELERATION, 2.0 * brake / MAX_ACCELERATION - 1.0))
+        batch.step(np.full((1, 1), action))
+    return np.clip(np.array(found), -1.0, 1.0)
+
+
+def blind_plan(
+    evaluator: PlanEvaluator,
+    values: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    unfinished: float,
+    starts: Sequence[NDArray[Any]],
+    held: Sequence[NDArray[Any]],
+) -> tuple[NDArray[Any], float]:
+    """The sequence of actions that is worth most in the mean over scenarios: the best policy that sees the time alone.
+
+    Args:
+        evaluator: as of :class:`UtilitySearch`.
+        values: from returns (n, d) to utilities (n,).
+        unfinished: as of :class:`UtilitySearch`.
+        starts: each (1,) of VEHICLE, the states in which the scenarios begin.
+        held: sequences of environment actions, from which the search starts.
+
+    Returns:
+        The environment actions, and what they are worth.
+    """
+    search = UtilitySearch(evaluator, values, unfinished, 0)
+    plan_format, rng = evaluator.format, np.random.default_rng(0)
+    plans = plan_format.from_sequences(held)
+    kept, worth = plans[:0], np.zeros(0)
+    for generation in range(BLIND_GENERATIONS + 1):
+        if generation:
+            parents, mates = rng.integers(len(kept), size=(2, BLIND_POPULATION))
+            lengths = np.full(len(kept), plan_format.decisions)
+            plans = evaluator.offspring(kept, lengths, parents, mates, rng)
+        total = np.zeros(len(plans))
+        for start in starts:
+            evaluator.batch.state[0] = start
+            total += search.values(evaluator.evaluate(plans.copy(), 0))
+        kept, worth = np.concatenate([kept, plans]), np.concatenate([worth, total / len(starts)])
+        _, rows = np.unique(-worth, return_index=True)
+        kept, worth = kept[rows[:BLIND_KEPT]], worth[rows[:BLIND_KEPT]]
+    return plan_format.to_sequence(kept[0]), float(worth[0])
+
+
+# ------------------------------------------------------------------------------------------------------ planned drives
+
+BEAM = 4096  # states that the best-first search simulates at a time
+HORIZON = 30.0  # s; a planned drive arrives by then
+SPARE = 32  # preferences that are drawn beyond those that are needed
+NEARLY = 0.05  # a preference under which standing still is this close to the best is left out
+
+
+def plan_file(task_id: str) -> Path:
+    """Where the plans of a task are shipped."""
+    return Path(str(DATA / f"plans_{task_id.lower()}.json"))
+
+
+class ScenarioPlanner:
+    """Plans the scenarios of a task on an open road; a drive arrives within ``horizon`` seconds."""
+
+    def __init__(self, task: Task, generations: int, horizon: float):
+        config = task.config()
+        self.task = task
+        self.generations = generations
+        self.env: Any = gymnasium.make(task.environment.id, disable_env_checker=True, **task.environment.arguments)
+        self.evaluator = PlanEvaluator(config.scenario, config.action_type, horizon)
+        self.discrete = PlanEvaluator(config.scenario, "discrete", horizon)
+        self._values = self._value_function(task)
+        self._time_limit = config.time_limit
+
+    def _value_function(self, task: Task) -> Any:
+        if tuple(task.objectives()) != (*self.evaluator.batch.objectives, "time"):
+            raise ValueError(f"the objectives of {task.title!r} must be those of its scenario, and time")
+        if task.preferences is not None:
+            weights = task.hidden_weights()
+            return lambda returns: returns @ weights.T
+        utility = task.make_utility()
+        return lambda returns: np.asarray(utility(returns))[:, None]
+
+    def plan(self, seed: int, known: Sequence[NDArray[Any]] = ()) -> tuple[list[NDArray[Any]], NDArray[np.float64]]:
+        """The best drives found in the scenario of ``seed``, one per utility, and their utilities.
+
+        Args:
+            seed: by which the environment is reset.
+            known: drives of discrete actions from which the search starts, in place of one that it looks for.
+        """
+        self.env.reset(seed=seed)
+        start = self.env.unwrapped.batch.state[0].copy()
+        search = UtilitySearch(self.evaluator, self._values, self._time_limit, seed)
+        best, values = search.best(start, self._first_drives(start, known), self.generations)
+        return [self.evaluator.format.to_sequence(plan) for plan in best.plans], values
+
+    def _first_drives(self, start: NDArray[Any], known: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+        """Drives from which the search starts, besides those of rules: past the bicycle, if there is one."""
+        found = [actions for actions in known if len(actions)]
+        if self.task.config().fixed_destination:
+            name, action_type = self.evaluator.batch.scenario.name, self.discrete.batch.config.action_type
+            found += [decode(each.actions, action_type) for each in shipped(name, action_type)]
+        if not found and self.evaluator.batch.scenario.obstacles:
+            actions = solve_scenario(start, BEAM)
+            found = [np.array(actions, dtype=np.int64)] if actions else []
+        if self.evaluator.format.continuous:
+            return [as_continuous(self.discrete, start, actions) for actions in found]
+        return found
+
+
+def with_spare_preferences(task: Task) -> Task:
+    """The task with all preferences that are drawn, and more of them, before some are left out."""
+    if task.preferences is None:
+        return task
+    spare = {"count": task.preferences.count + SPARE, "left_out": []}
+    return task.model_copy(update={"preferences": task.preferences.model_copy(update=spare)})
+
+
+def worth_driving(task: Task, best: NDArray[np.float64]) -> tuple[NDArray[np.int64], list[int]]:
+    """The preferences of :func:`with_spare_preferences` that count, and those before them that are left out.
+
+    ``best`` (P,) is what the best drives are worth, in the mean over scenarios.
+    """
+    spare = with_spare_preferences(task)
+    assert spare.preferences is not None
+    assert task.preferences is not None
+    still = spare.hidden_weights()[:, spare.objectives().index("time")] * -spare.config().time_limit
+    kept = np.flatnonzero(still < best - NEARLY)[: task.preferences.count]
+    return kept, sorted(set(range(int(kept[-1]))) - set(kept.tolist()))
+
+
+def plan_task(
+    task: Task, seeds: Iterable[int], generations: int, horizon: float, known: str | None = None
+) -> tuple[list[list[str]], NDArray[np.float64]]:
+    """The texts of the best drives by scenario and utility, and their utilities (scenarios, P).
+
+    The scenarios are the first ones of the test split; ``known`` is the id of a task with discrete actions and the same
+    scenarios, from whose plans the search starts.
+    """
+    planner = ScenarioPlanner(task, generations, horizon)
+    drives, values = [], []
+    for i, seed in enumerate(seeds):
+        found, worth = planner.plan(seed, planned_actions(known, i) if known else ())
+        drives.append([encode(actions) for actions in found])
+        values.append(worth)
+    return drives, np.array(values)
+
+
+def write_plans(file: Path, task: Task, texts: list[list[str]]) -> None:
+    """Write the plans of a task: JSON, a scenario a line."""
+    head = json.dumps({"action_type": task.config().action_type})[:-1]
+    lines = ",\n".join(json.dumps(each) for each in texts)
+    atomic_write(file, f'{head}, "actions": [\n{lines}\n]}}\n'.encode())
+
+
+# ------------------------------------------------------------------------------------------------- floors and ceilings
 
 TRIED = 24  # episodes of the validation split by which candidates are compared
 TRIED_WITH_PARTNERS = 16  # of each partner
@@ -38,14 +305,8 @@ ROUNDABOUT_SPEEDS = ((4.2, 4.0, 4.5), (4.2, 4.3, 5.5), (3.5, 3.7, 4.2))  # m/s, 
 MEETING_GAPS = (4, 5, 6, 7, 8, 10)  # s, of rules for the intersection
 
 
-@dataclass(frozen=True)
-class Found:
-    """A bound.
-
-    Attributes:
-        value: the score.
-        by: what earned it.
-    """
+class Found(NamedTuple):
+    """A bound: a score, and what earned it."""
 
     value: float
     by: str

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numba
 
-from scripts.bounds.plans import FULL_SCALE
+from mo_deepdrive.world.action_sequences import CONTINUOUS_UNIT
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+FULL_SCALE = round(1 / CONTINUOUS_UNIT)  # units of a continuous action of 1.0
 CROSSOVER_RATE = 0.15
 CONTINUE_RATE = 0.5  # probability of another mutation after each
 RIPPLE_RATE = 0.4  # probability that a change of a segment's length moves what follows, instead of overwriting it

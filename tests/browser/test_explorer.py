@@ -20,7 +20,7 @@ from algorithms.reporting.explorer.page import write_page
 from algorithms.runs.build import load_policy
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.choice import expected_utility, rank_policies, weighted_sum
-from mo_deepdrive.evaluation.drives import PlanDriver, Scene, record_scenes
+from mo_deepdrive.evaluation.drives import Playback, Scene, record_scenes
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.utilities import make_utility
@@ -325,12 +325,9 @@ def made_up_front(scenes: list[Scene], objectives: tuple[str, ...]) -> Explorabl
 class Spread:
     """Drives vehicle v of policy k as the number v + k says."""
 
-    def act(self, observations: np.ndarray) -> np.ndarray:
+    def __call__(self, observations: np.ndarray, accrued: np.ndarray, discounts: np.ndarray) -> np.ndarray:
         policies, vehicles, _ = observations.shape
         return 1 + (np.arange(vehicles) + np.arange(policies)[:, None]) % 8
-
-    def observe(self, rewards: np.ndarray) -> None:
-        pass
 
 
 def test_of_many_vehicles_each_is_shown_until_it_has_ended_with_its_own_returns(page: Page, tmp_path: Path) -> None:
@@ -360,7 +357,7 @@ def test_of_many_vehicles_each_is_shown_until_it_has_ended_with_its_own_returns(
 def test_oncoming_cars_are_where_the_simulator_had_them(page: Page, tmp_path: Path) -> None:
     env_id = "mo-deepdrive-left-turn-v0"
     plans = [np.full(20, 14), np.full(60, 1)]
-    scenes = record_scenes(PlanDriver(plans, np.array(0)), env_id, {"time_limit": 10}, seeds=[4], drives=2)
+    scenes = record_scenes(Playback(plans, "discrete"), env_id, {"time_limit": 10}, seeds=[4], drives=2)
     front = made_up_front(scenes, SCENARIOS["left_turn"].objectives)
     write_page([front], tmp_path / "explore.html", "Explorer")
     page.open(tmp_path / "explore.html", "#mode=picked&policy=1&compare=0")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -12,9 +11,8 @@ from mo_deepdrive.world.config import EnvConfig
 from mo_deepdrive.world.objectives import OBJECTIVES
 from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
-from site_pages import docstrings, markdown, reference, repository
+from site_pages import reference
 from site_pages.explorer_examples import EXAMPLES
-from site_pages.local_links import broken_links
 from tests.helpers.markdown_tables import tables
 from tests.helpers.paths import REPOSITORY
 
@@ -113,50 +111,7 @@ def test_the_reference_has_every_public_constant() -> None:
     assert "   A vehicle that has left the road is observed straight ahead, at rest, at this distance (m)." in lines
 
 
-# --------------------------------------------------------------------------------------------- docstrings and Markdown
-
-
-def test_equations_become_literal_blocks_until_the_first_section() -> None:
-    lines = ["Sum.", "", "The sum,", "", "    R = r_0", "      + r_1", "", "ends.", "", "Args:", "", "    x: a number."]
-    assert docstrings.literal_equations(lines) == [*lines[:4], "::", "", *lines[4:]]
-    kept = ["Such as::", "", "    code", "", "- a list", "", "    of paragraphs"]
-    assert docstrings.literal_equations(kept) == kept
-
-
 # ---------------------------------------------------------------------------------------------------- pages from files
-
-
-def test_links_of_root_files_lead_to_pages_or_to_the_repository() -> None:
-    pages = repository.pages()
-    assert "](docs/" not in pages["changelog.md"] + pages["contributing.md"]
-    assert "(simulator.md#versions-of-the-ids)" in pages["contributing.md"]
-    text = "[a](../configs/studies/paper.yaml) [b](../CONTRIBUTING.md#style) [c](x.md)"
-    outside = f"[a]({markdown.REPOSITORY_URL}configs/studies/paper.yaml)"
-    assert repository.outside_links(text, "peers.md") == f"{outside} [b](contributing.md#style) [c](x.md)"
-    assert repository.outside_links("[b](../../CONTRIBUTING.md)", "results/x.md") == "[b](../contributing.md)"
-
-
-def test_links_of_built_pages_that_lead_nowhere_are_found(tmp_path: Path) -> None:
-    (tmp_path / "a" / "b").mkdir(parents=True)
-    for folder in ("_static", "_modules"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "own.html").write_text("<a href='nowhere.html'>not checked</a><i id='f'>f</i>")
-    (tmp_path / "index.html").write_text("<h1 id='top'>T</h1><a name='old'></a><a href='a/b/page.html#x%20y'>p</a>")
-    (tmp_path / "a" / "b" / "page.html").write_text(
-        "<p id='x y'>P</p><img src='../picture.png'><a href='#here'>h</a><a href='../../#top'>i</a>"
-        "<a href='../../index.html#old'>o</a><a href='../../_static/own.html#mode=budget'>s</a>"
-        "<a href='../../_modules/own.html#f'>f</a><a href='../../_modules/own.html#g'>g</a>"
-        "<a href='https://example.org/#x'>e</a><a href='mailto:a@example.org'>m</a><a href='../../../out.html'>u</a>"
-    )
-    page = "a/b/page.html"
-    assert broken_links(tmp_path) == [
-        f"{page}: ../picture.png: no such file",
-        f"{page}: #here: no such anchor",
-        f"{page}: ../../_modules/own.html#g: no such anchor",
-        f"{page}: ../../../out.html: no such file",
-    ]
-    (tmp_path / "index.html").write_text("<h1>T</h1>")
-    assert f"{page}: ../../#top: no such anchor" in broken_links(tmp_path)
 
 
 def test_the_explorers_pages_are_those_of_the_commands_in_the_documentation() -> None:

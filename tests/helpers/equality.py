@@ -10,6 +10,8 @@ import numpy as np
 def assert_equal(first: Any, second: Any, what: str = "") -> None:
     """Deep equality, arrays bit for bit."""
     assert type(first) is type(second), what
+    if hasattr(first, "numpy"):  # a tensor
+        first, second = first.numpy(), second.numpy()
     if isinstance(first, np.ndarray):
         assert (first.dtype, first.shape) == (second.dtype, second.shape), what
         assert first.tolist() == second.tolist() if first.dtype == object else first.tobytes() == second.tobytes(), what

@@ -277,34 +277,21 @@ def replay_turn_based(recording: RecordedEpisodes) -> list[EpisodeReports]:
     return episodes
 
 
-def replay_parallel(recording: RecordedEpisodes) -> list[EpisodeReports]:
-    """The parallel interface, which removes vehicles when they end."""
-    env = mo_deepdrive.parallel_env(scenario=recording.scenario, **recording.arguments)
-    episodes = []
-    for reset, actions in recording.resets():
-        reports = first_reports(env, env.reset(**reset)[0])
-        for joint in actions:
-            returned = env.step({agent: joint[env.possible_agents.index(agent)] for agent in env.agents})
-            for v, agent in enumerate(env.possible_agents):
-                if agent in returned[0]:
-                    observation, reward, terminated, truncated, info = (each[agent] for each in returned)
-                    reports[v].append(Report(observation, reward, terminated, truncated, info.get("end", "")))
-        assert env.agents == []
-        episodes.append(reports)
-    return episodes
-
-
-def replay_kept(recording: RecordedEpisodes) -> list[EpisodeReports]:
-    """The parallel interface with ``keep_finished``, which repeats the last observation, with a reward of zeros."""
-    env = mo_deepdrive.parallel_env(scenario=recording.scenario, keep_finished=True, **recording.arguments)
+def replay_parallel(recording: RecordedEpisodes, keep_finished: bool = False) -> list[EpisodeReports]:
+    """The parallel interface: vehicles that have ended leave, or repeat their last observation, with zero rewards."""
+    arguments = {**recording.arguments, "keep_finished": keep_finished}
+    env = mo_deepdrive.parallel_env(scenario=recording.scenario, **arguments)
     episodes = []
     for reset, actions in recording.resets():
         reports = first_reports(env, env.reset(**reset)[0])
         for decision, joint in enumerate(actions, start=1):
-            assert env.agents == env.possible_agents
-            returned = env.step(dict(zip(env.agents, joint, strict=True)))
-            last = decision == len(actions)
+            assert not keep_finished or env.agents == env.possible_agents
+            returned = env.step({agent: joint[env.possible_agents.index(agent)] for agent in env.agents})
+            assert all(each.keys() == returned[0].keys() for each in returned)
             for v, agent in enumerate(env.possible_agents):
+                assert (agent in returned[0]) == (keep_finished or not reports[v][-1].end)
+                if agent not in returned[0]:
+                    continue
                 observation, reward, terminated, truncated, info = (each[agent] for each in returned)
                 if reports[v][-1].end:
                     assert observation.tobytes() == reports[v][-1].observation.tobytes()
@@ -313,9 +300,11 @@ def replay_kept(recording: RecordedEpisodes) -> list[EpisodeReports]:
                 else:
                     end = info.get("end", "")
                     flags = end not in ("", "time_limit"), end == "time_limit"
+                    assert info == ({"end": end, "success": end == "arrived"} if end else {})
                     reports[v].append(Report(observation, reward, *flags, end))
                 own = reports[v][-1].terminated, reports[v][-1].truncated
-                assert (terminated, truncated) == (own if last else (False, False))
+                shown = own if decision == len(actions) or not keep_finished else (False, False)
+                assert (terminated, truncated) == shown
         assert env.agents == []
         episodes.append(reports)
     return episodes
@@ -348,7 +337,7 @@ INTERFACES: dict[str, Callable[[RecordedEpisodes], list[EpisodeReports]]] = {
     "row of a batch": replay_row,
     "turn-based": replay_turn_based,
     "parallel": replay_parallel,
-    "parallel that keeps finished vehicles": replay_kept,
+    "parallel that keeps finished vehicles": functools.partial(replay_parallel, keep_finished=True),
     "AEC": replay_aec,
 }
 

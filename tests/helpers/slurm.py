@@ -111,14 +111,6 @@ class SlurmCluster:
             raise RuntimeError(f"{' '.join(command)} failed with {done.returncode}: {done.stderr.strip()}")
         return done.stdout.strip()
 
-    def states(self, job: str) -> dict[str, str]:
-        """The states of a job, or of the tasks of an array ("7_0"), by id: PENDING, RUNNING, COMPLETED, ...
-
-        Slurm remembers finished jobs for ten minutes; raises RuntimeError for an unknown job.
-        """
-        lines = self.run("squeue", "--noheader", "--array", "--states=all", f"--jobs={job}", "--format=%i %T")
-        return dict(line.split() for line in lines.splitlines())
-
     def restart_controller(self) -> None:
         """Kill slurmctld, once its state is on disk, and start it again while jobs keep running."""
         asked = time.time()

@@ -162,8 +162,8 @@ def test_the_tests_pass_from_the_sdist(dist: Path, tmp_path: Path) -> None:
     with tarfile.open(sdist) as archive:
         archive.extractall(tmp_path)
     (source,) = tmp_path.iterdir()
-    tests = ["test_architecture.py", "test_documentation.py", "mo_deepdrive/test_extras.py", "mo_deepdrive/simulation"]
-    tests += ["algorithms/runs/test_config.py", "algorithms/studies/test_paper.py"]
+    tests = ["test_architecture.py", "test_documentation.py", "mo_deepdrive/support/test_extras.py"]
+    tests += ["mo_deepdrive/simulation", "algorithms/runs/test_config.py", "algorithms/studies/test_paper.py"]
     options = ["-q", "-m", "not slow", "--hypothesis-profile", "fast", "-p", "no:cacheprovider"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *options, *(f"tests/{name}" for name in tests)],

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.integrations.matrix import HERE
+HERE = Path(__file__).resolve().parent
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -19,8 +19,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(autouse=True)
 def _library(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Skip without the library; some libraries write into the working directory, and some need a display."""
-    library = getattr(request.module, "LIBRARY", None)
-    if library is not None and library.module is not None:
-        pytest.importorskip(library.module, reason=f"{library.name} is not installed: make test-integrations")
+    if library := getattr(request.module, "LIBRARY", None):
+        pytest.importorskip(library, reason=f"{library} is not installed: make test-integrations")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")

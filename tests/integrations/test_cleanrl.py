@@ -12,14 +12,6 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics, TransformReward
 
 from mo_deepdrive.utilities import make_utility
 from tests.integrations.envs import scalar, vector
-from tests.integrations.matrix import Library, row
-
-LIBRARY = Library(
-    "CleanRL-style loops",
-    "gymnasium",
-    None,
-    "`SyncVectorEnv` of `UtilityReward`, or `make_vec(id)` with the utility of its rewards (N, d)",
-)
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -59,7 +51,6 @@ def train(envs: Any, updates: int = 4, steps: int = 32) -> tuple[float, list[flo
     return loss.item(), returns
 
 
-@row("`SyncVectorEnv` and `RecordEpisodeStatistics`", how="`SyncVectorEnv([lambda: UtilityReward(...)] * n)`")
 def test_a_loop_trains_on_gymnasiums_vector_environment() -> None:
     loss, returns = train(RecordEpisodeStatistics(gymnasium.vector.SyncVectorEnv([scalar] * 4)))
     assert np.isfinite(loss)
@@ -67,10 +58,6 @@ def test_a_loop_trains_on_gymnasiums_vector_environment() -> None:
     assert np.isfinite(returns).all()
 
 
-@row(
-    "`make_vec(id)` and `RecordEpisodeStatistics`",
-    how='`TransformReward(envs, make_utility("one_waypoint_linear", envs.unwrapped.objectives))`',
-)
 def test_a_loop_trains_on_the_native_vector_environment() -> None:
     envs = vector(num_envs=4)
     envs = TransformReward(envs, make_utility("one_waypoint_linear", envs.objectives))
@@ -79,7 +66,6 @@ def test_a_loop_trains_on_the_native_vector_environment() -> None:
     assert len(returns) >= 16
 
 
-@row("the wrappers of CleanRL's continuous PPO", how="`UtilityReward` below `NormalizeReward`")
 def test_the_wrappers_of_cleanrls_continuous_ppo_run() -> None:
     def thunk() -> Any:
         env = gymnasium.wrappers.FlattenObservation(scalar(action_type="continuous"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -11,14 +10,10 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import wrappers
-from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import vector as vector_wrappers
 
 from mo_deepdrive.wrappers import UtilityReward, VectorUtilityReward
 from tests.integrations.envs import INTERSECTION, ONE_WAYPOINT, SHORT, scalar, single, vector
-from tests.integrations.matrix import Library, row
-
-LIBRARY = Library("Gymnasium", "gymnasium", "gymnasium", "`gymnasium.make(id)`, `gymnasium.make_vec(id)`")
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 STEPS = 60
@@ -35,10 +30,6 @@ def rendered() -> Any:
 
 def continuous() -> Any:
     return single(action_type="continuous")
-
-
-def names(cases: dict[str, Any]) -> str:
-    return ", ".join(f"`{name}`" for name in cases)
 
 
 # Each wraps a new environment with the reward of decisions (d,).
@@ -112,37 +103,12 @@ def drive(env: Any, shape: tuple[int, ...]) -> int:
     return ends
 
 
-@row("`check_env`", how="its one warning is that the reward is not a float")
-def test_the_checker_warns_of_the_vector_reward_alone() -> None:
-    env = single().unwrapped
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
-        check_env(env, skip_render_check=True)
-    messages = [str(warning.message) for warning in found]
-    assert [message for message in messages if "The reward returned by `step()` must be" not in message] == []
-
-
-@row(f"{len(SINGLE)} wrappers as they are")
 @pytest.mark.parametrize("name", SINGLE)
 def test_a_wrapper_runs(name: str) -> None:
     require(name)
     assert drive(SINGLE[name](), (4,)) >= 2
 
 
-def test_episode_statistics_have_the_vector_return() -> None:
-    env = wrappers.RecordEpisodeStatistics(single())
-    env.reset(seed=0)
-    total, info = np.zeros(4), {}
-    while "episode" not in info:
-        _, reward, _, _, info = env.step(3)
-        total += reward
-    np.testing.assert_allclose(info["episode"]["r"], total, rtol=1e-5)
-
-
-@row(
-    f"wrappers that compute with the reward as a float: {names(SCALAR)}",
-    how="`UtilityReward` or MO-Gymnasium's `LinearReward` inside; for some MO-Gymnasium has one with vector rewards",
-)
 @pytest.mark.parametrize("name", SCALAR)
 def test_a_wrapper_of_scalar_rewards_needs_the_utility(name: str) -> None:
     require(name)
@@ -198,30 +164,17 @@ def drive_vector(env: Any, shape: tuple[int, ...]) -> None:
     env.close()
 
 
-@row(
-    f"{len(VECTOR)} vector wrappers as they are", how="`make_vec` of OneWaypoint or StaticObstacle; rewards are (N, d)"
-)
 @pytest.mark.parametrize("name", VECTOR)
 def test_a_vector_wrapper_runs(name: str) -> None:
     require(name)
     drive_vector(VECTOR[name](vector), (3, 4))
 
 
-@row(
-    f"vector wrappers with one reward per environment: {names(VECTOR_SCALAR)}",
-    how="the utility first: `VectorUtilityReward`, or `TransformReward(envs, lambda rewards: rewards @ weights)`; "
-    "statistics of vector rewards: `VectorEpisodeStatistics`",
-)
 @pytest.mark.parametrize("name", VECTOR_SCALAR)
 def test_a_vector_wrapper_of_scalar_rewards_needs_the_utility(name: str) -> None:
     drive_vector(VECTOR_SCALAR[name](vector_wrappers.TransformReward(vector(), lambda r: r @ np.ones(4))), (3,))
 
 
-@row(
-    "vector `NormalizeReward`: which steps count",
-    how="every decision, and no reset; `SAME_STEP` begins every episode anew, `NEXT_STEP` adds one after a time limit "
-    "to the episode before",
-)
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_rewards_are_normalised_by_the_returns_of_decisions_alone(mode: str) -> None:
     gamma, returns = 0.9, []
@@ -245,25 +198,16 @@ def test_rewards_are_normalised_by_the_returns_of_decisions_alone(mode: str) -> 
     assert env.return_rms.var == pytest.approx(np.var(returns), rel=0.01)
 
 
-@row(
-    "vector wrappers on the vector environment of Intersection",
-    how="wrappers of observations, actions and rewards work; for the others `parallel_env()`, or the turn-based id",
-)
 @pytest.mark.parametrize("name", ["NormalizeObservation", "ClipReward", "RescaleAction", "DictInfoToList"])
 def test_a_vector_wrapper_runs_with_two_vehicles(name: str) -> None:
     drive_vector(VECTOR[name](lambda **options: vector(INTERSECTION, **options)), (3, 2, 6))
 
 
-@row(
-    "`SyncVectorEnv`, `AsyncVectorEnv`",
-    how="`UtilityReward` in each; for vector rewards `make_vec(id)` or MO-Gymnasium's `MOSyncVectorEnv`",
-)
 @pytest.mark.parametrize("kind", [gymnasium.vector.SyncVectorEnv, gymnasium.vector.AsyncVectorEnv])
 def test_gymnasiums_vector_environments_take_scalar_rewards(kind: Any) -> None:
     drive_vector(kind([scalar] * 2), (2,))
 
 
-@row("`make_vec(id, vectorization_mode=...)`", how="the default is this package's compiled vector environment")
 def test_the_default_of_make_vec_is_the_native_environment() -> None:
     assert type(gymnasium.make_vec(ONE_WAYPOINT, num_envs=2, **SHORT)).__name__ == "DrivingVectorEnv"
     env = gymnasium.make_vec(

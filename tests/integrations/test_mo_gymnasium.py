@@ -18,9 +18,6 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 from mo_deepdrive.wrappers import VectorEpisodeStatistics
 from tests.integrations.envs import INTERSECTION, LEFT_TURN, ONE_WAYPOINT, single, vector
-from tests.integrations.matrix import Library, row
-
-LIBRARY = Library("MO-Gymnasium", "mo-gymnasium", "mo_gymnasium", "`mo_gymnasium.make(id)`")
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 IDS = {ONE_WAYPOINT: 4, INTERSECTION: 6, LEFT_TURN: 7}  # and their objectives
@@ -37,7 +34,6 @@ def episode(env: Any) -> list[tuple[Any, Any]]:
     return steps
 
 
-@row("`LinearReward`", how="`LinearReward(env, weight=...)`; or `UtilityReward` of this package for any utility")
 @pytest.mark.parametrize("env_id", IDS)
 def test_the_linear_reward_is_the_weighted_sum(env_id: str) -> None:
     weights = np.linspace(0.1, 1.0, IDS[env_id])
@@ -45,7 +41,6 @@ def test_the_linear_reward_is_the_weighted_sum(env_id: str) -> None:
         assert reward == pytest.approx(float(weights @ info["vector_reward"]))
 
 
-@row("`MONormalizeReward`, `MOClipReward`", how="one per objective, by its index in `env.unwrapped.objectives`")
 @pytest.mark.parametrize("env_id", IDS)
 def test_rewards_are_normalised_and_clipped(env_id: str) -> None:
     jerk = single(env_id).unwrapped.objectives.index("jerk")
@@ -57,7 +52,6 @@ def test_rewards_are_normalised_and_clipped(env_id: str) -> None:
     np.testing.assert_array_equal(np.delete(normal, jerk, axis=1), np.delete(plain, jerk, axis=1))
 
 
-@row("`MORecordEpisodeStatistics`", how="in Intersection it adds up the rewards of both vehicles")
 @pytest.mark.parametrize("env_id", IDS)
 def test_statistics_are_those_of_the_episode(env_id: str) -> None:
     steps = episode(MORecordEpisodeStatistics(single(env_id), gamma=0.9))
@@ -67,23 +61,10 @@ def test_statistics_are_those_of_the_episode(env_id: str) -> None:
     np.testing.assert_allclose(found["dr"], 0.9 ** np.arange(len(rewards)) @ rewards, rtol=1e-4, atol=1e-4)
 
 
-@row("`MOMaxAndSkipObservation`", how="OneWaypoint, StaticObstacle; in Intersection it would mix the vehicles' turns")
 def test_skipped_decisions_add_up() -> None:
     skipped = np.array([reward for reward, _ in episode(MOMaxAndSkipObservation(single(), skip=4))])
     plain = np.array([reward for reward, _ in episode(single())])
     np.testing.assert_allclose(skipped, plain.reshape(-1, 4, 4).sum(axis=1), rtol=1e-4, atol=1e-5)
-
-
-@row("`MOSyncVectorEnv`", how="or `gymnasium.make_vec(id)`, which returns the same")
-def test_the_vector_environment_agrees_with_the_native_one() -> None:
-    env, native = MOSyncVectorEnv([single] * 3), vector()
-    env.reset(seed=0)
-    native.reset(seed=0)
-    for _ in range(45):
-        step, expected = env.step(np.array([3, 6, 0])), native.step(np.array([3, 6, 0]))
-        for mine, theirs in zip(step[:4], expected[:4], strict=True):
-            np.testing.assert_array_equal(mine, theirs)
-    assert expected[1].shape == (3, 4)
 
 
 def recorded(make: Any, mode: str, episodes: int = 3) -> list[tuple[Any, Any]]:
@@ -115,12 +96,6 @@ def native(mode: str) -> Any:
 FIRST, ALL = [True, False, False], [True] * 3
 
 
-@row(
-    "vector `MORecordEpisodeStatistics`",
-    how="right are, in `NEXT_STEP`, returns and lengths, and discounted returns of the first episode; in `SAME_STEP`, "
-    "the first episode; in `DISABLED`, all, if all are reset together. `VectorEpisodeStatistics` of this package is "
-    "right in all modes",
-)
 @pytest.mark.parametrize(
     ("make", "mode", "right"),
     [

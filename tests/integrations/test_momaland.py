@@ -12,9 +12,6 @@ import pytest
 
 import mo_deepdrive
 from tests.integrations.envs import SHORT, WEIGHTS, one_leaves_early, parallel
-from tests.integrations.matrix import Library, row
-
-LIBRARY = Library("MOMAland", "momaland", "momaland", "`mo_deepdrive.parallel_env()`, `mo_deepdrive.env()`")
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 EARLY = {"harmful_g_force": 0.1}
@@ -30,14 +27,6 @@ def drive(env: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     return rewards, infos
 
 
-@row("`api_test`")
-def test_the_test_of_aec_environments_passes() -> None:
-    from momaland.test.api_test import api_test
-
-    api_test(mo_deepdrive.env(**SHORT), num_cycles=100)
-
-
-@row("parallel `LinearizeReward`", how="`LinearizeReward(env, {agent: weights})`, or `ParallelUtilityReward`")
 def test_rewards_are_linearised() -> None:
     from momaland.utils.parallel_wrappers import LinearizeReward
 
@@ -48,10 +37,6 @@ def test_rewards_are_linearised() -> None:
             assert numbers[agent] == pytest.approx(float(WEIGHTS[agent] @ vector))
 
 
-@row(
-    "parallel `NormalizeReward`, `RecordEpisodeStatistics`, `CentraliseAgent`",
-    how="`parallel_env(keep_finished=True)`",
-)
 @pytest.mark.parametrize("name", ["NormalizeReward", "RecordEpisodeStatistics", "CentraliseAgent"])
 def test_wrappers_that_look_up_every_agent(name: str) -> None:
     from momaland.utils import parallel_wrappers
@@ -71,10 +56,6 @@ def test_wrappers_that_look_up_every_agent(name: str) -> None:
     assert all(reward["vehicle_0"].shape == (6,) for reward in rewards)
 
 
-@row(
-    "AEC wrappers `LinearizeReward`, `NormalizeReward`, `RecordEpisodeStatistics`",
-    how="the parallel wrappers, then `mo_parallel_to_aec`",
-)
 def test_a_wrapped_parallel_environment_is_converted() -> None:
     from momaland.utils.conversions import mo_parallel_to_aec
     from momaland.utils.parallel_wrappers import LinearizeReward
@@ -86,7 +67,6 @@ def test_a_wrapped_parallel_environment_is_converted() -> None:
     assert np.shape(env.last()[1]) == ()
 
 
-@row("`mo_parallel_to_aec`, `mo_aec_to_parallel`")
 def test_the_conversions_run() -> None:
     from momaland.utils.conversions import mo_aec_to_parallel
 
@@ -98,10 +78,6 @@ def test_the_conversions_run() -> None:
             np.testing.assert_array_equal(first[agent], second[agent])
 
 
-@row(
-    "MOMAPPO, discrete and continuous",
-    how='`all_environments["driving"] = ...` and `keep_finished=True, end_together=True`',
-)
 @pytest.mark.slow
 @pytest.mark.parametrize("actions", ["discrete", "continuous"])
 def test_multi_agent_ppo_trains(actions: str, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
@@ -125,10 +101,6 @@ def test_multi_agent_ppo_trains(actions: str, monkeypatch: pytest.MonkeyPatch, c
     assert "Weight 1/1 done!" in capsys.readouterr().out
 
 
-@row(
-    "single-agent algorithms on both vehicles: `CentraliseAgent` and morl-baselines",
-    how='`CentraliseAgent(parallel_env(action_type="continuous", keep_finished=True))`',
-)
 @pytest.mark.slow
 def test_a_central_agent_learns_with_morl_baselines() -> None:
     pytest.importorskip("morl_baselines", reason="morl-baselines is not installed: make test-integrations")

@@ -1,4 +1,4 @@
-"""morl-baselines: every algorithm directly on the ids, without the adapters of ``algorithms/peers``."""
+"""morl-baselines on the ids: algorithms that are not among those of ``tests/peers``, and other ways to make them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,6 @@ import pytest
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 from tests.integrations.envs import ONE_WAYPOINT, single, vector
-from tests.integrations.matrix import Library, row
-
-LIBRARY = Library(
-    "morl-baselines",
-    "morl-baselines",
-    "morl_baselines",
-    "`PCN(mo_gymnasium.make(id), ...)`; or by name: [peers](peers.md)",
-)
 
 pytestmark = [pytest.mark.filterwarnings("ignore"), pytest.mark.slow]
 STEPS = 200
@@ -58,59 +50,6 @@ def _seeded() -> None:
     np.random.seed(0)  # noqa: NPY002
 
 
-def train_conditioned(path: str, make: Callable[[], Any]) -> None:
-    # Returns of costs are at most zero.
-    agent = of_library(path)(
-        make(), scaling_factor=np.array([0.1, 1, 0.1, 0.01, 0.1]), hidden_dim=8, batch_size=8, **TORCH
-    )
-    agent.train(
-        STEPS,
-        eval_env=make(),
-        ref_point=REFERENCE,
-        num_er_episodes=3,
-        num_step_episodes=1,
-        num_model_updates=2,
-        max_return=np.array([100.0, 1.0, 0.0, 0.0], dtype=np.float32),
-        num_points_pf=1,
-    )
-    assert len(agent.experience_replay) >= 3
-
-
-@row("PCN, LCN", how="`max_return=` with 0 for costs; both write files into the working directory")
-@pytest.mark.parametrize(
-    ("path", "make"),
-    [
-        ("multi_policy.pcn.pcn:PCN", discrete),
-        ("multi_policy.pcn.pcn:PCN", continuous),
-        ("multi_policy.lcn.lcn:LCN", discrete),
-    ],
-)
-def test_algorithms_conditioned_on_returns_train(path: str, make: Callable[[], Any]) -> None:
-    train_conditioned(path, make)
-
-
-@row("Envelope")
-def test_envelope_trains() -> None:
-    agent = of_library("multi_policy.envelope.envelope:Envelope")(discrete(), num_sample_w=2, **SMALL, **TORCH)
-    agent.train(STEPS, eval_env=discrete(), ref_point=REFERENCE, **FRONT)
-    assert agent.global_step == STEPS
-
-
-@row("GPI-LS, discrete and continuous actions")
-@pytest.mark.parametrize(
-    ("path", "make"),
-    [
-        ("multi_policy.gpi_pd.gpi_pd:GPILS", discrete),
-        ("multi_policy.gpi_pd.gpi_pd_continuous_action:GPILSContinuousAction", continuous),
-    ],
-)
-def test_gpi_ls_trains(path: str, make: Callable[[], Any]) -> None:
-    agent = of_library(path)(make(), gradient_updates=1, **SMALL, **TORCH)
-    agent.train(STEPS, make(), REFERENCE, timesteps_per_iter=100, checkpoints=False, **FRONT)
-    assert agent.global_step == STEPS
-
-
-@row("GPI-LS in JAX, discrete and continuous actions", how='`pip install "morl-baselines[gpi-ls-jax]"`')
 @pytest.mark.parametrize(
     ("path", "make"),
     [
@@ -124,30 +63,6 @@ def test_gpi_ls_in_jax_trains(path: str, make: Callable[[], Any]) -> None:
     agent = of_library(path)(make(), gradient_updates=1, learning_starts=50, **SMALL, **SEEDED)
     agent.train(STEPS, make(), REFERENCE, timesteps_per_iter=100, checkpoints=False, **FRONT)
     assert agent.global_step == STEPS
-
-
-@row("CAPQL")
-def test_capql_trains() -> None:
-    agent = of_library("multi_policy.capql.capql:CAPQL")(continuous(), learning_starts=50, **SMALL, **TORCH)
-    agent.train(STEPS, continuous(), REFERENCE, **FRONT)
-    assert agent.global_step == STEPS
-
-
-@row("MORL/D with MOSAC and MOSACDiscrete")
-@pytest.mark.parametrize(("policy", "make"), [("MOSAC", continuous), ("MOSACDiscrete", discrete)])
-def test_morld_trains(policy: str, make: Callable[[], Any]) -> None:
-    agent = of_library("multi_policy.morld.morld:MORLD")(
-        make(),
-        policy_name=policy,
-        pop_size=4,
-        weight_init_method="random",
-        exchange_every=50,
-        update_passes=1,
-        policy_args={**SMALL, "learning_starts": 20},
-        **TORCH,
-    )
-    agent.train(STEPS, make(), REFERENCE, num_eval_episodes_for_front=1, checkpoints=False)
-    assert len(agent.archive.individuals) >= 1
 
 
 def make_pgmorl(env_id: Any, **more: Any) -> Any:
@@ -176,10 +91,6 @@ def specification(**arguments: Any) -> Any:
     return spec
 
 
-@row(
-    "PGMORL",
-    how="`env_id=spec`: `gymnasium.spec(id)` with `action_type` and two or three `objectives` in its `kwargs`",
-)
 def test_pgmorl_trains_on_a_specification() -> None:
     agent = make_pgmorl(specification(objectives=("distance", "jerk")))
     evaluated = single(objectives=("distance", "jerk"), action_type="continuous")
@@ -187,7 +98,6 @@ def test_pgmorl_trains_on_a_specification() -> None:
     assert len(agent.archive.individuals) >= 1
 
 
-@row("IPRO, IPRO-2D", how="`MOSyncVectorEnv` or `make_vec(id)`; IPRO-2D with two `objectives`")
 @pytest.mark.parametrize(
     ("path", "make", "envs"),
     [
@@ -207,7 +117,6 @@ def test_ipro_trains(path: str, make: Callable[[], Any], envs: Callable[[], Any]
     assert len(agent.train(env, ref_point=chosen, deterministic=True)) >= 1
 
 
-@row("NLMOPPO", how="`MOSyncVectorEnv` or `make_vec(id)`")
 @pytest.mark.parametrize("envs", [lambda: MOSyncVectorEnv([discrete] * 2), vector], ids=["MOSyncVectorEnv", "make_vec"])
 def test_nlmoppo_trains(envs: Callable[[], Any]) -> None:
     small = {"total_timesteps": STEPS, "num_steps": 16, "num_minibatches": 1, "update_epochs": 1}
@@ -216,19 +125,6 @@ def test_nlmoppo_trains(envs: Callable[[], Any]) -> None:
     agent.train(discrete(), u_func=lambda returns: returns.sum(-1))
 
 
-@row(
-    "EUPG",
-    how="a buffer of floats: `agent.buffer = AccruedRewardReplayBuffer(..., obs_dtype=np.float32)`, as in our adapter",
-)
-def test_eupg_trains() -> None:
-    agent = of_library("single_policy.esr.eupg:EUPG")(
-        discrete(), scalarization=lambda vector, weights=None: vector.sum(), weights=np.ones(4), net_arch=[8], **TORCH
-    )
-    agent.train(STEPS)
-    assert agent.global_step == STEPS
-
-
-@row("MOSAC, MOSACDiscrete, MOPPO")
 @pytest.mark.parametrize("name", ["MOSAC", "MOSACDiscrete", "MOPPO"])
 def test_single_policies_train(name: str) -> None:
     import torch
@@ -253,9 +149,6 @@ def test_single_policies_train(name: str) -> None:
     assert agent.global_step == STEPS
 
 
-@row(
-    "MO Q-learning, MPMOQLearning", how="with `DiscretizeObservation(env, bins, multidiscrete=True)`: they are tabular"
-)
 def test_tabular_q_learning_trains() -> None:
     def tabular() -> Any:
         env = gymnasium.wrappers.DiscretizeObservation(discrete(), 4, multidiscrete=True)

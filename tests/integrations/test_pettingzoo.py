@@ -10,19 +10,11 @@ import numpy as np
 import pettingzoo.utils.conversions as conversions
 import pettingzoo.utils.wrappers as pettingzoo_wrappers
 import pytest
-from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
+from pettingzoo.test import api_test
 
 import mo_deepdrive
 from mo_deepdrive.wrappers import ParallelUtilityReward
 from tests.integrations.envs import SHORT, aec, one_leaves_early, parallel
-from tests.integrations.matrix import Library, row
-
-LIBRARY = Library(
-    "PettingZoo",
-    "pettingzoo",
-    "pettingzoo",
-    "`mo_deepdrive.parallel_env()` (or `parallel_v0.parallel_env()`); `mo_deepdrive.env()` for AEC, with MOMAland",
-)
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -56,16 +48,6 @@ def drive_aec(env: Any, turns: int = 60) -> set[tuple[int, ...]]:
     return shapes
 
 
-@row("`parallel_api_test`, `parallel_seed_test`")
-def test_the_tests_of_parallel_environments_pass() -> None:
-    parallel_api_test(parallel(), num_cycles=100)
-    parallel_seed_test(parallel, num_cycles=50)
-
-
-@row(
-    "`api_test` (AEC)",
-    how="`momaland.test.api_test`, or scalar rewards",
-)
 def test_the_test_of_aec_environments_takes_scalar_rewards() -> None:
     scalars = ParallelUtilityReward(parallel(), "intersection_linear")
     with warnings.catch_warnings():
@@ -91,7 +73,6 @@ AEC: dict[str, Callable[[], Any]] = {
 }
 
 
-@row("parallel wrappers: " + ", ".join(f"`{name}`" for name in [*PARALLEL, "MultiEpisodeParallelEnv"]))
 @pytest.mark.parametrize("name", PARALLEL)
 def test_a_parallel_wrapper_runs_if_one_vehicle_leaves(name: str) -> None:
     assert drive_parallel(PARALLEL[name]()) > 20
@@ -107,13 +88,11 @@ def test_several_episodes_in_one_run() -> None:
     assert steps == 60
 
 
-@row("AEC wrappers: " + ", ".join(f"`{name}`" for name in AEC))
 @pytest.mark.parametrize("name", AEC)
 def test_an_aec_wrapper_runs(name: str) -> None:
     assert (6,) in drive_aec(AEC[name]())
 
 
-@row("`parallel_to_aec`, `aec_to_parallel`, `turn_based_aec_to_parallel`, `aec_wrapper_fn`, `parallel_wrapper_fn`")
 def test_the_conversions_run() -> None:
     assert (6,) in drive_aec(conversions.parallel_to_aec(parallel()))
     assert (6,) in drive_aec(conversions.aec_wrapper_fn(mo_deepdrive.parallel_env)(**SHORT))

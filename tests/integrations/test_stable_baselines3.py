@@ -12,14 +12,6 @@ import pytest
 import mo_deepdrive
 from mo_deepdrive.wrappers import ParallelUtilityReward, UtilityReward, VectorUtilityReward
 from tests.integrations.envs import INTERSECTION, ONE_WAYPOINT, SHORT, scalar, single, vector
-from tests.integrations.matrix import Library, row
-
-LIBRARY = Library(
-    "Stable-Baselines3",
-    "stable-baselines3",
-    "stable_baselines3",
-    '`PPO("MlpPolicy", SB3VecEnv(VectorUtilityReward(make_vec(id, autoreset_mode="SameStep"), utility)))`',
-)
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 PPO_ARGUMENTS = {"n_steps": 64, "batch_size": 32, "n_epochs": 1}
@@ -44,10 +36,6 @@ def batch(utility: str = "one_waypoint_nonlinear", num_envs: int = 3, **options:
     return SB3VecEnv(envs)
 
 
-@row(
-    "`SB3VecEnv` of this package: what `DummyVecEnv` of `UtilityReward` returns, from compiled code",
-    how='`SB3VecEnv(VectorScaledObservation(VectorUtilityReward(make_vec(id, autoreset_mode="SameStep"), utility)))`',
-)
 @pytest.mark.parametrize("end", ["time_limit", "harmful_g_force"])
 @pytest.mark.parametrize("action_type", ["discrete", "continuous"])
 def test_our_vector_environment_returns_what_theirs_does_over_several_episodes(action_type: str, end: str) -> None:
@@ -86,7 +74,6 @@ def test_our_vector_environment_returns_what_theirs_does_over_several_episodes(a
     assert ends[not truncated] == 0
 
 
-@row("A2C, PPO, DQN, SAC with `SB3VecEnv`, `VecMonitor`, `VecNormalize`")
 @pytest.mark.parametrize("name", ["A2C", "PPO", "DQN", "SAC"])
 def test_an_algorithm_trains_on_our_vector_environment(name: str) -> None:
     import stable_baselines3
@@ -131,7 +118,6 @@ def test_what_it_cannot_learn_from_is_refused() -> None:
         envs.reset()
 
 
-@row("`check_env`", how="on `UtilityReward`: no warning")
 @pytest.mark.parametrize("action_type", ["discrete", "continuous"])
 def test_the_checker_has_no_objections(action_type: str) -> None:
     from stable_baselines3.common.env_checker import check_env
@@ -142,7 +128,6 @@ def test_the_checker_has_no_objections(action_type: str) -> None:
         check_env(env)
 
 
-@row("A2C, PPO (discrete and continuous actions), DQN, SAC, TD3, DDPG")
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_an_algorithm_trains(name: str) -> None:
     import stable_baselines3
@@ -156,7 +141,6 @@ def test_an_algorithm_trains(name: str) -> None:
     assert all(math.isfinite(info["r"]) for info in model.ep_info_buffer)
 
 
-@row("`evaluate_policy`, `make_vec_env`, `VecNormalize`, `Monitor`", how="the environment is a function: `lambda: ...`")
 def test_its_vector_environments_and_its_evaluation_run() -> None:
     from stable_baselines3 import PPO
     from stable_baselines3.common.env_util import make_vec_env
@@ -170,10 +154,6 @@ def test_its_vector_environments_and_its_evaluation_run() -> None:
     assert np.isfinite(mean)
 
 
-@row(
-    "two vehicles that share a policy",
-    how="`ParallelUtilityReward`, then SuperSuit's `concat_vec_envs_v1`, and no `seed=` for the algorithm",
-)
 def test_two_vehicles_learn_one_policy() -> None:
     supersuit = pytest.importorskip("supersuit")
     from stable_baselines3 import PPO

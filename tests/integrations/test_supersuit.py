@@ -10,9 +10,6 @@ import pytest
 
 from mo_deepdrive.wrappers import ParallelUtilityReward
 from tests.integrations.envs import VEHICLES, aec, one_leaves_early, parallel, scalar
-from tests.integrations.matrix import Library, row
-
-LIBRARY = Library("SuperSuit", "supersuit", "supersuit", "`supersuit.dtype_v0(mo_deepdrive.parallel_env(), ...)`")
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 CONTINUOUS = {"action_type": "continuous"}
@@ -67,7 +64,6 @@ def drive(env: Any, steps: int = 50, contained: bool = True) -> Any:
     return reward
 
 
-@row(f"{len(WRAPPERS)} wrappers as they are", how="parallel and AEC, vector rewards")
 @pytest.mark.parametrize("api", MAKE)
 @pytest.mark.parametrize("name", WRAPPERS)
 def test_a_wrapper_runs(name: str, api: str) -> None:
@@ -76,10 +72,6 @@ def test_a_wrapper_runs(name: str, api: str) -> None:
     assert np.shape(drive(WRAPPERS[name](supersuit, MAKE[api]))) == (6,)
 
 
-@row(
-    "`clip_reward_v0`",
-    how="`ParallelUtilityReward`, or `reward_lambda_v0(env, lambda r: np.clip(r, -1, 1))`",
-)
 def test_clipping_takes_scalar_rewards() -> None:
     import supersuit
 
@@ -87,20 +79,12 @@ def test_clipping_takes_scalar_rewards() -> None:
     assert np.shape(drive(supersuit.reward_lambda_v0(parallel(), lambda reward: np.clip(reward, -1, 1)))) == (6,)
 
 
-@row(
-    "`frame_skip_v0`",
-    how="AEC; or a smaller `decision_frequency`",
-)
 def test_frames_are_skipped() -> None:
     import supersuit
 
     assert np.shape(drive(supersuit.frame_skip_v0(aec(), 3))) == (6,)
 
 
-@row(
-    "`agent_indicator_v0`",
-    how="as it is; MOMAland's MAPPO uses it",
-)
 def test_the_indicator_of_an_agent_is_added() -> None:
     import supersuit
 
@@ -110,10 +94,6 @@ def test_the_indicator_of_an_agent_is_added() -> None:
     assert all(observation.shape == (31,) for observation in observations.values())
 
 
-@row(
-    "`pettingzoo_env_to_vec_env_v1`, `concat_vec_envs_v1`",
-    how="`keep_finished=True`; scalar rewards for Stable-Baselines3",
-)
 @pytest.mark.parametrize("base", ["gymnasium", "stable_baselines3"])
 def test_vehicles_as_a_vector_environment(base: str) -> None:
     import supersuit
@@ -133,7 +113,6 @@ def test_vehicles_as_a_vector_environment(base: str) -> None:
     assert drive_vector(vehicles(scalars(harmful_g_force=0.1, keep_finished=True))).shape == (4,)
 
 
-@row("`gym_vec_env_v0`, `stable_baselines3_vec_env_v0`", how="`UtilityReward`")
 def test_its_vector_environments_of_gymnasium_environments() -> None:
     import supersuit
 
@@ -146,7 +125,6 @@ def test_its_vector_environments_of_gymnasium_environments() -> None:
     assert env.step(np.array([3, 3]))[1].shape == (2,)
 
 
-@row("`vectorize_aec_env_v0`")
 def test_aec_environments_are_vectorised() -> None:
     import supersuit
 

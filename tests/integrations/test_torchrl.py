@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 import mo_deepdrive
 from mo_deepdrive.wrappers import ParallelUtilityReward
 from tests.integrations.envs import ONE_WAYPOINT, SHORT, scalar, single, vector
-from tests.integrations.matrix import Library, row
-
-LIBRARY = Library("TorchRL", "torchrl", "torchrl", "`MOGymEnv(id)`, `GymWrapper(UtilityReward(env, utility))`")
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -25,7 +21,6 @@ def checked_rewards(env: Any, steps: int = 60) -> tuple[int, ...]:
     return tuple(env.rollout(steps, break_when_any_done=False)["next", "reward"].shape)
 
 
-@row("`MOGymEnv(id)`, `MOGymWrapper(env)`: vector rewards", how="`MOGymEnv(id, action_type=...)`")
 @pytest.mark.parametrize("action_type", ["discrete", "continuous"])
 def test_vector_rewards_of_the_ids(action_type: str) -> None:
     from torchrl.envs.libs.gym import MOGymEnv, MOGymWrapper
@@ -34,7 +29,6 @@ def test_vector_rewards_of_the_ids(action_type: str) -> None:
     assert checked_rewards(MOGymWrapper(single(action_type=action_type))) == (60, 4)
 
 
-@row("`GymEnv(id)`, `GymWrapper(env)`", how="vector rewards, too: TorchRL reads `reward_space`")
 def test_the_wrappers_of_gymnasium_have_the_vector_rewards() -> None:
     from torchrl.envs import GymEnv, GymWrapper
 
@@ -42,7 +36,6 @@ def test_the_wrappers_of_gymnasium_have_the_vector_rewards() -> None:
     assert checked_rewards(GymWrapper(single())) == (60, 4)
 
 
-@row("`GymWrapper(UtilityReward(env, utility))`: scalar rewards")
 @pytest.mark.parametrize("action_type", ["discrete", "continuous"])
 def test_scalar_rewards_by_the_utility(action_type: str) -> None:
     from torchrl.envs import GymWrapper
@@ -50,7 +43,6 @@ def test_scalar_rewards_by_the_utility(action_type: str) -> None:
     assert checked_rewards(GymWrapper(scalar(action_type=action_type))) == (60, 1)
 
 
-@row("`SerialEnv`, `ParallelEnv`", how="`SerialEnv(n, lambda: MOGymEnv(id))`")
 def test_environments_are_batched() -> None:
     from torchrl.envs import SerialEnv
     from torchrl.envs.libs.gym import MOGymEnv
@@ -58,10 +50,6 @@ def test_environments_are_batched() -> None:
     assert checked_rewards(SerialEnv(2, lambda: MOGymEnv(ONE_WAYPOINT, **SHORT))) == (2, 60, 4)
 
 
-@row(
-    "`GymWrapper(make_vec(id))`, `MOGymWrapper(make_vec(id))`",
-    how='`make_vec(id, autoreset_mode="SameStep")`',
-)
 @pytest.mark.parametrize("name", ["GymWrapper", "MOGymWrapper"])
 def test_the_native_vector_environment(name: str) -> None:
     from torchrl.envs.libs import gym
@@ -70,10 +58,6 @@ def test_the_native_vector_environment(name: str) -> None:
     assert checked_rewards(wrap(vector(autoreset_mode="SameStep"))) == (3, 60, 4)
 
 
-@row(
-    "`PettingZooWrapper(parallel_env())`",
-    how="`PettingZooWrapper(ParallelUtilityReward(parallel_env(), utility), use_mask=True)`",
-)
 def test_the_parallel_environment_needs_the_utility() -> None:
     from torchrl.envs.libs.pettingzoo import PettingZooWrapper
     from torchrl.envs.utils import check_env_specs
@@ -82,41 +66,3 @@ def test_the_parallel_environment_needs_the_utility() -> None:
     wrapped = PettingZooWrapper(env, use_mask=True)
     check_env_specs(wrapped)
     assert tuple(wrapped.rollout(15)["next", "vehicle", "reward"].shape) == (15, 2, 1)
-
-
-@row("a collector, `ClipPPOLoss` and `GAE`")
-def test_ppo_trains() -> None:
-    import torch
-    from tensordict.nn import TensorDictModule
-    from torchrl.collectors import Collector
-    from torchrl.envs import GymWrapper
-    from torchrl.modules import ProbabilisticActor, ValueOperator
-    from torchrl.objectives import ClipPPOLoss
-    from torchrl.objectives.value import GAE
-
-    env = GymWrapper(scalar())
-    actions = env.action_spec.space.n
-    logits = TensorDictModule(torch.nn.Linear(15, actions), in_keys=["observation"], out_keys=["logits"])
-    actor = ProbabilisticActor(
-        logits,
-        in_keys=["logits"],
-        spec=env.action_spec,
-        distribution_class=torch.distributions.OneHotCategorical,
-        return_log_prob=True,
-    )
-    critic = ValueOperator(torch.nn.Linear(15, 1), in_keys=["observation"])
-    loss_module, advantage = ClipPPOLoss(actor, critic), GAE(gamma=0.99, lmbda=0.95, value_network=critic)
-    optimiser = torch.optim.Adam(loss_module.parameters(), lr=1e-3)
-    collector = Collector(env, actor, frames_per_batch=64, total_frames=192)
-    losses = []
-    for batch in collector:
-        advantage(batch)
-        parts = loss_module(batch)
-        loss = parts["loss_objective"] + parts["loss_critic"] + parts["loss_entropy"]
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        losses.append(loss.item())
-    collector.shutdown()
-    assert len(losses) == 3
-    assert np.isfinite(losses).all()

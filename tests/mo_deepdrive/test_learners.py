@@ -67,19 +67,3 @@ def test_where_no_other_package_has_the_name_both_names_are_the_same_modules() -
 def test_importing_the_name_imports_no_algorithm(tmp_path: Path) -> None:
     script = "import sys, mo_deepdrive.learners\nprint('torch' in sys.modules, len(mo_deepdrive.learners.ALGORITHMS))"
     assert printed(tmp_path, script) == ["False 8"]
-
-
-def test_without_the_package_or_under_another_one_the_error_is_a_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from mo_deepdrive.support import importing
-
-    monkeypatch.setattr(importing, "__file__", str(tmp_path / "mo_deepdrive" / "support" / "importing.py"))
-    with pytest.raises(ImportError, match="has no package algorithms: reinstall mo-deepdrive"):
-        importing.own_algorithms()
-    (tmp_path / "algorithms").mkdir()
-    (tmp_path / "algorithms" / "__init__.py").touch()
-    spec = importing.own_algorithms()
-    monkeypatch.setitem(sys.modules, "algorithms", algorithms)
-    with pytest.raises(ImportError, match="is another project's, installed over mo-deepdrive's: separate them"):
-        importing.load_own(spec)

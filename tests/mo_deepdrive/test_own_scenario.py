@@ -230,18 +230,6 @@ def test_other_rows_run_through_every_interface(
     assert single.render().shape == (720, 1056, 3)
 
 
-def test_a_random_start_and_a_random_destination_are_drawn_by_themselves(registries: None, make_vector: Any) -> None:
-    span = replace(row().routes[0], start_span=5.0)
-    register_scenario(row(routes=(span,), destination_span=(9.0, 9.0), obstacles=1))
-    env = make_vector("own", 400)
-    env.reset(seed=0)
-    state = env.batch.state[:, 0]
-    drawn = np.stack([state["y"], *state["waypoints"][:, 0].T])
-    assert drawn.min(axis=1) == pytest.approx([25.0, 20.0, 5.0], abs=0.2)
-    assert drawn.max(axis=1) == pytest.approx([30.0, 29.0, 14.0], abs=0.2)
-    assert np.abs(np.corrcoef(drawn) - np.eye(3)).max() < 0.15
-
-
 @pytest.mark.parametrize(
     ("changes", "allowed", "refused"),
     [
@@ -264,11 +252,6 @@ def test_a_setting_without_effect_in_the_scenario_is_refused(
 # -------------------------------------------------------------------------------------------------------- registration
 
 
-def test_registering_the_same_scenario_again_changes_nothing(two_bicycles: ModuleType) -> None:
-    importlib.reload(two_bicycles)
-    assert list(SCENARIOS).count("two_bicycles") == 1
-
-
 def test_a_row_may_have_arrays_and_be_registered_twice(registries: None) -> None:
     for _ in range(2):
         route = Route(start=np.array([7, 25, -1.5]), waypoints=np.array([[20, 5]]))  # type: ignore[arg-type]
@@ -289,26 +272,16 @@ def test_a_row_may_have_arrays_and_be_registered_twice(registries: None) -> None
         ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), 230.0),)}, "route 0 with its spans leaves [-250, 250] m"),
         ({"routes": (Route((7.0, 25.0), ((20.0, 5.0),)),)}, "start = (7.0, 25.0) of route 0 must be (x, y, heading)"),
         ({"routes": (Route((7.0, 25.0, 0.0), ()),)}, "waypoints of route 0 has 0 points; it must have 1 to 3"),
-        ({"routes": (Route((7.0, 25.0, 0.0), ((math.nan, 1.0),)),)}, "of route 0 must be (x, y) pairs"),
         ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), "5"),)}, "start_span = '5' of route 0 must be"),  # type: ignore[arg-type]
-        ({"destination_span": (231.0, 0.0)}, "scenario 'own': route 0 with its spans leaves [-250, 250] m"),
         ({"destination_span": 3.0}, "destination_span = 3.0 must be (x, y)"),
         ({"objectives": ("distance", "spending")}, "objective 'spending' is unknown; known: collision, destination"),
-        ({"objectives": ()}, "objectives = [] must be one or more distinct names"),
         ({"objectives": ("jerk", "jerk")}, "objectives = ['jerk', 'jerk'] must be one or more distinct names"),
         ({"obstacles": True}, "obstacles = True must be a number of bicycles"),
         ({"obstacles": 1, "routes": LANE, "lanes": True}, "obstacles = 1 must be 0 where there are two vehicles"),
         ({"obstacles": 1, "routes": (lane(),)}, "or roads of segments"),
         ({"lanes": True, "routes": (lane(),)}, "lanes and destination_span have no effect on roads of segments"),
         ({"routes": (lane(end=(25.0, 41.0, 0.0)),)}, "1.00 m and 0.000 rad from end = (25.0, 41.0, 0.0)"),
-        (
-            {"routes": (lane(end=(25.0, 40.0, 0.5)),)},
-            "and 0.500 rad from end = (25.0, 40.0, 0.5); they must join",
-        ),
-        (
-            {"routes": (lane(), lane(segments=()))},
-            "route 1 has 0 entries; an entry needs 1 to 8 to its exit",
-        ),
+        ({"routes": (lane(), lane(segments=()))}, "route 1 has 0 entries; an entry needs 1 to 8 to its exit"),
         ({"routes": (lane(), *row().routes)}, "route 1 has waypoints; where routes have segments, none may"),
         ({"routes": (lane(segments=(Segment(40.0, 0.4),)),)}, "must have a radius above the width of the lane"),
         (
@@ -316,27 +289,15 @@ def test_a_row_may_have_arrays_and_be_registered_twice(registries: None) -> None
             "and of at most 1e+09 m, and turn by less than a circ",
         ),
         ({"routes": (lane(segments=(Segment(-1.0),)),)}, "segment 0 of route 0"),
-        ({"routes": (lane(segments=(Segment(300.0),)),)}, "route 0 leaves [-250, 250] m"),
-        (
-            {"routes": (lane(start_span=36.0),)},
-            "start_span = 36.0 of route 0 must be at least 0 and leave 5.18 m",
-        ),
+        ({"routes": (lane(start_span=36.0),)}, "start_span = 36.0 of route 0 must be at least 0 and leave 5.18 m"),
         ({"routes": (lane(priority=(9.0, 3.0)),)}, "priority = (9.0, 3.0) of route 0 must be (from, to) in m"),
         ({"routes": (lane(priority=(1e6, 1e7)),)}, "0 <= from < to, and from within its length of 40 m"),
         ({"routes": (lane(start=(25.0, 0.0, 1e9)),)}, "must have a heading in [-250, 250] rad"),
-        (
-            {"routes": (replace(row().routes[0], priority=(0.0, 9.0)),)},
-            "priority = (0.0, 9.0) of route 0 has no effect without segments; omit it",
-        ),
         ({"number": 2}, "number = 2 has no effect without roads of segments; omit it"),
         ({"conflict_time": math.nan}, "conflict_time = nan must be a finite number of seconds above 0"),
         ({"lanes": "no"}, "lanes = 'no' must be True or False"),
         ({"routes": (lane(lane_width=2.0),)}, "lane_width = 2.0 of route 0 must be more than a car's 2.30 m"),
-        (
-            {"routes": (lane(), lane(start_span=1.0))},
-            "route 1 must have the first segment and the start_span of",
-        ),
-        ({"routes": (lane(),), "number": 7}, "vehicles = 7 are more than Own holds: 5 together"),
+        ({"routes": (lane(), lane(start_span=1.0))}, "route 1 must have the first segment and the start_span of"),
         (
             {"routes": (lane(),), "number": 3, "cars": 3},
             "vehicles = 3 and cars = 3 are more than Own holds: 5 together",

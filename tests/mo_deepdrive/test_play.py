@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.play import (
     END_HOLD,
     FRAMES_PER_DECISION,
@@ -18,7 +20,7 @@ from mo_deepdrive.play import (
     make_play_env,
 )
 from mo_deepdrive.simulation.state import VEHICLE
-from mo_deepdrive.world.actions import CONTINUOUS, action_names
+from mo_deepdrive.world.actions import action_names
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 NOTHING, UP, DOWN = Keys(False, False, False, False), Keys(True, False, False, False), Keys(False, True, False, False)
@@ -129,16 +131,6 @@ def test_a_key_pressed_for_one_frame_counts_for_a_whole_decision() -> None:
     assert vehicles(short)[0].throttle == 0.0
 
 
-def test_two_people_drive_a_car_each() -> None:
-    human_env = make_human_env(TWO, seats=(0, 1))
-    hold(human_env, UP, NOTHING, decisions=10)
-    first, second = vehicles(human_env)
-    assert (first.speed > 0.5, second.speed) == (True, 0.0)
-    hold(human_env, NOTHING, UP, decisions=10)
-    assert second.speed > 0.5
-    assert first.throttle == 0.0
-
-
 def test_an_outcome_has_the_ends_and_returns_of_all_vehicles() -> None:
     human_env = make_human_env(TWO, seats=(0, 1), time_limit=2, end_together=False)
     total = np.zeros((2, human_env.vector_env.reward_dim))
@@ -193,44 +185,37 @@ def test_on_frame_receives_a_frame_per_decision() -> None:
     assert np.array_equal(frames[-1], frames[3])
 
 
-class StraightDriver:
-    """A driver that drives straight on and records its calls."""
+class RecordingPolicy:
+    """A policy that drives straight on and records the accrued reward that it is given."""
 
-    def __init__(self, action: Any) -> None:
-        self.action = np.array(action)
-        self.calls: list[tuple[str, Any]] = []
+    utilities = ()
+    gamma = 0.5
 
-    def reset(self) -> None:
-        self.calls.append(("reset", None))
+    def __init__(self, action_type: str) -> None:
+        self.env = EnvAdapter(make_env(TWO, 1, {"action_type": action_type}))
+        speed_up = action_names("discrete").index("decay steer, increase speed")
+        self.actions = np.array([[speed_up] * 2] if action_type == "discrete" else [[(0.0, 1.0, -1.0)] * 2])
+        self.accrued: list[NDArray[np.float32]] = []
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        self.calls.append(("act", observations.copy()))
-        return np.array([[self.action, self.action]])
-
-    def observe(self, rewards: NDArray[np.float32]) -> None:
-        self.calls.append(("observe", rewards.copy()))
+    def act(self, observations: NDArray[np.float32], accrued_reward: AccruedReward, _generator: Any) -> NDArray[Any]:
+        assert observations.shape == (1, 2, self.env.observation_size)
+        self.accrued.append(accrued_reward.value.copy())
+        return self.actions
 
 
 @pytest.mark.parametrize("action_type", ["discrete", "continuous"])
 @pytest.mark.parametrize("mine", [0, 1])
-def test_a_driver_drives_the_other_vehicle_and_receives_everything(mine: int, action_type: str) -> None:
-    action = (
-        (0.0, 1.0, -1.0)
-        if action_type == CONTINUOUS
-        else action_names(action_type).index("decay steer, increase speed")
-    )
-    driver = StraightDriver(action)
-    env = make_play_env(TWO, action_type=action_type)
-    human_env = HumanPlayEnv(env, (mine,), driver=driver)
-    first, _ = human_env.reset(seed=1)
-    rewards = [human_env.step(pressed(NOTHING))[1] for _ in range(2 * FRAMES_PER_DECISION)]
-    assert [name for name, _ in driver.calls] == ["reset", "act", "observe", "act", "observe"]
-    assert driver.calls[1][1].tobytes() == first.tobytes()
-    assert driver.calls[1][1].shape == (1, 2, first.shape[-1])
-    for (_, observed), frame in zip(driver.calls[2::2], (FRAMES_PER_DECISION, 2 * FRAMES_PER_DECISION), strict=True):
-        assert observed.shape == (1, 2, env.reward_dim)
-        np.testing.assert_array_equal(observed[0], rewards[frame - 1])
+def test_a_policy_drives_the_other_vehicle_and_is_given_the_accrued_reward(mine: int, action_type: str) -> None:
+    policy: Any = RecordingPolicy(action_type)
+    human_env = HumanPlayEnv(make_play_env(TWO, action_type=action_type), (mine,), policy=policy)
+    human_env.reset(seed=1)
+    rewards = [human_env.step(pressed(NOTHING))[1] for _ in range(3 * FRAMES_PER_DECISION)]
+    first, second = (rewards[n * FRAMES_PER_DECISION - 1] for n in (1, 2))
+    for found, expected in zip(policy.accrued, (0.0 * first, first, first + 0.5 * second), strict=True):
+        np.testing.assert_allclose(found[0], expected, rtol=1e-6)
     assert vehicles(human_env)[1 - mine].travelled > 0.0
     assert vehicles(human_env)[mine].travelled == 0.0
     human_env.reset()
-    assert driver.calls[-1][0] == "reset"
+    for _ in range(FRAMES_PER_DECISION):
+        human_env.step(pressed(NOTHING))
+    assert not policy.accrued[-1].any()

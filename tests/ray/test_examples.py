@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.utilities import make_utility
 from tests.helpers.paths import REPOSITORY
 
 pytest.importorskip("ray.rllib", reason="Ray is not installed: make test-ray")
@@ -91,35 +90,6 @@ def test_the_runner_returns_the_episodes_of_the_rllib_environment(algorithm: Any
     assert counts["harmful_g_force"] > 0
     assert counts["one on the road"] > 0
     assert counts["cut"] > 0
-
-
-def test_the_learners_get_the_utility_of_the_vectors_in_infos_with_growing_costs(agents: Any, algorithm: Any) -> None:
-    learner = algorithm.learner_group._learner
-    objectives = algorithm.env_runner.env.objectives
-    utility = make_utility("intersection_linear", objectives)
-    is_cost = np.array([name not in ("distance", "destination") for name in objectives])
-    growth = 1000  # a quarter of the training
-    for sample in range(5):
-        chunks = algorithm.env_runner.sample()
-        vectors = {
-            vehicle: np.array(
-                [
-                    info["vector_reward"]
-                    for chunk in chunks
-                    if vehicle in chunk.agent_episodes
-                    for info in chunk.agent_episodes[vehicle].get_infos(slice(1, None))
-                ]
-            )
-            for vehicle in agents.VEHICLES
-        }
-        batch = learner._learner_connector(
-            rl_module=learner.module, batch={}, episodes=chunks, shared_data={}, metrics=learner.metrics
-        )
-        factors = np.where(is_cost, min(1.0, sample * WORLDS * DECISIONS / growth), 1.0)
-        for vehicle, own in vectors.items():
-            assert own[:, is_cost].sum() < 0
-            rewards = batch[vehicle]["rewards"][batch[vehicle]["loss_mask"]].numpy()
-            np.testing.assert_allclose(np.sort(rewards), np.sort(utility(own * factors)), atol=1e-5)
 
 
 @pytest.mark.usefixtures("cluster")

@@ -68,18 +68,6 @@ def test_rllibs_checker_passes(config: dict[str, Any]) -> None:
     check_multiagent_environments(DrivingMultiAgentEnv(config))
 
 
-def test_spaces_and_objectives_are_those_of_the_parallel_environment() -> None:
-    options = {"scenario": "static_obstacle", "action_type": "continuous", "objectives": ["jerk", "distance"]}
-    weights = {"name": "linear", "arguments": {"weights": [0.1, 1.0]}}
-    env, parallel = DrivingMultiAgentEnv({**options, "utility": weights}), DrivingParallelEnv(**options)
-    assert env.possible_agents == parallel.possible_agents == ["vehicle_0"]
-    assert env.objectives == parallel.objectives == ("jerk", "distance")
-    for agent in env.possible_agents:
-        assert env.get_observation_space(agent) == parallel.observation_space(agent)
-        assert env.get_action_space(agent) == parallel.action_space(agent)
-        assert env.reward_spaces[agent] == parallel.reward_space(agent)
-
-
 @pytest.mark.parametrize("config", CONFIGS)
 def test_the_reward_is_the_utility_of_the_vector_reward(config: dict[str, Any]) -> None:
     env = DrivingMultiAgentEnv(config)
@@ -114,35 +102,6 @@ def test_every_vehicle_can_have_its_own_utility() -> None:
             assert rewards["vehicle_1"] == pytest.approx(float(infos["vehicle_1"]["vector_reward"] @ weights), rel=1e-5)
 
 
-@pytest.mark.parametrize("end_together", [False, True])
-@pytest.mark.parametrize("time_limit", [7.0, 60.0])
-def test_flags_say_which_vehicle_ends_and_when_the_episode_is_over(end_together: bool, time_limit: float) -> None:
-    env = DrivingMultiAgentEnv({"end_together": end_together, "time_limit": time_limit})
-    ends: Counter[str] = Counter()
-    early = 0
-    for seed in range(25):
-        driving = list(VEHICLES)
-        for _, (observations, _, terminateds, truncateds, infos) in play(env, seed):
-            assert list(observations) == driving
-            ended = {agent: infos[agent]["end"] for agent in driving if "end" in infos[agent]}
-            timed_out = "time_limit" in ended.values()
-            for agent, end in ended.items():
-                assert infos[agent]["success"] is (end == "arrived")
-            stayed = [agent for agent in driving if agent not in ended]
-            early += bool(ended and stayed)
-            assert env.agents == stayed
-            assert terminateds == {
-                **{agent: ended.get(agent, "time_limit") != "time_limit" for agent in driving},
-                "__all__": not stayed and not timed_out,
-            }
-            assert truncateds == {"__all__": timed_out}
-            ends.update(ended.values())
-            driving = stayed
-        assert driving == []
-    assert (early == 0) is end_together
-    assert ends["time_limit"] > 0 if time_limit < 10 else len(ends) > 2
-
-
 def replay_rllib(recording: RecordedEpisodes) -> list[EpisodeReports]:
     """The RLlib interface, which removes vehicles when they end."""
     env = DrivingMultiAgentEnv(recording.arguments)
@@ -167,18 +126,6 @@ def replay_rllib(recording: RecordedEpisodes) -> list[EpisodeReports]:
 def test_trajectories_are_those_of_the_parallel_environment_bit_for_bit(action_type: str, end_together: bool) -> None:
     recording = record(action_type, end_together)
     assert_same(replay_rllib(recording), replay_parallel(recording))
-
-
-def test_reset_passes_on_seed_and_options() -> None:
-    env = DrivingMultiAgentEnv()
-    starts = ((-10.0, 0.0, 0.1), (10.0, 5.0, -0.2))
-    env.reset(seed=1, options={"starts": starts})
-    assert [(car["x"], car["y"], car["heading"]) for car in env.parallel.telemetry()] == list(starts)
-    first, _ = env.reset(seed=5)
-    second, _ = env.reset()
-    third, _ = env.reset(seed=5)
-    np.testing.assert_equal(third, first)
-    assert not np.array_equal(second["vehicle_0"], first["vehicle_0"])
 
 
 # ---------------------------------------------------------------------------------------------------------- bad input
@@ -221,11 +168,6 @@ def test_without_ray_the_import_names_the_extra(run_python: Callable[[str], str]
         "    print(error)\n"
     )
     assert "pip install 'mo-deepdrive[rllib]'" in run_python(snippet)
-
-
-def test_the_package_itself_does_not_import_ray(run_python: Callable[[str], str]) -> None:
-    snippet = "import sys, mo_deepdrive, mo_deepdrive.envs.parallel\nprint('ray' in sys.modules)"
-    assert run_python(snippet).strip() == "False"
 
 
 # --------------------------------------------------------------------------------------------------- RLlib's machinery

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,22 +106,60 @@ SETTINGS = ["--episodes", EPISODES, "--seed", SEED]
 NAMES = ("distance", "destination", "g_force", "jerk")
 
 
-@pytest.mark.parametrize(
-    "weights", [{"distance": 1.0}, {"jerk": 1.0}, {"distance": 1.0, "g_force": 0.3, "jerk": 0.004}]
-)
-def test_weights_choose_the_greatest_weighted_sum(
-    folder: Path, returns: np.ndarray, choose: Choose, weights: dict[str, float]
+def weighted(returns: np.ndarray, scales: np.ndarray, **weights: float) -> Any:
+    return sum(weight * returns[:, :, NAMES.index(name)].mean(axis=1) for name, weight in weights.items())
+
+
+def of_utility(name: str) -> Callable[..., Any]:
+    return lambda returns, scales: make_utility(name, NAMES)(returns).mean(axis=1)
+
+
+def short_of(returns: np.ndarray, scales: np.ndarray, target: list[float]) -> Any:
+    return -np.linalg.norm(np.maximum(0.0, target - returns.mean(axis=1)) / scales, axis=1)
+
+
+# Options, what they make a policy worth of its returns (K, E, d) and the scales, and the row of the table that has it.
+CHOICES: dict[str, tuple[list[str], Callable[..., Any], str]] = {
+    "weights": (
+        ["--weights", "distance=1", "g_force=0.3", "jerk=0.004"],
+        functools.partial(weighted, distance=1.0, g_force=0.3, jerk=0.004),
+        "weighted sum",
+    ),
+    **{
+        name: (["--utility", name], of_utility(name), f"expected {name}")
+        for name in ("one_waypoint_linear", "one_waypoint_nonlinear")
+    },
+    "arguments": (
+        ["--utility", "linear", "--arguments", "{weights: [0, 0, 1, 0]}"],
+        functools.partial(weighted, g_force=1.0),
+        "expected linear",
+    ),
+    "own": (
+        ["--utility", "wishes:squared"],
+        lambda returns, scales: -((returns[..., 0] - 0.2) ** 2).mean(axis=1),
+        "expected wishes:squared",
+    ),
+    "target": (
+        ["--target", "distance=100", "jerk=0"],
+        functools.partial(short_of, target=[100.0, -math.inf, -math.inf, 0.0]),
+        "minus the distance to the target",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_the_policy_that_is_worth_most_is_chosen(
+    folder: Path, returns: np.ndarray, choose: Choose, tmp_path: Path, name: str
 ) -> None:
-    done = choose(folder, *SETTINGS, "--weights", *(f"{name}={w}" for name, w in weights.items()))
-    k = chosen(done, folder)
-    worth = [
-        sum(w * episode[NAMES.index(name)] for episode in policy for name, w in weights.items()) / EPISODES
-        for policy in returns
-    ]
-    assert worth[k] == pytest.approx(max(worth), abs=1e-6)
-    assert numbers_of(done[1], "weighted sum")[0] == pytest.approx(max(worth), rel=1e-3)
-    for i, name in enumerate(NAMES):
-        assert numbers_of(done[1], name)[0] == pytest.approx(returns[k, :, i].mean(), rel=0.02, abs=1e-3)
+    (tmp_path / "wishes.py").write_text("def squared(returns):\n    return -((returns[..., 0] - 0.2) ** 2)\n")
+    options, worth_of, row = CHOICES[name]
+    done = choose(folder, *SETTINGS, *options)
+    scales = build(Run.open(folder).experiment, num_envs=1).scales
+    k, worth = chosen(done, folder), worth_of(returns, scales)
+    assert worth[k] == pytest.approx(worth.max(), abs=1e-6)
+    assert numbers_of(done[1], row)[0] == pytest.approx(worth.max(), rel=1e-3, abs=1e-4)
+    for i, objective in enumerate(NAMES):
+        assert numbers_of(done[1], objective)[0] == pytest.approx(returns[k, :, i].mean(), rel=0.02, abs=1e-3)
 
 
 def test_a_preference_for_two_vehicles_names_the_objectives_of_each(tmp_path: Path, call: Call, choose: Choose) -> None:
@@ -163,45 +203,6 @@ def test_one_policy_is_scored_without_a_choice(
     assert "chosen" not in out
     assert numbers_of(out, "weighted sum") == pytest.approx([returns[worst, :, 0].mean()], rel=1e-3, abs=1e-4)
     assert (tmp_path / "drive.mp4").stat().st_size > 0
-
-
-@pytest.mark.parametrize("name", ["one_waypoint_linear", "one_waypoint_nonlinear"])
-def test_a_utility_chooses_the_greatest_expected_utility(
-    folder: Path, returns: np.ndarray, choose: Choose, name: str
-) -> None:
-    done = choose(folder, *SETTINGS, "--utility", name)
-    utility = make_utility(name, NAMES)
-    worth = [sum(float(utility(episode)) for episode in policy) / EPISODES for policy in returns]
-    assert worth[chosen(done, folder)] == pytest.approx(max(worth), abs=1e-6)
-    assert numbers_of(done[1], f"expected {name}")[0] == pytest.approx(max(worth), rel=1e-3)
-
-
-def test_a_utility_may_have_arguments_or_be_the_users_own(
-    folder: Path, returns: np.ndarray, choose: Choose, tmp_path: Path
-) -> None:
-    options = ["--utility", "linear", "--arguments", "{weights: [0, 0, 1, 0]}"]
-    k = chosen(choose(folder, *SETTINGS, *options), folder)
-    means = returns.mean(axis=1)
-    assert means[k, 2] == pytest.approx(means[:, 2].max(), abs=1e-6)
-    (tmp_path / "wishes.py").write_text("def squared(returns):\n    return -((returns[..., 0] - 0.2) ** 2)\n")
-    k = chosen(choose(folder, *SETTINGS, "--utility", "wishes:squared"), folder)
-    worth = -((returns[..., 0] - 0.2) ** 2).mean(axis=1)
-    assert worth[k] == pytest.approx(worth.max(), abs=1e-6)
-
-
-@pytest.mark.parametrize("fraction", [0.25, 0.5, 0.75])
-def test_a_target_chooses_what_falls_least_short_of_it(
-    folder: Path, returns: np.ndarray, choose: Choose, fraction: float
-) -> None:
-    means = returns.mean(axis=1)
-    wanted = {i: float(np.quantile(means[:, i], fraction)) + 0.1 for i in (0, 3)}
-    done = choose(folder, *SETTINGS, "--target", *(f"{NAMES[i]}={value!r}" for i, value in wanted.items()))
-    scales = build(Run.open(folder).experiment, num_envs=1).scales
-    distances = [
-        sum((max(0.0, value - row[i]) / float(scales[i])) ** 2 for i, value in wanted.items()) ** 0.5 for row in means
-    ]
-    assert distances[chosen(done, folder)] == pytest.approx(min(distances), abs=1e-6)
-    assert numbers_of(done[1], "minus the distance to the target")[0] == pytest.approx(-min(distances), rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -110,31 +109,3 @@ def test_mistakes_are_errors_of_one_line(
     assert message in error
     assert error.count("\n") == 1
     assert not (tmp_path / "made").exists()
-
-
-def copied(target: Path) -> str:
-    """A run of another directory and name."""
-    shutil.copytree(zoo.find(PAIR), target)
-    return str(target)
-
-
-def test_a_run_of_the_name_of_a_policy_of_the_zoo_is_refused(
-    load_script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = copied(tmp_path / PAIR)
-    assert load_script("cross_play").main([run, PAIR, "--output", str(tmp_path / "made")]) == 2
-    assert capsys.readouterr().err == f"error: vehicle_0 has two drivers {PAIR!r}; the second is {PAIR!r}\n"
-
-
-def test_names_are_written_as_they_are_or_refused_before_anything_drives(
-    load_script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    odd = copied(tmp_path / r"$\frac{[red],é")
-    options = ["--episodes", "1", "--split", "validation", "--output", str(tmp_path / "made")]
-    assert load_script("cross_play").main([odd, *options]) == 0
-    with (tmp_path / "made" / "cross_play.csv").open(encoding="utf-8") as stream:
-        assert [row["vehicle_0"] for row in csv.DictReader(stream)] == [r"$\frac{[red],é"]
-    assert r"$\frac{[red],é" in capsys.readouterr().out
-    for name in ("a\nb", "a\udcffb"):
-        assert load_script("cross_play").main([copied(tmp_path / name), *options]) == 2
-        assert f"driver {name!r} has characters in its name that cannot be printed" in capsys.readouterr().err

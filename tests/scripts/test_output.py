@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -92,28 +91,3 @@ def test_a_run_whose_terminal_is_closed_goes_on(driving: Path, tmp_path: Path) -
         os.close(terminal)
         assert process.wait(TIMEOUT) == 0
     assert status(tmp_path / "run")["state"] == "finished"
-
-
-@pytest.mark.parametrize("package", ["pydantic", "rich"])
-def test_an_interrupt_while_packages_are_imported_ends_in_one_line(tmp_path: Path, package: str) -> None:
-    (tmp_path / f"{package}.py").write_text(
-        "import os, signal, time\n"
-        "try:\n"
-        "    os.kill(os.getpid(), signal.SIGINT)\n"
-        "    time.sleep(60)\n"
-        "except BaseException as error:\n"  # as packages do that look for optional ones
-        "    raise ImportError('something is missing') from error\n"
-    )
-    path = os.pathsep.join([str(tmp_path), environment()["PYTHONPATH"]])
-    words = [sys.executable, "-m", "mo_deepdrive", "zoo"]
-    assert run(words, os.open(os.devnull, os.O_WRONLY), tmp_path, PYTHONPATH=path) == (130, "interrupted\n")
-
-
-def test_a_message_is_neither_endless_nor_obeyed_by_the_terminal(tmp_path: Path) -> None:
-    name = "evil\x1b[31m" + 100_000 * "x"
-    for words in (command("evaluate", name), [sys.executable, "-m", "mo_deepdrive", name]):
-        code, error = run(words, os.open(os.devnull, os.O_WRONLY), tmp_path)
-        assert code == 2
-        assert "evil\\x1b[31mxxx" in error
-        assert "\x1b" not in error
-        assert len(error) < 5000

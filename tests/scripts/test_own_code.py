@@ -17,8 +17,6 @@ import yaml
 from safetensors.torch import load_file
 
 from algorithms.reporting.training_log import read_metrics
-from algorithms.runs.build import build
-from algorithms.runs.config import load_experiment, make_experiment
 from mo_deepdrive.evaluation import evaluate
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import Call, interrupt, refused
@@ -144,27 +142,6 @@ def test_an_own_loss_trains_with_several_seeds_and_becomes_onnx(folder: Path, ca
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("config", "options"),
-    [
-        ("one_waypoint/mo_ppo_linear", {"seeds": [0, 1]}),
-        ("intersection/strangers_vehicle_0", {}),
-        ("left_turn/mo_ppo_risk_averse", {}),
-    ],
-    ids=["seeds side by side", "partners", "a utility that is averse to risk"],
-)
-def test_an_own_loss_is_the_one_that_runs(config: str, options: dict[str, Any]) -> None:
-    penalties = ("--algorithm.beta=0", "--algorithm.beta=30")
-    name, short = "--algorithm.name=kl_penalty:KLPenalty", ("--training.num_envs=20", "--algorithm.hidden=[8]")
-    policies = []
-    for penalty in penalties:
-        agent = build(load_experiment(config, [name, penalty, *short]), **options)
-        agent.train(2 * 20 * agent.config.steps)
-        policies.append(agent.get_policy())
-    assert any(not torch.equal(each, policies[1][name]) for name, each in policies[0].items())
-
-
-@pytest.mark.slow
 def test_an_own_algorithm_that_is_killed_resumes_to_the_same_run_and_needs_trust(folder: Path, call: Call) -> None:
     shorten(folder / "reinforce.yaml", SHORT)
     arguments = ("--config", "reinforce.yaml", "--training.total_timesteps=8000", "--evaluation.interval=2000")
@@ -204,61 +181,7 @@ def test_the_hint_after_an_interrupt_is_a_command_that_resumes(call: Call, monke
     assert call(*words)[0] == 128 + signal.SIGTERM
 
 
-def test_an_episode_counts_with_the_utility_of_its_whole_return() -> None:
-    """The loss of one update against plain sums over the episodes, each of which is driven to its end."""
-    experiment = load_experiment("reinforce.yaml", ["--training.num_envs=3"])
-    agent, actor = build(experiment), build(experiment).actor
-    steps: list[Any] = []
-    step = agent.env.step
-    agent.env.step = lambda actions: steps.append((actions, step(actions))) or steps[-1][1]  # type: ignore[method-assign]
-    observations = [agent.env.reset(agent.env_seed)]
-    loss = float(agent.update(0.0)["loss/policy"])
-    observations += [taken.observations for _, taken in steps]
-    values, log_probs = [], []
-    for n in range(3):
-        accrued, log_prob = np.zeros(len(agent.env.objectives), np.float32), 0.0
-        for seen, (actions, taken) in zip(observations, steps, strict=False):
-            x = agent.inputs(seen[n, 0], accrued)
-            log_prob += float(actor(x, torch.as_tensor(actions[n, 0]))[0])
-            accrued = accrued + taken.rewards[n, 0]
-            if taken.terminated[n, 0] or taken.truncated[n, 0]:
-                break
-        values.append(float(agent.utilities[0](torch.from_numpy(accrued))))
-        log_probs.append(log_prob)
-    weights = (np.array(values) - np.mean(values)) / (np.std(values) + 1e-8)
-    assert loss == pytest.approx(-float(weights @ log_probs) / 3, rel=1e-3, abs=1e-6)
-
-
 # --------------------------------------------------------------------------------------------- networks and activations
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["a2c", "ppo", "mo_a2c", "mo_ppo"])
-@pytest.mark.parametrize("setting", [{"activation": "tanh"}, {"network": "own_networks:layer_norm"}])
-def test_another_network_is_trained_saved_and_told_from_the_default(
-    folder: Path, algorithm: str, setting: dict[str, str]
-) -> None:
-    text = (REPOSITORY / "docs" / "own_algorithm.md").read_text()
-    (folder / "own_networks.py").write_text(next(code for code in blocks(text) if "def layer_norm" in code))
-    sections = {name: SHORT[name] for name in ("training", "evaluation")}
-    driving = {"id": "mo-deepdrive-one-waypoint-v0", "arguments": {"time_limit": 1}}
-    values = {"environment": driving, "utility": {"name": "one_waypoint_linear"}, **sections}
-    settings = {"name": algorithm, "steps": 4, "hidden": [8]}
-    experiment = make_experiment({**values, "algorithm": {**settings, **setting}})
-    assert make_experiment(experiment.to_dict()) == experiment
-    agents = [build(experiment) for _ in range(2)]
-    for agent in agents:
-        agent.train(320)
-    agents[0].save(folder / "whole")
-    agents[0].train(640)
-    agents[1].load(folder / "whole")
-    agents[1].train(640)
-    for name, tensor in agents[0].get_state().items():
-        assert torch.equal(tensor, agents[1].get_state()[name]), name
-    default = make_experiment({**values, "algorithm": settings})
-    ((key, value),) = setting.items()
-    with pytest.raises(ValueError, match=f"has {key} = '{value}'; this agent has"):
-        build(default).load(folder / "whole", policy_only=True)
 
 
 def blocks(text: str) -> list[str]:

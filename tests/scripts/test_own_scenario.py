@@ -10,7 +10,7 @@ import pytest
 
 from algorithms.reporting.training_log import read_metrics
 from tests.helpers.paths import REPOSITORY
-from tests.helpers.script_runs import PICTURES, Call, refused, status
+from tests.helpers.script_runs import Call, refused, status
 
 pytestmark = pytest.mark.slow
 
@@ -48,18 +48,6 @@ def test_a_run_is_trained_evaluated_and_drawn(folder: Path, call: Call) -> None:
     assert "return/effort" in out
     assert call("plot", "run", "--output", "curves.png")[0] == 0
     assert (folder / "curves.png").stat().st_size > 0
-
-
-def test_pcn_finds_a_front_in_it(folder: Path, call: Call) -> None:
-    (folder / "front.yaml").write_text(
-        "environment: {id: 'two_bicycles:mo-deepdrive-two-bicycles-v0', arguments: {objectives: [distance, effort]}}\n"
-        "algorithm: {name: pcn, gradient_steps: 5, warmup_episodes: 16}\n"
-    )
-    code, out, error = call("train", "--config", "front.yaml", "--output", "run", *SHORT)
-    assert code == 0, error
-    assert "effort" in out
-    assert "hypervolume" in out
-    assert all((folder / "run" / name).stat().st_size > 0 for name in PICTURES)
 
 
 def test_worker_processes_import_the_module(folder: Path, call: Call) -> None:

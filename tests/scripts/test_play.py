@@ -187,15 +187,6 @@ def test_without_a_display_the_error_says_what_is_missing(
     assert "nonesuch" in no_window(play, capsys)
 
 
-def test_an_invisible_window_is_refused_unless_it_is_requested(
-    play: ModuleType, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
-    for name, result in (("init", None), ("set_caption", None), ("get_driver", "offscreen")):
-        monkeypatch.setattr(pygame.display, name, lambda *_, result=result: result)
-    assert "'offscreen'" in no_window(play, capsys)
-
-
 @pytest.mark.parametrize(("role", "seat"), [("strangers_0", 1), ("strangers_1", 0)])
 def test_one_drives_the_vehicle_that_the_run_did_not_learn(
     play: ModuleType, typing: Typist, capsys: pytest.CaptureFixture[str], role: str, seat: int

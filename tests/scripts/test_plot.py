@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
@@ -33,18 +32,3 @@ def test_plot_fails_in_one_line_where_matplotlib_does(
 
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", broken)
     assert call("plot", finished) == (1, "", "error: the curves could not be drawn: RuntimeError: no fonts\n")
-
-
-def test_a_folder_stands_for_the_runs_in_it(finished: Path, tmp_path: Path, call: Call) -> None:
-    folder = tmp_path / "experiment"
-    shutil.copytree(finished, folder / "seeds" / "one")
-    code, out, error = call("plot", folder, "--output", "curves.png")
-    assert code == 0, out + error
-    assert "mo_a2c: 1 seed" in out
-
-
-def test_plot_draws_runs_of_fronts(finished_front: Path, tmp_path: Path, call: Call) -> None:
-    code, out, error = call("plot", finished_front, "--output", "curves.pdf")
-    assert code == 0, out + error
-    assert "pcn: 1 seed" in out
-    assert (tmp_path / "curves.pdf").read_bytes().startswith(b"%PDF")

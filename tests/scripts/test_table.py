@@ -141,21 +141,6 @@ def test_columns_are_chosen_by_name_and_say_what_to_cite(
     assert "--columns return/g_forse: no run has such a score; the nearest: return/g_force" in capsys.readouterr().err
 
 
-def test_a_run_whose_final_evaluation_has_changed_is_left_out(
-    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
-) -> None:
-    changed, intact = (make_learner(tmp_path, "a2c", seed, 1.0) for seed in range(2))
-    for path in (changed, intact):
-        Run.open(path).set_status("finished", 10)
-    text = (changed / "evaluation.json").read_text()
-    (changed / "evaluation.json").write_text(text.replace("1.0", "9.0"))
-    output = tmp_path / "scores.csv"
-    assert run_table(tmp_path, "--output", output) == 0
-    message = f"left out: {changed}: evaluation.json: changed since the run finished\n"
-    assert capsys.readouterr().err == message
-    assert {row["seeds"] for row in read(output)} == {"1"}
-
-
 @pytest.mark.parametrize(
     ("output", "message"),
     [
@@ -221,9 +206,12 @@ def test_runs_that_are_not_evaluated_or_finished_are_left_out_and_a_repeated_see
     (tmp_path / "runs").mkdir()
     assert run_table(tmp_path / "runs") == 2
     assert "holds no run" in capsys.readouterr().err
-    finished, stopped, broken = (make_learner(tmp_path / "runs", "a2c", seed, 1.0) for seed in range(3))
+    finished, stopped, broken, changed = (make_learner(tmp_path / "runs", "a2c", seed, 1.0) for seed in (0, 1, 2, 4))
     unfinished = make_run(tmp_path / "runs", "one_waypoint/a2c_linear", 3, None)
     Run.open(stopped).set_status("interrupted", 5)
+    Run.open(changed).set_status("finished", 10)
+    text = (changed / "evaluation.json").read_text()
+    (changed / "evaluation.json").write_text(text.replace("1.0", "9.0"))
     (broken / "status.json").write_text("finished")
     output = tmp_path / "scores.csv"
     assert run_table(tmp_path / "runs", "--output", output) == 0
@@ -232,6 +220,7 @@ def test_runs_that_are_not_evaluated_or_finished_are_left_out_and_a_repeated_see
     assert f"left out: {stopped}: its training is not finished\n" in error
     assert f"left out: {broken}: status.json: cannot be read\n" in error
     assert f"left out: {unfinished}" in error
+    assert f"left out: {changed}: evaluation.json: changed since the run finished\n" in error
     make_learner(tmp_path / "again", "a2c", 0, 1.0)
     assert run_table(finished, tmp_path / "again") == 2
     assert "the same seed, 0" in capsys.readouterr().err

@@ -220,14 +220,14 @@ def test_the_last_of_the_logged_fronts_is_the_front_of_the_run(finished_front: P
 
 def stop_at(monkeypatch: pytest.MonkeyPatch, step: int, happens: Callable[[], None]) -> None:
     """Call ``happens`` when the first front past ``step`` has been written."""
-    write = FrontsFile.write
+    write = FrontsFile.write_front
 
     def spy(self: FrontsFile, at: int, front: Front) -> None:
         write(self, at, front)
         if at >= step:
             happens()
 
-    monkeypatch.setattr(FrontsFile, "write", spy)
+    monkeypatch.setattr(FrontsFile, "write_front", spy)
 
 
 def crash() -> None:

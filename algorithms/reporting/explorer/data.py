@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import moocore
 import numpy as np
 
-from mo_deepdrive.evaluation.drives import POSE, READINGS, PlanDriver, is_drivable, record_scenes
-from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
+from mo_deepdrive.evaluation.drives import POSE, READINGS, Playback, record_scenes
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, is_drivable, make_env
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.metrics import name_and_unit, without_vehicle
-from mo_deepdrive.evaluation.policy import PolicyDriver
 from mo_deepdrive.evaluation.statistics import rate
 from mo_deepdrive.fronts import reference_fronts
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, MAP_CENTRE, WIDTH
 from mo_deepdrive.utilities import COMFORT_BUDGETS, NONLINEAR, ComfortBudget
-from mo_deepdrive.world.action_sequences import decode, discounted_sum, idle, replay
+from mo_deepdrive.world.action_sequences import decode, discounted_sum, replay
 from mo_deepdrive.world.objectives import signs
 from mo_deepdrive.world.scenarios import SCENARIOS
 
@@ -187,8 +186,8 @@ def explorable_front(
     if is_drivable(environment.id):
         seeds = range(seed, seed + min(driven, SCENARIOS_SHOWN))
         conditions = np.tile(np.asarray(front.conditions, dtype=np.float32), (len(seeds), 1))
-        driver = PolicyDriver(agent.policies(conditions), num_envs=len(conditions))
-        scenes = record_scenes(driver, environment.id, environment.arguments, seeds=seeds, drives=len(front))
+        policy = agent.policies(conditions)
+        scenes = record_scenes(policy, environment.id, environment.arguments, seeds=seeds, drives=len(front))
     return ExplorableFront(
         title=title,
         objectives=front.objectives,
@@ -229,8 +228,8 @@ def explorable_best_known(name: str) -> ExplorableFront:
         "fixed_obstacle": config.fixed_obstacle,
         "objectives": list(objectives),
     }
-    driver = PlanDriver([plans[k] for k in kept], idle(action_type))
-    (scene,) = record_scenes(driver, scenario.id, arguments, seeds=[0], drives=len(kept))
+    playback = Playback([plans[k] for k in kept], action_type)
+    (scene,) = record_scenes(playback, scenario.id, arguments, seeds=[0], drives=len(kept))
     budget_name, budget = _budget(scenario_name, objectives)
     with closing(make_env(scenario.id, 1, arguments)) as env:
         scales = EnvAdapter(env).objective_scales.astype(np.float64)

@@ -226,7 +226,7 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
         ({"metric": "stochastic/utility_ers"}, "metric 'stochastic/utility_ers' is unknown; the nearest ones: stoch"),
         ({"columns": ["success", "arrivals"]}, "columns has 'arrivals', which no run has; the nearest ones: "),
         ({"metric": None}, "task 'short' has no metric"),
-        ({"metric": "utility_esr"}, "metric = 'utility_esr' must begin with a policy"),
+        ({"metric": "utility_esr"}, "metric 'utility_esr' is unknown; the nearest ones: .*/utility_esr"),
         ({"help": {"algorithm.gama": 0.9}}, "no learner has the setting 'algorithm.gama'"),
         ({"ray": {"asha": {"metric": "greedy/utility_esr", "grace_period": 1}}}, "prune runs that count"),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from itertools import count, takewhile
 from typing import Any
 
 import numpy as np
@@ -27,16 +28,8 @@ def settings_of(**settings: Any) -> SearchSettings:
 
 def points(settings: SearchSettings, scores: Mapping[str, float | None] | None = None) -> list[dict[str, Any]]:
     """The proposed points; the run of trial n has the id "n"."""
-    found: list[dict[str, Any]] = []
-    proposals = propose_points(settings)
-    known: list[float | None] | None = None
-    while batch := proposals.send(known):
-        trials = [str(trial) for trial in range(len(found), len(found) + len(batch))]
-        found += batch
-        if not {*trials} <= {*(scores or {})}:
-            break
-        known = [(scores or {})[trial] for trial in trials]
-    return found
+    known = takewhile(lambda trial: trial in (scores or {}), map(str, count()))
+    return propose_points(settings, [(scores or {})[trial] for trial in known])
 
 
 def test_integer_bounds_give_integers_unless_the_step_is_a_fraction() -> None:

@@ -256,22 +256,6 @@ def test_what_a_device_cannot_do_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
         np.testing.assert_array_equal(array, before[name])
 
 
-@pytest.mark.parametrize(("missing", "named"), [("torch", "torch"), ("numba_cuda", "numba_cuda")])
-def test_a_missing_package_is_named_with_its_extra(missing: str, named: str, run_python: Callable[[str], str]) -> None:
-    module = {"torch": "mo_deepdrive.envs.device", "numba_cuda": "mo_deepdrive.device.cuda"}[missing]
-    output = run_python(f"""
-import sys
-sys.modules[{missing!r}] = None
-from mo_deepdrive.support.extras import needed_for
-try:
-    with needed_for("device = 'cuda'", "cuda"):
-        import {module}
-except ImportError as error:
-    print(error)
-""")
-    assert output.strip() == f"device = 'cuda' needs {named}: pip install 'mo-deepdrive[cuda]'"
-
-
 @pytest.mark.gpu
 def test_more_worlds_than_fit_on_a_gpu_are_refused() -> None:
     with pytest.raises(ValueError, match=r"num_envs = 10000000000 takes at least .* of the memory of cuda:0"):

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -118,23 +117,3 @@ def test_the_action_of_a_last_turn_is_ignored_but_must_be_valid(make_single: Any
     assert {observation.tobytes() for observation, *_ in results} == {results[0][0].tobytes()}
     assert {reward.tobytes() for _, reward, *_ in results} == {results[0][1].tobytes()}
     assert results[0][4] == {"vehicle": 0}
-
-
-# ---------------------------------------------------------------------------------------------------------- bad input
-
-
-@pytest.mark.parametrize("choices", [1, 2])
-def test_an_invalid_action_changes_neither_the_turn_nor_the_pending_choice(make_single: Any, choices: int) -> None:
-    env = make_single("intersection", action_type="continuous")
-    env.reset(seed=0)
-    for _ in range(choices):
-        env.step(np.array([0.1, 1.0, -1.0]))
-    before = copy.deepcopy(env)
-    with pytest.raises(ValueError, match=rf"nan.* of vehicle {choices % 2} is not allowed"):
-        env.step(np.array([0.0, math.nan, 0.0]))
-    for _ in range(3):
-        results, expected = env.step(np.zeros(3)), before.step(np.zeros(3))
-        assert results[4] == expected[4]
-        assert results[0].tobytes() == expected[0].tobytes()
-        assert results[1].tobytes() == expected[1].tobytes()
-    assert env.batch.state.tobytes() == before.batch.state.tobytes()

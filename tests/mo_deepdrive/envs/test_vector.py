@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import io
-import math
 import re
 from collections.abc import Callable
 from typing import Any
@@ -80,16 +79,6 @@ def test_next_step_is_bit_for_bit_mo_gymnasiums_vector_of_single_environments(
     # A reset without a seed continues the streams.
     ours = unsigned_zeros(rollout(native, actions[:40], seed=None))
     assert_equal(ours, unsigned_zeros(rollout(reference, actions[:40], seed=None)))
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_cost_of_zero_is_not_minus_zero(make_vector: Make, scenario: str) -> None:
-    # In the step that resets a world the rewards are zeros, as in MO-Gymnasium's vector environment, bit for bit.
-    env = make_vector(scenario, 2, time_limit=0.2)
-    costs = [name != "time" for name in env.objectives]  # an idle decision takes time
-    for result in rollout(env, [np.zeros(env.action_space.shape, dtype=np.int64)] * 4)[1:]:
-        assert not result[1][..., costs].any()
-        assert not np.signbit(result[1][..., costs]).any()
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), ALONE_EVERY)
@@ -282,22 +271,15 @@ def test_an_integer_seed_counts_up_and_a_list_seeds_every_world(make_vector: Mak
 
 
 @pytest.mark.parametrize(
-    ("seed", "message"),
-    [
-        (1.5, "seed = 1.5 must be None or a non-negative integer"),
-        (-1, "seed = -1 must be None or a non-negative integer"),
-        ([0, "a"], "seed[1] = 'a' must be None or a non-negative integer"),
-        (np.array([True, False]), f"seed[0] = {np.True_!r} must be None or a non-negative integer"),
-    ],
+    ("seed", "wrong"), [([0, "a"], "seed[1] = 'a'"), (np.array([True]), f"seed[0] = {np.True_!r}")]
 )
-def test_an_invalid_seed_is_refused_and_no_world_changes(make_vector: Make, seed: Any, message: str) -> None:
-    env = make_vector("one_waypoint", 2)
+def test_an_invalid_seed_in_a_list_is_refused_and_no_world_changes(make_vector: Make, seed: Any, wrong: str) -> None:
+    env = make_vector("one_waypoint", len(seed))
     env.reset(seed=0)
     before = env.get_state()
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+    with pytest.raises(ValueError, match=f"^{re.escape(wrong)} must be None or a non-negative integer$"):
         env.reset(seed=seed)
     assert_equal(env.get_state(), before)
-    assert env.np_random_seed == (0, 1)
 
 
 @pytest.mark.parametrize("scenario", ALONE)
@@ -334,83 +316,7 @@ def test_a_masked_reset_does_not_affect_the_other_worlds_and_their_streams(make_
     assert (ours[1] != theirs[1]).any()
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_unseeded_environments_differ(make_vector: Make, scenario: str) -> None:
-    spawns = [make_vector(scenario, 3).reset()[0] for _ in range(3)]
-    assert len({row.tobytes() for spawn in spawns for row in spawn}) == 9
-
-
-# ------------------------------------------------------------------------------------------------------ Intersection
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("end_together", [False, True])
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_flags_persist_until_the_world_is_reset_and_vehicles_off_the_road_earn_nothing(
-    make_vector: Make, mode: str, end_together: bool
-) -> None:
-    env = make_vector(
-        "intersection", 16, action_type="continuous", autoreset_mode=mode, time_limit=20.0, end_together=end_together
-    )
-    env.reset(seed=12)
-    gone = np.zeros((16, 2), dtype=bool)  # vehicles that have left the road
-    fresh = np.zeros(16, dtype=bool)  # worlds that are reset in this step
-    drove_on = 0
-    for batch in sticky_actions(env, 400, seed=12):
-        before = env.telemetry()
-        _, rewards, terminated, truncated, infos = env.step(batch)
-        after = env.telemetry()
-        flags = terminated | truncated
-        np.testing.assert_array_equal(infos["acted"], ~gone & ~fresh[:, None])
-        assert not (terminated & truncated).any()
-        assert not rewards[~infos["acted"]].any()
-        assert not flags[fresh].any()
-        assert flags[gone & ~fresh[:, None]].all()
-        over = flags.all(axis=1)
-        ends = infos.get("final_info", infos) if mode == "SameStep" else infos
-        assert ("end" in ends) == over.any()
-        for world in range(16):
-            if over[world]:
-                assert all(end for end in ends["end"][world])
-                assert ends["_end"][world]
-            elif "end" in ends:
-                assert ends["end"][world].tolist() == [None, None]
-                assert not ends["_end"][world]
-                assert not ends["success"][world].any()
-            for v in range(2):
-                if gone[world, v] and not fresh[world] and not (over[world] and mode == "SameStep"):
-                    assert after[world][v] == before[world][v], "it does not move after leaving the road"
-        if end_together:
-            np.testing.assert_array_equal(flags.any(axis=1), flags.all(axis=1))
-        drove_on += int((flags.sum(axis=1) == 1).sum())
-        gone = flags.copy()
-        fresh = over.copy() if mode == "NextStep" else np.zeros(16, dtype=bool)
-        if mode == "SameStep":
-            gone[over] = False
-        else:
-            gone[fresh] = True
-    assert (drove_on > 100) == (not end_together)
-
-
 # --------------------------------------------------------------------------------------------- what comes back, limits
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_returned_arrays_are_new_and_may_be_changed_by_the_caller(make_vector: Make, scenario: str) -> None:
-    env, modified = (make_vector(scenario, 3, autoreset_mode="SameStep", time_limit=0.5) for _ in range(2))
-    actions = sticky_actions(env, 30, seed=0)
-    expected = rollout(env, actions)
-    modified.reset(seed=0)[0][:] = np.nan
-    for action, step in zip(actions, expected[1:], strict=True):
-        ours = modified.step(action)
-        assert_equal(ours, step)
-        for array in (*ours[:4], *ours[4].values()):
-            if isinstance(array, np.ndarray):
-                assert array.flags.writeable
-                array[...] = 1
-    arrays = [array for step in expected[1:] for array in step[:4]]
-    assert not any(np.shares_memory(arrays[0], other) for other in arrays[1:])
-    assert not any(np.shares_memory(one, two) for one, two in zip(arrays[:-4], arrays[4:], strict=True))
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
@@ -424,16 +330,6 @@ def test_max_episode_steps_is_the_time_limit_in_decisions(make_vector: Make, sce
         assert truncated.all() == truncated.any() == (step == 7)
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_step_before_the_first_reset_is_refused(make_vector: Make, scenario: str, mode: str) -> None:
-    env = make_vector(scenario, 2, autoreset_mode=mode)
-    with pytest.raises(ResetNeeded):
-        env.step(env.action_space.sample())
-    env.reset()
-    env.step(env.action_space.sample())
-
-
 def test_a_vehicle_that_was_never_placed_has_not_acted(make_vector: Make) -> None:
     env = make_vector("intersection", 2)
     env.reset(seed=0, options={"reset_mask": np.array([True, False])})
@@ -442,48 +338,10 @@ def test_a_vehicle_that_was_never_placed_has_not_acted(make_vector: Make) -> Non
     assert env.step(idle)[4]["acted"].all()
 
 
-@pytest.mark.parametrize("action_type", ACTION_TYPES)
-@pytest.mark.parametrize("scenario", SCENARIOS)
-@pytest.mark.parametrize("threads", [1, 2])
-def test_one_invalid_action_is_refused_and_no_world_moves(
-    make_vector: Make, scenario: str, action_type: str, threads: int
-) -> None:
-    env = make_vector(scenario, 4, action_type=action_type, threads=threads)
-    env.reset(seed=0)
-    good = env.action_space.sample()
-    env.step(good)
-    twin = copy.deepcopy(env)
-    bad: list[tuple[Any, str]] = [
-        (good[:3], "shape"),
-        (good[None], "shape"),
-        (good[0], "shape"),
-        (good.astype(str), "dtype"),
-        (good.astype(complex), "dtype"),
-    ]
-    if action_type == "continuous":
-        for value in (math.nan, math.inf, -math.inf):
-            wrong = good.copy()
-            wrong[(2, *[-1] * (wrong.ndim - 1))] = value
-            bad.append((wrong, "world 2"))
-    else:
-        bad.append((good.astype(np.float32), "dtype"))
-        for value in (-1, 22, 2**40):
-            wrong = good.astype(np.int64)
-            wrong[(2, *[-1] * (wrong.ndim - 1))] = value
-            bad.append((wrong, "world 2"))
-    for actions, message in bad:
-        with pytest.raises(ValueError, match=message):
-            env.step(actions)
-    assert_equal(env.get_state(), twin.get_state())
-    assert_equal(env.step(good), twin.step(good))
-
-
 BAD_RESETS: dict[str, tuple[str, dict[str, Any], str]] = {
     "a mask of numbers": ("one_waypoint", {"reset_mask": np.array([1, 0])}, "reset_mask"),
     "a mask of another size": ("one_waypoint", {"reset_mask": np.array([True])}, "reset_mask"),
     "an empty mask": ("one_waypoint", {"reset_mask": np.array([False, False])}, "at least one True"),
-    "an unknown option": ("intersection", {"start": (0.0, 0.0, 0.0)}, "did you mean 'starts'"),
-    "a start that is not a number": ("intersection", {"starts": ((0.0, 0.0, 0.0), (0.0, math.nan, 0.0))}, "finite"),
     "an invalid bicycle": (
         "static_obstacle",
         {"start": (0.0, 0.0, 0.0), "obstacle": ((0.0, 0.0), (0.1, 0.0))},
@@ -507,23 +365,3 @@ def test_an_invalid_reset_is_refused_and_no_world_changes(make_vector: Make, wha
         assert env.np_random_seed == twin.np_random_seed == (0, 1)
     assert env.telemetry() == twin.telemetry()
     assert_equal(env.step(action), twin.step(action))
-
-
-BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
-    "no worlds": ("one_waypoint", {"num_envs": 0}, "num_envs = 0"),
-    "true worlds": ("one_waypoint", {"num_envs": True}, "num_envs = True must be a positive integer"),
-    "no threads": ("one_waypoint", {"num_envs": 2, "threads": 0}, "threads = 0 must be a positive integer"),
-    "true threads": ("one_waypoint", {"threads": True}, "threads = True must be a positive integer"),
-    "no episode steps": ("one_waypoint", {"max_episode_steps": 0}, "max_episode_steps"),
-    "an unknown autoreset mode": ("one_waypoint", {"autoreset_mode": "Never"}, "Never"),
-    "an unknown render mode": ("intersection", {"render_mode": "ascii"}, "render_mode = 'ascii'"),
-}
-
-
-@pytest.mark.parametrize("what", BAD_ARGUMENTS)
-def test_invalid_environment_arguments_are_refused(what: str) -> None:
-    from mo_deepdrive.envs.vector import DrivingVectorEnv
-
-    scenario, options, message = BAD_ARGUMENTS[what]
-    with pytest.raises(ValueError, match=message):
-        DrivingVectorEnv(scenario=scenario, **options)

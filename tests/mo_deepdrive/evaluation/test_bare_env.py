@@ -70,9 +70,9 @@ def test_no_later_step_overwrites_what_a_step_gave() -> None:
     env = make_env(ONE_WAYPOINT, N, {"time_limit": 1.0}).unwrapped
     env.reset(seed=0)
     taken = [env.advance(np.full((N, 1), 3)) for _ in range(12)]
-    saved = [{name: array.copy() for name, array in vars(each).items()} for each in taken]
+    saved = [{name: array.copy() for name, array in each._asdict().items()} for each in taken]
     for _ in range(12):
         env.advance(np.full((N, 1), 5))
     for each, copies in zip(taken, saved, strict=True):
-        for name, array in vars(each).items():
+        for name, array in each._asdict().items():
             np.testing.assert_array_equal(array, copies[name])

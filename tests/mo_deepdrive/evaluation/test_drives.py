@@ -12,9 +12,9 @@ from algorithms.runs.build import load_policy
 from algorithms.runs.policy_evaluation import evaluate_front_policies
 from algorithms.runs.run_directory import Run
 from mo_deepdrive import parallel_env
-from mo_deepdrive.evaluation.drives import READINGS, PlanDriver, is_drivable, record_scenes
+from mo_deepdrive.evaluation.drives import READINGS, Playback, record_scenes
+from mo_deepdrive.evaluation.env_adapter import is_drivable
 from mo_deepdrive.evaluation.front import Front
-from mo_deepdrive.evaluation.policy import PolicyDriver
 from mo_deepdrive.simulation.state import MAP_CENTRE, MAP_SIZE
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
@@ -28,12 +28,9 @@ class Scripted:
         self.actions = actions
         self.decision = 0
 
-    def act(self, observations: np.ndarray) -> np.ndarray:
+    def __call__(self, observations: np.ndarray, accrued: np.ndarray, discounts: np.ndarray) -> np.ndarray:
         self.decision += 1
         return self.actions[self.decision - 1][None]
-
-    def observe(self, rewards: np.ndarray) -> None:
-        assert rewards.shape[:2] == (1, self.actions.shape[1])
 
 
 def telemetry(env_id: str, seed: int, plan: np.ndarray, idle: Any, **arguments: Any) -> list[dict[str, float]]:
@@ -56,7 +53,7 @@ def test_a_drive_is_what_telemetry_reports(action_type: str) -> None:
     plans = [rng.integers(0, 22, shape) if len(shape) == 1 else rng.uniform(-1, 1, shape) for _ in range(3)]
     arguments = {"action_type": action_type, "time_limit": 4}
     seeds = [11, 12]
-    driver = PlanDriver(plans * 2, idle)
+    driver = Playback(plans * 2, action_type)
     scenes = record_scenes(driver, ONE_WAYPOINT, arguments, seeds=seeds, drives=3)
     assert [scene.seed for scene in scenes] == seeds
     for scene in scenes:
@@ -98,7 +95,7 @@ def test_a_drive_of_many_vehicles_is_what_telemetry_reports_until_each_has_ended
 def test_a_drive_at_the_left_turn_has_the_oncoming_cars() -> None:
     plan = np.array([14] * 10)
     arguments = {"time_limit": 8}
-    (scene,) = record_scenes(PlanDriver([plan], np.array(0)), LEFT_TURN, arguments, seeds=[3], drives=1)
+    (scene,) = record_scenes(Playback([plan], "discrete"), LEFT_TURN, arguments, seeds=[3], drives=1)
     (drive,) = scene.drives
     assert scene.lanes
     assert len(scene.routes[0]) == 3
@@ -119,7 +116,7 @@ def test_a_drive_at_the_left_turn_has_the_oncoming_cars() -> None:
 
 
 def test_bicycles_are_in_the_scene_and_in_the_box() -> None:
-    driver = PlanDriver([np.array([], dtype=np.int64)], np.array(0))
+    driver = Playback([np.array([], dtype=np.int64)], "discrete")
     arguments = {"time_limit": 1}
     (scene,) = record_scenes(driver, "mo-deepdrive-static-obstacle-v0", arguments, seeds=[2], drives=1)
     assert scene.obstacles.shape == (1, 2, 2)
@@ -134,9 +131,9 @@ def test_the_drives_of_policies_earn_what_their_evaluation_measured() -> None:
     run = Run.open("one_waypoint_front-pcn-printed")
     agent, front = load_policy(run), Front.read(run.path)
     seed = 2_000_000
-    driver = PolicyDriver(agent.policies(front.conditions.astype(np.float32)), num_envs=len(front))
+    policy = agent.policies(front.conditions.astype(np.float32))
     arguments = run.experiment.environment.arguments
-    (scene,) = record_scenes(driver, ONE_WAYPOINT, arguments, seeds=[seed], drives=len(front))
+    (scene,) = record_scenes(policy, ONE_WAYPOINT, arguments, seeds=[seed], drives=len(front))
     evaluations = evaluate_front_policies(agent, front, run.experiment, episodes=1, seed=seed)
     for drive, evaluation in zip(scene.drives, evaluations, strict=True):
         assert len(drive.readings) == evaluation.lengths[0, 0] + 1
@@ -152,4 +149,4 @@ def test_only_scenarios_of_this_package_are_drivable() -> None:
     assert is_drivable("mo-deepdrive-intersection-v0")
     assert not is_drivable("deep-sea-treasure-v0")
     with pytest.raises(ValueError, match="'CartPole-v1' cannot be recorded"):
-        record_scenes(PlanDriver([], np.array(0)), "CartPole-v1", {}, seeds=[0], drives=1)
+        record_scenes(lambda *_: 0, "CartPole-v1", {}, seeds=[0], drives=1)

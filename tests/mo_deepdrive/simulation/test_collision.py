@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import Any
 
@@ -69,15 +68,6 @@ def test_two_boxes_overlap_if_no_axis_separates_them(
     assume(abs(gap) > EDGE)
     assert overlap(first, second) == (gap < 0)
     assert overlap(second, first) == (gap < 0)
-
-
-def inside(shapes: Any, box: np.ndarray, many: np.ndarray) -> np.ndarray:
-    """Which of the points (n, m, 2) lie in the boxes (n, 3)."""
-    away = many - box[:, None, :2]
-    cos, sin = np.cos(box[:, None, 2]), np.sin(box[:, None, 2])
-    right = away[..., 0] * cos + away[..., 1] * sin
-    ahead = away[..., 1] * cos - away[..., 0] * sin
-    return (abs(right) <= shapes.width / 2) & (abs(ahead) <= shapes.length / 2)
 
 
 # --------------------------------------------------------------------------------------------- a car and a bicycle
@@ -162,80 +152,6 @@ def test_a_car_that_drives_straight_collides_exactly_if_the_bicycle_is_in_its_sw
 
     check()
     assert min(outcomes.values()) > 20
-
-
-def drive_ahead(env: Any, speed: float, actions: np.ndarray) -> tuple[list[tuple[float, float, float]], str]:
-    """The initial pose and those after each decision, and how the episode ended ("" if it did not)."""
-    set_motion(env, [speed])
-    poses = []
-    for action in (None, *actions):
-        end = ""
-        if action is not None:
-            _, _, terminated, truncated, infos = env.step(action[None].astype(np.float32))
-            end = str(infos["end"][0]) if terminated[0] or truncated[0] else ""
-        reading = env.telemetry()[0][0]
-        poses.append((reading["x"], reading["y"], reading["heading"]))
-        if end:
-            return poses, end
-    return poses, ""
-
-
-def smallest_gap(shapes: Any, before: np.ndarray, after: np.ndarray, point: np.ndarray) -> float:
-    """Gap between a car and a point, the smallest over the poses from ``before`` to ``after``; negative inside."""
-    part = np.linspace(0, 1, 401)[1:, None]
-    x, y, heading = ((1 - part) * before + part * after).T
-    right = (point[0] - x) * np.cos(heading) + (point[1] - y) * np.sin(heading)
-    ahead = (point[1] - y) * np.cos(heading) - (point[0] - x) * np.sin(heading)
-    return float(np.maximum(abs(right) - shapes.width / 2, abs(ahead) - shapes.length / 2).min())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("frequency", "fastest"), [(10, 25.0), (60, 60.0)])
-def test_a_car_that_turns_passes_through_nothing(make_vector: Any, shapes: Any, frequency: int, fastest: float) -> None:
-    # One physics step per decision, so that telemetry shows every pose.
-    options: dict[str, Any] = {
-        "action_type": "continuous",
-        "autoreset_mode": "Disabled",
-        "harmful_g_force": None,
-        "simulation_frequency": frequency,
-        "decision_frequency": frequency,
-    }
-    free = make_vector("one_waypoint", **options)
-    env = make_vector("static_obstacle", **options)
-    rng = np.random.default_rng(frequency)
-    # Poses are tested at most a quarter of a width apart, so everything deeper than half of that is found.
-    surely = -(shapes.width / 8 + 0.01)
-    met = missed = clear = 0
-    for _ in range(300):
-        pins = {"start": (0.0, 0.0, 0.0), "destination": (rng.uniform(-60, 60), 200.0)}
-        speed = rng.uniform(5.0, fastest)
-        # The car turns by at most half a radian per physics step.
-        steer = rng.uniform(-1, 1, (20, 1)) * min(1.0, 0.4 / (0.1 * speed))
-        actions = np.concatenate([steer, rng.uniform(-1, 1, (20, 1)), np.full((20, 1), -1.0)], axis=1)
-        free.reset(options=pins)
-        poses = np.array(drive_ahead(free, speed, actions)[0])
-        near = poses[rng.integers(1, len(poses))]
-        aside, ahead = rng.uniform(-1.3, 1.3, 2) * (shapes.width / 2, shapes.length / 2)
-        cos, sin = math.cos(near[2]), math.sin(near[2])
-        point = near[:2] + aside * np.array([cos, sin]) + ahead * np.array([-sin, cos])
-        try:
-            env.reset(options={**pins, "obstacle": (point, point)})
-        except ValueError:
-            continue  # the car starts on it
-        driven, end = drive_ahead(env, speed, actions)
-        gaps = [smallest_gap(shapes, a, b, point) for a, b in itertools.pairwise(poses)]
-        decision = len(driven) - 1
-        if end == "collision":
-            met += 1
-            assert gaps[decision - 1] < 0.01
-            assert min(gaps[: decision - 1], default=1.0) >= surely
-        else:
-            assert min(gaps) >= surely
-            missed += min(gaps) < 0.0
-            clear += min(gaps) >= 0.0
-    assert met > 100
-    assert clear > 30
-    assert missed < 10  # corners that a turning car clips between two poses
 
 
 # ------------------------------------------------------------------------------------------------- two vehicles
@@ -368,13 +284,3 @@ def test_no_corner_moves_farther_than_the_bound(shapes: Any) -> None:
         assert moved <= bound + EDGE
         ways = math.dist(first[:2], second[:2]), 2 * abs(math.sin((second[2] - first[2]) / 2))
         assert bound == pytest.approx(ways[0] + ways[1] * math.hypot(shapes.width, shapes.length) / 2)
-
-
-def test_the_angle_to_a_point_is_positive_to_the_right() -> None:
-    def angle(x: float, y: float) -> float:
-        return float(geometry.angle_to(3.0, 4.0, 1.0, 0.0, 3.0 + x, 4.0 + y))
-
-    assert [angle(0.0, 2.0), angle(2.0, 0.0), angle(-2.0, 0.0)] == [0.0, math.pi / 2, -math.pi / 2]
-    assert [angle(1.0, 1.0), angle(-1.0, 1.0)] == pytest.approx([math.pi / 4, -math.pi / 4])
-    assert abs(angle(0.0, -2.0)) == math.pi
-    assert angle(0.0, 0.0) == 0.0

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
-from typing import Any
 
 import numba
 import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from llvmlite.binding import get_host_cpu_features
 
 from mo_deepdrive.simulation.dynamics import drive, make_scratch
-from mo_deepdrive.simulation.observation import SIGHT, look
 from mo_deepdrive.simulation.state import ENDS, LANES, VEHICLE
 from mo_deepdrive.simulation.trigonometry import LARGEST, angle_of, sine_cosine
 from mo_deepdrive.world.config import EnvConfig
@@ -286,11 +282,6 @@ def test_frictions_are_those_of_a_second_at_every_simulation_frequency(frequency
     assert spun.yaw_step == pytest.approx(0.01 * 0.95**60)
 
 
-def test_a_car_at_rest_that_is_idle_does_not_change() -> None:
-    car = Car(x=3.0, y=4.0, heading=1.0)
-    assert compiled_decisions(car, [(0.0, 0.0, 0.0)] * 3, Rules()) == [car] * 3
-
-
 @numba.njit
 def sines_and_cosines(angles, out):  # type: ignore[no-untyped-def]
     for k in range(len(angles)):
@@ -388,38 +379,6 @@ def test_worlds_that_move_side_by_side_move_as_if_they_were_alone() -> None:
     assert ended.any()
     assert worlds[ended].tobytes() == before[ended].tobytes()
     assert (worlds["x"] != before["x"])[~ended].all()
-
-
-def move(worlds: Any, controls: Any, params: Any, motion: Any, path: Any) -> None:
-    drive(worlds, 0, LANES, 0, controls, params[0], motion, path)
-
-
-def see(sight: Any) -> None:
-    look(sight[0], LANES)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
-@pytest.mark.skipif(not get_host_cpu_features().get("avx2"), reason="the processor has no AVX2")
-@pytest.mark.parametrize(
-    ("function", "instructions"),
-    [
-        (move, (r"fmul", r"fdiv", r"call .*@llvm\.sqrt\.\w+\(", r"call .*@llvm\.floor\.\w+\(")),
-        (see, (r"fmul", r"fdiv", r"call .*@llvm\.sqrt\.\w+\(", r"call .*@llvm\.copysign\.\w+\(")),
-    ],
-)
-def test_the_compiler_makes_vector_instructions(function: Any, instructions: tuple[str, ...]) -> None:
-    params = make_params(EnvConfig(scenario="one_waypoint"))
-    arguments = (
-        (*make_worlds(LANES), params, *make_scratch(1, params[0].physics_steps))
-        if function is move
-        else (np.zeros(1, dtype=SIGHT),)
-    )
-    compiled = numba.njit(error_model="numpy")(function)
-    compiled(*arguments)
-    (code,) = compiled.inspect_llvm().values()
-    for instruction in instructions:
-        assert re.search(rf"{instruction} ?<\d+ x double>", code), instruction
 
 
 def test_the_path_leads_from_the_pose_before_the_decision_to_that_after_it() -> None:

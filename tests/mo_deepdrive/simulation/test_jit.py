@@ -71,16 +71,6 @@ def test_a_full_disk_is_no_error(cache: Path, monkeypatch: pytest.MonkeyPatch) -
     assert compiled() == "compiled"
 
 
-def test_processes_that_compile_at_the_same_time_do_not_load_each_others_code(cache: Path) -> None:
-    one, other = (vars(jit(triple))["_cache"]._cache_file for _ in range(2))
-    other.save("float", "code for floats")
-    seen = other._load_index()
-    one._load_index = dict  # it had looked before the other one saved
-    one.save("int", "code for integers")
-    other._load_index = lambda: seen
-    assert other.load("float") in ("code for floats", None)
-
-
 def test_the_stamp_depends_on_the_names_and_the_contents_of_all_sources(tmp_path: Path) -> None:
     stamps = set()
     for name, text in (("a.py", "1"), ("a.py", "2"), ("b.py", ""), ("below/c.py", ""), ("note.txt", "")):

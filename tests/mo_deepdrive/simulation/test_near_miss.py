@@ -22,29 +22,6 @@ def meeting(place: tuple[float, float], velocity: tuple[float, float], other: An
     return float(time_to_collision(*place, *velocity, *own, *other))
 
 
-def test_cars_in_one_lane_meet_when_the_gap_is_closed() -> None:
-    assert meeting((0.0, LENGTH + 9.0), (0.0, -6.0), NORTH) == pytest.approx(1.5)
-    assert meeting((0.0, LENGTH + 9.0), (0.0, -6.0), SOUTH) == pytest.approx(1.5)
-    assert meeting((0.0, LENGTH + 9.0), (0.0, 6.0), NORTH) == math.inf, "it drives away"
-    assert meeting((0.0, LENGTH + 9.0), (0.0, 0.0), NORTH) == math.inf
-
-
-def test_cars_in_two_lanes_pass_each_other() -> None:
-    assert meeting((-WIDTH - 0.01, 20.0), (0.0, -20.0), SOUTH) == math.inf
-    assert meeting((-WIDTH + 0.01, 20.0), (0.0, -20.0), SOUTH) == pytest.approx((20.0 - LENGTH) / 20.0)
-
-
-def test_crossing_cars_meet_only_if_both_are_there_at_once() -> None:
-    # The other one drives west across the lane, 10 m ahead and 10 m to the right of the centre, at 4 m/s.
-    half = (LENGTH + WIDTH) / 2
-    ahead_first, ahead_last = (10.0 - half) / 5.0, (10.0 + half) / 5.0  # when they are level, at 5 m/s
-    side_first = (10.0 - half) / 4.0
-    assert ahead_first < side_first < ahead_last
-    assert meeting((10.0, 10.0), (-4.0, -5.0), WEST) == pytest.approx(side_first)
-    assert meeting((10.0, 30.0), (-16.0, -5.0), WEST) == math.inf, "it has passed before"
-    assert meeting((10.0, 10.0), (-4.0, 0.0), WEST) == math.inf, "the own car stands before the crossing"
-
-
 def test_boxes_that_touch_have_no_time_left() -> None:
     assert meeting((0.5, 0.5), (3.0, 3.0), WEST) == 0.0
     assert meeting((WIDTH, 0.0), (0.0, 0.0), NORTH) == 0.0

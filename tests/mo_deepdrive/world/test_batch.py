@@ -22,15 +22,3 @@ def test_an_error_is_raised_after_all_parts_have_ended() -> None:
         pool.run(work, [0, 1, 2])
     assert sorted(done) == [1, 2]
     pool.close()
-
-
-def test_an_error_of_another_part_is_raised() -> None:
-    pool = ThreadPool()
-
-    def work(part: int) -> None:
-        if part == 1:
-            raise ValueError("the second part")
-
-    with pytest.raises(ValueError, match="the second part"):
-        pool.run(work, [0, 1])
-    pool.close()

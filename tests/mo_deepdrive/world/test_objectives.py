@@ -12,7 +12,6 @@ import numba
 import numpy as np
 import pytest
 
-import mo_deepdrive
 from mo_deepdrive import Objective, register_objective
 from mo_deepdrive.world.config import EnvConfig
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES, scales
@@ -77,29 +76,6 @@ def test_a_registered_objective_is_a_column_of_the_reward_and_changes_no_other(
                 assert column[i, v] == np.float32(-spent(with_it.batch.state[i, v]))
                 positive += column[i, v] < 0.0
     assert positive > 100
-
-
-def test_every_interface_returns_the_same_rewards(effort: ModuleType, make_single: Any, make_vector: Any) -> None:
-    names = ["effort", "distance"]
-    single = make_single("static_obstacle", objectives=names)
-    vector = make_vector("static_obstacle", 1, objectives=names)
-    parallel = mo_deepdrive.parallel_env(scenario="static_obstacle", objectives=names)
-    for env in (single, vector, parallel):
-        env.reset(seed=5)
-    for action in actions(single, 15):
-        reward = single.step(action)[1]
-        np.testing.assert_array_equal(vector.step(np.array([action]))[1], [reward])
-        np.testing.assert_array_equal(parallel.step({"vehicle_0": action})[1]["vehicle_0"], reward)
-        assert single.reward_space.contains(reward)
-
-    turns = make_single("intersection", objectives=names)
-    joint = make_vector("intersection", 1, objectives=names)
-    turns.reset(seed=5)
-    joint.reset(seed=5)
-    for action in actions(joint, 15):
-        rewards = joint.step(action)[1]
-        turns.step(action[0, 0])
-        np.testing.assert_array_equal(turns.step(action[0, 1])[1], rewards[0, 0])
 
 
 def test_a_measure_sees_all_vehicles_of_its_world(registries: None, make_vector: Any) -> None:

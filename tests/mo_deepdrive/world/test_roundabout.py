@@ -265,11 +265,3 @@ def test_settings_that_do_not_fit_are_refused(scenario: str, arguments: dict[str
 def test_reset_options_that_do_not_fit_are_refused(make_single: Any, options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_single("roundabout").reset(seed=0, options=options)
-
-
-def test_a_world_of_8_vehicles_takes_less_than_8_kilobytes(make_vector: Any) -> None:
-    env = make_vector("roundabout", 4, vehicles=8)
-    env.reset(seed=0)
-    arrays = [each for owner in (env.batch, env, env.streams) for each in vars(owner).values()]
-    owned = [each for each in arrays if isinstance(each, np.ndarray) and each.shape[:1] == (4,)]
-    assert sum(each.nbytes for each in owned) / 4 < 8_000

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mo_deepdrive.simulation.state import ENDS
-from mo_deepdrive.world.actions import action_names
 from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 
@@ -103,26 +102,6 @@ def test_the_destination_of_an_open_scenario_follows_its_two_draws(make_single: 
         car = env.telemetry()[0]
         np.testing.assert_allclose([car["x"], car["y"], car["heading"]], START, **EXACT)
         assert {car[name] for name in ("speed", "yaw_rate", "steer", "throttle", "brake", "g_force", "jerk")} == {0.0}
-
-
-def test_the_bicycle_follows_its_three_draws(make_single: Any) -> None:
-    env = make_single("static_obstacle")
-    compared = 0
-    for seed in range(100):
-        u = generator(seed).random(5)
-        env.reset(seed=seed)
-        car = env.batch.state[0, 0]
-        goal = map_point([0.1 + 0.5 * u[0] + 0.1, 0.5 + (2 * u[1] - 1) * 0.5])
-        if not np.allclose(car.waypoints[0], goal):
-            continue  # drawn again, see test_departures.py
-        # In map coordinates, as in the specification.
-        route = np.array([0.1 + 0.5 * u[0], (2 * u[1] - 1) * 0.5])
-        size = np.hypot(*route)
-        middle = np.array([0.1, 0.5]) + (0.6 * u[2] * size + 0.1) * route / size
-        side = (0.025 + 0.1 * u[3]) / 2 * np.array([math.cos(math.pi * u[4]), math.sin(math.pi * u[4])])
-        np.testing.assert_allclose(car.obstacle, map_point([middle + side, middle - side]), **EXACT)
-        compared += 1
-    assert compared > 80
 
 
 def test_the_starts_at_the_intersection_follow_their_draws(make_vector: Any) -> None:
@@ -381,26 +360,6 @@ def expected_lanes(vehicle: int, x: float, y: float, heading: float) -> tuple[fl
     return HALF_LANE, HALF_LANE, True, False
 
 
-def test_lane_distances_and_flags_are_those_of_the_corners(make_vector: Any) -> None:
-    env = make_vector("intersection", 1, autoreset_mode="Disabled")
-    rng = np.random.default_rng(0)
-    kinds = set()
-    for _ in range(800):
-        starts = rng.uniform([[5, 5, -4], [18, 5, -4]], [[33, 40, 4], [30, 48, 4]])
-        observations, _ = env.reset(options={"starts": starts})
-        for v in range(2):
-            left, right, crossing, approaching = expected_lanes(v, *starts[v])
-            reading, seen = env.telemetry()[0][v], named(env, observations[0, v])
-            np.testing.assert_allclose(reading["left_lane_distance"], left, rtol=1e-9, atol=1e-9)
-            np.testing.assert_allclose(reading["right_lane_distance"], right, rtol=1e-9, atol=1e-9)
-            assert seen["left_lane_distance"] == pytest.approx(left, rel=1e-6, abs=1e-6)
-            assert seen["right_lane_distance"] == pytest.approx(right, rel=1e-6, abs=1e-6)
-            assert seen["crossing"] == float(crossing)
-            assert bool(env.batch.state[0, v].approaching) == approaching
-            kinds.add((v, crossing, approaching, reading["left_lane_distance"] < 0))
-    assert {(0, True, False, False), (1, False, True, True), (1, False, False, True), (0, False, False, True)} <= kinds
-
-
 @pytest.mark.parametrize("scenario", OPEN)
 def test_without_lanes_the_lane_distances_are_half_a_lane(make_single: Any, scenario: str) -> None:
     env = make_single(scenario)
@@ -488,58 +447,6 @@ def test_backing_out_of_the_crossing_is_no_gain_while_the_other_approaches(world
 # ----------------------------------------------------------------------------------------------------------- actions
 
 SMALL, MICRO = 0.0174533, 0.00174533
-STEERS_22 = ("decay", SMALL, -SMALL, MICRO, -MICRO, "large left", "large right")
-STEERS_16 = ("decay", SMALL, -SMALL, "large left", "large right")
-
-
-def expected_controls(
-    action: int, steers: tuple[Any, ...], car: dict[str, float], before: float
-) -> tuple[float, float, float]:
-    """Target steer, throttle and brake of a discrete action (section 2)."""
-    if action == 0:
-        return 0.0, 0.0, 0.0
-    group, change = divmod(action - 1, 3)
-    steer = steers[group]
-    if steer == "decay":
-        steer = 0.9 * car["steer"]
-    elif steer in ("large left", "large right"):
-        steer = (1 if steer == "large left" else -1) * math.pi / (30 * max(car["speed"], 1.0) ** 2)
-    if change == 1:
-        return steer, 0.0, 1.0 if car["throttle"] == 0.0 else 0.0
-    if change == 2:
-        return steer, 1.0, 0.0
-    factor = 0.99 if car["speed"] > before else 1.01 if car["speed"] < before else 1.0
-    return steer, car["throttle"] * factor, 0.0
-
-
-HELD = [
-    # steer, throttle, brake, speed, speed at the previous decision
-    (0.0, 0.0, 0.0, 0.0, 0.0),
-    (0.1, 0.5, 0.0, 3.0, 2.9),
-    (-0.1, 0.5, 0.0, 3.0, 3.1),
-    (0.3, 0.8, 0.0, 0.5, 0.5),
-    (-0.4, -0.7, 0.0, -2.0, -1.9),
-    (0.2, -0.7, 0.0, -1.9, -2.0),
-    (0.05, 0.0, 1.0, 8.0, 8.3),
-]
-
-
-@pytest.mark.parametrize(("action_type", "steers"), [("discrete", STEERS_22), ("discrete-16", STEERS_16)])
-def test_every_discrete_action_sets_the_controls_of_the_specification(
-    world: Any, action_type: str, steers: tuple[Any, ...]
-) -> None:
-    count = 1 + 3 * len(steers)
-    env = world(action_type=action_type, harmful_g_force=None)
-    assert env.single_action_space.n == count == len(action_names(action_type))
-    for steer, throttle, brake, speed, before in HELD:
-        for action in range(count):
-            env.reset(options={"start": (0.0, 0.0, 0.0), "destination": (0.0, 50.0)})
-            held = {"steer": steer, "throttle": throttle, "brake": brake, "speed": speed, "previous_speed": before}
-            set_vehicle(env, **held)
-            env.step(np.array([action]))
-            car = env.telemetry()[0][0]
-            expected = expected_controls(action, steers, held, before)
-            assert (car["steer"], car["throttle"], car["brake"]) == pytest.approx(expected, rel=1e-12, abs=0), action
 
 
 def test_continuous_actions_are_scaled_and_clipped(world: Any) -> None:

@@ -10,16 +10,16 @@ import pytest
 from numpy.typing import NDArray
 
 from mo_deepdrive.world.actions import INCREASE, MAINTAIN, action_table
-from scripts.bounds.driving_rules import (
+from scripts.bounds.plans import (
     AFTER_DISTANCE,
     NEXT_ANGLE,
     RULE,
+    PlanEvaluator,
     follow_rule,
     random_calm_rules,
     random_rules,
 )
-from scripts.bounds.plan_evaluation import PlanEvaluator
-from scripts.bounds.plans import FULL_SCALE
+from scripts.bounds.variation import FULL_SCALE
 
 
 @pytest.mark.slow

@@ -18,9 +18,8 @@ from mo_deepdrive.fronts.reference_points import reference_point
 from mo_deepdrive.world.action_sequences import decode as decode_actions
 from mo_deepdrive.world.action_sequences import discounted_sum
 from mo_deepdrive.world.action_sequences import replay as replay_sequences
-from scripts.bounds import front, front_search
-from scripts.bounds.front import FrontSearchSettings, improve_front, shipped_front_file
-from scripts.bounds.trained_runs import record_run
+from scripts.bounds import front
+from scripts.bounds.front import FrontSearchSettings, improve_front, record_run, shipped_front_file
 
 pytestmark = pytest.mark.slow
 
@@ -61,7 +60,7 @@ def test_a_search_writes_policies_with_the_returns_of_their_replay(
 def test_the_same_seed_writes_the_same_file_and_another_seed_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(front_search, "POPULATION", 256)
+    monkeypatch.setattr(front, "POPULATION", 256)
     files = [tmp_path / f"{name}.json" for name in "abc"]
     for file, seed in zip(files, ("0", "0", "1"), strict=True):
         # More than RULE_GENERATIONS generations, so that there are offspring too.
@@ -136,7 +135,7 @@ def test_a_search_of_no_decisions_keeps_the_shipped_front(tmp_path: Path) -> Non
 
 
 def test_progress_reaches_the_number_of_decisions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(front_search, "POPULATION", 64)
+    monkeypatch.setattr(front, "POPULATION", 64)
     calls: list[int] = []
     improve_front(FrontSearchSettings(decisions=50_000), tmp_path / "missing.json", on_progress=calls.append)
     assert calls == sorted(calls)

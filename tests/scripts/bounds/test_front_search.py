@@ -8,8 +8,8 @@ import pytest
 
 from mo_deepdrive.fronts.reference_points import reference_point
 from mo_deepdrive.world.objectives import scales
-from scripts.bounds import front_search
-from scripts.bounds.front_search import (
+from scripts.bounds import front
+from scripts.bounds.front import (
     EPSILON,
     RULE_GENERATIONS,
     FrontSearch,
@@ -18,14 +18,13 @@ from scripts.bounds.front_search import (
     greedy_hypervolume_subset,
     select_front,
 )
-from scripts.bounds.plan_evaluation import PlanEvaluator
-from scripts.bounds.plans import CRITERIA, EvaluatedPlans
+from scripts.bounds.plans import CRITERIA, EvaluatedPlans, PlanEvaluator
 
 OBJECTIVES = [criterion.objectives("one_waypoint") for criterion in CRITERIA]
 
 
 def test_offspring_improve_on_what_rules_find(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(front_search, "POPULATION", 512)
+    monkeypatch.setattr(front, "POPULATION", 512)
     search = FrontSearch("one_waypoint", "discrete", 0)
     for _ in range(RULE_GENERATIONS):
         search.evolve(0)
@@ -36,7 +35,7 @@ def test_offspring_improve_on_what_rules_find(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_plan_of_the_front_is_not_lost_when_its_box_keeps_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(front_search, "POPULATION", 512)
+    monkeypatch.setattr(front, "POPULATION", 512)
     search = FrontSearch("one_waypoint", "discrete", 0)
     for _ in range(RULE_GENERATIONS + 1):
         search.evolve(0)

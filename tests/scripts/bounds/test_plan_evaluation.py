@@ -8,9 +8,7 @@ import pytest
 from mo_deepdrive.fronts.reference_fronts import front_config
 from mo_deepdrive.world.action_sequences import discounted_sum
 from mo_deepdrive.world.action_sequences import replay as replay_sequences
-from scripts.bounds.driving_rules import random_calm_rules
-from scripts.bounds.plan_evaluation import PlanEvaluator
-from scripts.bounds.plans import CRITERIA
+from scripts.bounds.plans import CRITERIA, PlanEvaluator, random_calm_rules
 
 
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])

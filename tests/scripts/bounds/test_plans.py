@@ -10,8 +10,9 @@ import pytest
 
 from mo_deepdrive.world.action_sequences import decode as decode_actions
 from mo_deepdrive.world.action_sequences import encode as encode_actions
-from scripts.bounds.plans import CRITERIA, FULL_SCALE, EvaluatedPlans, PlanFormat
-from scripts.bounds.trained_runs import record_run
+from scripts.bounds.front import record_run
+from scripts.bounds.plans import CRITERIA, EvaluatedPlans, PlanFormat
+from scripts.bounds.variation import FULL_SCALE
 
 
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16"])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from algorithms import zoo
-from scripts.bounds import driver_table, suite
+from scripts.bounds import suite
 from scripts.bounds.suite_bounds import roundabout_rules
 
 
@@ -16,7 +16,7 @@ from scripts.bounds.suite_bounds import roundabout_rules
 def test_the_table_has_the_bounds_in_place_of_older_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "drivers.csv"
     name, rule = next(iter(roundabout_rules().items()))
-    monkeypatch.setattr(suite, "bounds", lambda _task: [(name, driver_table.RULE, None, rule)])
+    monkeypatch.setattr(suite, "bounds", lambda _task: [(name, suite.RULE, None, rule)])
     arguments = ["drivers", "R1", "R2", "--episodes", "4", "--output", str(path)]
     assert suite.main(arguments) == 0
     first = path.read_bytes()

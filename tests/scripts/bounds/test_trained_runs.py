@@ -11,7 +11,7 @@ import pytest
 
 from algorithms.runs.build import build
 from algorithms.runs.config import load_experiment
-from scripts.bounds.trained_runs import record_run
+from scripts.bounds.front import record_run
 
 
 @pytest.mark.parametrize("arguments", [{}, {"objectives": ["jerk", "distance", "destination", "g_force"]}])

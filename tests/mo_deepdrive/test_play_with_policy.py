@@ -10,7 +10,7 @@ import torch
 
 from algorithms import MOA2C
 from mo_deepdrive.evaluation.env_adapter import make_env
-from mo_deepdrive.evaluation.policy import AccruedReward, PolicyDriver
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv, Keys, make_play_env
 from mo_deepdrive.utilities import make_utility
 
@@ -34,8 +34,7 @@ def make_agent(**arguments: Any) -> MOA2C:
 def test_a_policy_drives_the_other_vehicle_as_it_would_without_a_person(mine: int, action_type: str) -> None:
     agent = make_agent(action_type=action_type, time_limit=3)
     env = make_play_env(INTERSECTION, action_type=action_type, time_limit=3)
-    driver = PolicyDriver(agent, torch.Generator().manual_seed(5))
-    human_env = HumanPlayEnv(env, (mine,), driver=driver)
+    human_env = HumanPlayEnv(env, (mine,), policy=agent, generator=torch.Generator().manual_seed(5))
     human_env.reset(seed=1)
     for _ in range(DECISIONS * FRAMES_PER_DECISION):
         human_env.step(np.array(REST, dtype=np.int8))
@@ -51,33 +50,3 @@ def test_a_policy_drives_the_other_vehicle_as_it_would_without_a_person(mine: in
         accrued_reward.add(rewards, agent.gamma)
     assert driven.tobytes() == env.batch.state[0].tobytes()
     assert driven[1 - mine].travelled > 0.0
-
-
-class EchoPolicy:
-    """A policy that acts on nothing but the accrued reward, which it records."""
-
-    utilities = ()
-    gamma = 0.5
-    device = torch.device("cpu")
-
-    def __init__(self) -> None:
-        self.env = make_agent(time_limit=3).env
-        self.values: list[np.ndarray] = []
-
-    def act(self, observations: Any, accrued_reward: AccruedReward, generator: Any) -> Any:
-        self.values.append(accrued_reward.value.copy())
-        return np.zeros((1, 2), dtype=np.int64)
-
-
-def test_the_policy_receives_the_accrued_reward_of_the_running_episode() -> None:
-    policy = EchoPolicy()
-    driver = PolicyDriver(policy)
-    shape = (1, 2, len(policy.env.objectives))
-    observations = np.zeros((1, 2, policy.env.observation_size), dtype=np.float32)
-    for reward in (1.0, 4.0, 2.0):
-        driver.act(observations)
-        driver.observe(np.full(shape, reward, dtype=np.float32))
-    driver.reset()
-    driver.act(observations)
-    for value, expected in zip(policy.values, (0.0, 1.0, 3.0, 0.0), strict=True):
-        np.testing.assert_array_equal(value, np.full(shape, expected))

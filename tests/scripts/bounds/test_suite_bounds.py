@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from mo_deepdrive import suite
-from mo_deepdrive.suite.plans import Playback
-from scripts.bounds.plan_evaluation import PlanEvaluator
-from scripts.bounds.suite_plans import ScenarioPlanner, with_spare_preferences, worth_driving
-from scripts.bounds.utility_search import blind_plan
+from mo_deepdrive.evaluation.drives import Playback
+from scripts.bounds.plans import PlanEvaluator
+from scripts.bounds.suite_bounds import ScenarioPlanner, blind_plan, with_spare_preferences, worth_driving
 
 SEED = 2_000_000
 
