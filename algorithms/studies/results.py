@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from algorithms.reporting.run_records import experiment_record, read_evaluation
-from algorithms.reporting.tables import markdown
+from algorithms.reporting.tables import markdown, write_table
 from algorithms.runs.run_directory import read_status
 from algorithms.runs.suite_entries import rows_of
 from algorithms.studies.manifest import label
@@ -20,7 +20,7 @@ from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.suite import Row, write_rows
 from mo_deepdrive.suite.results import FAILED
-from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, own_path
+from mo_deepdrive.support.atomic_io import atomic_write, own_path
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,7 +83,7 @@ def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> 
     results = results_of(plan, runs, directory)
     write_rows(own_path(directory, RESULTS_FILE), results)
     if plan.study.tuning is not None:
-        atomic_write(own_path(directory, TUNING_FILE), csv_bytes(tuning_rows(runs, directory)))
+        write_table(own_path(directory, TUNING_FILE), tuning_rows(runs, directory), 4, "")
     tables = study_tables(plan, runs, results)
     parts = [f"# {plan.study.title or directory.name}"]
     parts += [f"## {table.title}\n\n{markdown(table.rows, 1, f'{table.to_cite} {NOTE}')}" for table in tables]
