@@ -104,7 +104,7 @@ class Driver:
         return np.asarray(np.where(table[:, SPEED_CHANGE] == change[:, None], error, np.inf).argmin(axis=1))
 
 
-def make_driver(forms: Mapping[str, Callable[..., Driver]], name: str, action_type: str) -> Driver:
+def make_driver(forms: Mapping[str, Callable[..., Driver]], name: str, action_type: str) -> Any:
     """The scripted driver of a name, of the form "kind" or "kind_NUMBER"."""
     for form, make in forms.items():
         found = re.fullmatch(PREFIX + form.replace("NUMBER", r"(\d+(?:\.\d+)?)").replace("INTEGER", r"(\d+)"), name)

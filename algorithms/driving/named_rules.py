@@ -75,7 +75,7 @@ def scripted_policy(name: str, vehicle: int, env: EnvAdapter, action_type: str) 
     """The scripted driver of a name as a policy that drives ``vehicle`` of ``env``, or all vehicles if it can."""
     if env.name not in MAKERS:
         raise ValueError(f"{name!r}: there are scripted drivers in {', '.join(MAKERS)}, not in {env.name}")
-    driver: Any = MAKERS[env.name](name, action_type)
+    driver = MAKERS[env.name](name, action_type)
     if driver.vehicle not in (None, vehicle):
         raise ValueError(f"{name!r} drives {vehicle_name(driver.vehicle)}, not {vehicle_name(vehicle)}")
     return ScriptedPolicy(env, driver.vehicle, driver)
