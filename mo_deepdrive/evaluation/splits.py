@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 Split = Literal["validation", "test"]
 
-# Scores of different versions of the splits are from different scenarios.
-SPLITS_VERSION = 1
 SPLITS: Mapping[Split, range] = {"validation": range(2_000_000, 3_000_000), "test": range(3_000_000, 3_002_000)}
 FIRST_TRAINING_SEED = 2**32
 # A seed that a user gives for an evaluation stays below it, so that counting up does not reach the training seeds.
