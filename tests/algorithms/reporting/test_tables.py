@@ -13,7 +13,6 @@ import pytest
 from rich.console import Console
 
 from algorithms.reporting.tables import (
-    TABLE_METRICS,
     comparison_table,
     evaluation_table,
     group_runs,
@@ -77,24 +76,6 @@ def test_runs_that_differ_in_their_seed_share_a_row_and_others_name_what_differs
     assert [row[header.index("settings")] for row in rows] == ["training.num_envs=2", "training.num_envs=4", ""]
 
 
-def test_a_csv_has_the_returns_of_all_objectives_and_the_terminal_has_not(tmp_path: Path) -> None:
-    make_run(tmp_path / "run", 0, scores={"success": 0.5, "return/energy": -3.0, "return/jerk": -2.0, "max_jerk": 4.0})
-    groups = group_runs([tmp_path], pytest.fail)
-    header, row = scores_table(groups)
-    assert header[-3:] == ["success", "return/energy", "return/jerk"]
-    assert [float(cell) for cell in row[-3:]] == [0.5, -3.0, -2.0]
-    assert scores_table(groups, TABLE_METRICS)[0][-1] == "success"
-
-
-def test_algorithms_are_in_the_order_of_figures_and_compared_with_the_ones_before(tmp_path: Path) -> None:
-    for name in ("mo_ppo", "ppo", "a2c"):
-        for seed in range(2):
-            make_run(tmp_path / f"{name}-{seed}", seed, name, {"utility_esr": 1.0 + seed})
-    groups = group_runs([tmp_path], pytest.fail)
-    assert [group.algorithm for group in groups] == ["a2c", "ppo", "mo_ppo"]
-    assert [row[3] for row in comparison_table(groups)[1:]] == ["ppo - a2c", "mo_ppo - a2c", "mo_ppo - ppo"]
-
-
 def make_pair(folder: Path, ppo: dict[str, Any], mo_ppo: dict[str, Any]) -> None:
     """Two runs of PPO and two of MO-PPO, whose configs have other keys as given."""
     for name, sections in (("ppo", ppo), ("mo_ppo", mo_ppo)):
@@ -153,16 +134,6 @@ def test_scores_have_the_digits_that_the_episodes_of_one_run_support(tmp_path: P
     assert columns_of(scores_table([group]))["utility_esr"] == "10.0 [10.0, 10.0]"
     group.widths.clear()
     assert columns_of(scores_table([group]))["utility_esr"] == "10.0010 [10.0000, 10.0020]"
-
-
-@pytest.mark.parametrize(
-    ("objective", "rate", "shown"), [("jerk", 0.0, False), ("jerk", 0.5, True), ("collision", 0.0, True)]
-)
-def test_collisions_have_a_column_where_there_is_something_to_collide_with(
-    tmp_path: Path, objective: str, rate: float, shown: bool
-) -> None:
-    make_run(tmp_path / "run", 0, scores={"success": 0.5, "end/collision": rate, f"return/{objective}": 0.0})
-    assert ("end/collision" in scores_table(group_runs([tmp_path], pytest.fail))[0]) is shown
 
 
 @pytest.mark.parametrize(("seeds", "noted"), [(1, False), (2, True), (3, False)])
@@ -227,27 +198,6 @@ def test_ends_that_occurred_have_a_row_with_the_rate_of_every_policy() -> None:
     table = evaluation_table({"greedy": held, "stochastic": without}, "a title")
     assert list(table.columns[2].cells)[names.index("end/circling") - 1] == "", "it is not known"
     assert evaluation_table({"greedy": without}, "a title").caption is None
-
-
-def test_estimates_have_the_values_of_the_metrics() -> None:
-    held = evaluation()
-    summary, metrics = held.estimates(), held.metrics()
-    for name in (
-        "utility_esr",
-        "utility_ser",
-        "discounted_utility_esr",
-        "success",
-        "length",
-        "return/jerk",
-        "mean_jerk",
-    ):
-        assert summary[name].value == pytest.approx(metrics[name]), name
-    assert summary["end/circling"].value == 1.0
-    assert summary["end/collision"].value == 0.0
-    assert summary["max_jerk"] == Estimate(held.largest[..., 1].max())
-    assert "mean_distance" not in summary
-    unknown = evaluation(ends=False).estimates()
-    assert not [name for name in unknown if name == "success" or name.startswith("end/")]
 
 
 def test_success_and_collisions_of_all_vehicles_are_counted_per_episode() -> None:
@@ -322,22 +272,6 @@ def printed(rows: list[list[str]], labels: int, width: int, rest: str | None = N
     return console.file.getvalue().splitlines()  # type: ignore[attr-defined]
 
 
-def test_a_table_that_fits_stays_one_table() -> None:
-    assert len(printed(ROWS, 4, 1000)) == len(ROWS) + 4
-    lines = printed([row[:5] for row in ROWS], 4, 100)
-    assert lines[0] == "a title"
-    assert lines[2].split() == [*LABELS, METRICS[0]]
-    assert len(lines) == 9
-
-
-def test_columns_that_do_not_fit_follow_in_further_tables_with_the_same_labels() -> None:
-    lines = printed(ROWS, 4, 100)
-    for name in METRICS:
-        assert sum(name in line for line in lines) == 1
-    for row in ROWS[1:]:
-        assert all(any(cell in line and row[0] in line and row[2] in line for line in lines) for cell in row[4:])
-
-
 @pytest.mark.parametrize("width", [60, 80, 100, 120])
 def test_nothing_is_cut_off_however_many_keys_a_cell_has(width: int) -> None:
     keys = [f"learning_rate_of_the_{i}th_network" for i in range(8)]
@@ -358,13 +292,3 @@ def test_with_another_place_for_all_columns_the_rest_is_named() -> None:
     assert 0 < len(shown) < len(METRICS)
     assert f"not shown: {', '.join(METRICS[len(shown) :])}; --output FILE.csv writes every column" in note
     assert "not shown" not in "".join(printed(ROWS, 4, 1000, "--output FILE.csv"))
-
-
-def test_labels_that_all_rows_share_move_to_the_title_and_rows_without_values_are_left_out() -> None:
-    rows = [ROWS[0], *ROWS[1:], ["ppo", "greedy", "", "0 1 2 3 4", "", "", *ROWS[1][6:]]]
-    lines = printed(rows, 4, 100)
-    assert lines[0] == "a title, policy greedy, seeds 0 1 2 3 4"
-    assert lines[2].split() == ["algorithm", "vehicle", *METRICS[:2]]
-    assert [sum(line.strip().startswith(name) for line in lines) for name in ("ppo", "a2c")] == [4, 10]
-    (only,) = [line for line in printed(rows[:2], 4, 60) if METRICS[8] in line]
-    assert only.split() == [METRICS[8]]  # one row shares all its labels

@@ -17,25 +17,11 @@ import pytest
 
 from algorithms.runs.config import make_experiment
 from algorithms.runs.interrupts import DiskFull, JobFailed, Stopped
-from algorithms.runs.jobs import DIED, Job, WorkerDied, differences, perform, perform_all, record, verdict
+from algorithms.runs.jobs import DIED, Job, WorkerDied, perform, perform_all, verdict
 from algorithms.runs.progress import Dashboard
 from algorithms.runs.run_directory import InUse, Run, read_status
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, quiet
 from tests.helpers.sweep_files import eventually
-
-
-@pytest.mark.slow
-def test_a_job_is_trained_and_evaluated_once_without_figures(tmp_path: Path) -> None:
-    wanted = job(tmp_path)
-    assert not wanted.done
-    assert perform(wanted) == "trained"
-    assert wanted.done
-    names = {path.name for path in wanted.path.iterdir()}
-    assert {"evaluation.json", "metrics.csv", "checkpoint.safetensors", "train.log"} <= names
-    assert not {"video.mp4", "curves.png"} & names
-    before = {path: path.stat().st_mtime_ns for path in wanted.path.rglob("*") if path.is_file()}
-    assert perform(wanted) == "already there"
-    assert before == {path: path.stat().st_mtime_ns for path in wanted.path.rglob("*") if path.is_file()}
 
 
 def test_a_directory_with_another_experiment_is_refused_before_anything_starts(tmp_path: Path) -> None:
@@ -45,14 +31,6 @@ def test_a_directory_with_another_experiment_is_refused_before_anything_starts(t
     with pytest.raises(ValueError, match=r"training.total_timesteps = 960 there, 961 wanted"):
         perform_all([fresh, other], 1, Dashboard([], quiet()))
     assert not fresh.path.exists()
-
-
-def test_device_threads_and_logging_are_not_compared(tmp_path: Path) -> None:
-    first, second = job(tmp_path, threads=1).experiment.to_dict(), job(tmp_path, threads=2).experiment.to_dict()
-    second["logging"]["interval"] = 77
-    assert differences(first, second) == []
-    second["algorithm"]["gamma"] = 0.5
-    assert differences(first, second) == ["algorithm.gamma = 0.99 there, 0.5 wanted"]
 
 
 def with_device(wanted: Job, device: str) -> Job:
@@ -158,15 +136,6 @@ def test_a_job_may_import_what_its_own_experiment_names_and_nothing_else(
 )
 def test_what_a_retry_may_mend_is_retried_as_often_as_allowed(error: Exception, verdicts: list[str]) -> None:
     assert [verdict(error, attempts, retries=2) for attempts in (1, 2, 3)] == verdicts
-
-
-def test_a_death_is_written_to_the_status_of_the_run_which_could_not_do_so_itself(tmp_path: Path) -> None:
-    job = Job("run", make_experiment(VALUES), tmp_path / "run")
-    assert record(job, WorkerDied("killed")) == "killed"  # before the directory existed
-    Run.create(job.experiment, job.path).unlock()
-    assert record(job, WorkerDied("killed")) == "killed"
-    status = read_status(job.path)
-    assert (status["state"], status["reason"]) == ("failed", "killed")
 
 
 # ----------------------------------------------------------------------------------------------------- worker processes

@@ -14,8 +14,8 @@ import pytest
 
 from algorithms.reporting.training_log import read_metrics
 from algorithms.studies.collection import Collection, collect
-from algorithms.studies.manifest import ManifestRow, write_manifest
-from tests.helpers.made_up_sweeps import end, log, make_row, make_sweep, record, scores_of
+from algorithms.studies.manifest import ManifestRow
+from tests.helpers.made_up_sweeps import end, make_row, make_sweep, record, scores_of
 
 # -------------------------------------------------------------------------------------------------------------- content
 
@@ -73,15 +73,6 @@ def collected(sweep: Path) -> tuple[Collection, list[str]]:
     return collect(sweep, said.append), said
 
 
-def test_added_and_removed_runs(tmp_path: Path, grid: list[ManifestRow]) -> None:
-    rows = make_sweep(tmp_path, grid)
-    for part in (rows[:6], rows[5:]):
-        write_manifest(tmp_path, part)
-        assert set(collect(tmp_path, print).metrics["run"]) == {row.id for row in part}
-    shutil.rmtree(tmp_path / rows[5].directory)
-    assert len(collect(tmp_path, print).metrics) == 12 * 24
-
-
 def test_a_sweep_that_cannot_be_written_is_still_shown(
     tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,56 +88,7 @@ def test_a_sweep_that_cannot_be_written_is_still_shown(
     assert list((tmp_path / "collected").iterdir()) == []
 
 
-def test_nothing_is_collected_through_a_link(tmp_path: Path, grid: list[ManifestRow]) -> None:
-    make_sweep(tmp_path / "sweep", grid[:1])
-    mine = tmp_path / "mine"
-    mine.mkdir()
-    (tmp_path / "sweep" / "collected").symlink_to(mine)
-    with pytest.raises(ValueError, match=rf"leads to '{mine}.*; nothing is written or deleted through a link inside a"):
-        collect(tmp_path / "sweep", pytest.fail)
-    assert list(mine.iterdir()) == []
-    (tmp_path / "sweep" / "collected").unlink()
-    (tmp_path / "link").symlink_to(tmp_path / "sweep")
-    assert collect(tmp_path / "link", pytest.fail).scores["run"].n_unique() == 1
-
-
 # --------------------------------------------------------------------------------------------- broken and missing files
-
-
-def test_incomplete_lines_are_dropped_and_broken_files_are_named(tmp_path: Path, grid: list[ManifestRow]) -> None:
-    rows = make_sweep(tmp_path, grid)
-    files = [tmp_path / row.directory / "metrics.csv" for row in rows]
-    with files[0].open("a") as file:
-        file.write("120,3.5,-1")
-    lines = files[1].read_text().splitlines(keepends=True)
-    files[1].write_text("".join([*lines[:3], "25,1.0\n", *lines[3:]]))
-    files[2].write_text("step,a,b\n")
-    files[3].write_text("step,a")
-    files[4].unlink()
-    files[5].write_text("a,step\n1,2\n")
-    files[6].write_text("step,a\n0,nan\n1,word\n")
-    files[8].write_bytes(b"step,a\n0,\xff\n")
-    files[7].write_text("step,a\n0,nan\n1,inf\n2,\n3,1e-3\n")
-    found, said = collected(tmp_path)
-    heights = dict(found.metrics.group_by("run").len().rows())
-    assert [heights.get(row.id, 0) for row in rows[:10]] == [24, 25, 0, 0, 0, 0, 0, 4, 0, 24]
-    (remark,) = said
-    assert remark.startswith("left out: 3 files cannot be read: metrics file")
-    assert "its columns must be 'step'" in remark
-    assert "`word`" in remark
-    assert "can't decode" in remark
-    values = found.metrics.filter(pl.col("run") == rows[7].id).select("a")["a"].to_list()
-    assert values == [None, np.inf, None, 1e-3]
-
-
-def test_runs_without_rows_add_no_rows(tmp_path: Path, grid: list[ManifestRow]) -> None:
-    rows = make_sweep(tmp_path / "a [sweep] *", grid)
-    for row in rows:
-        (tmp_path / "a [sweep] *" / row.directory / "metrics.csv").write_text("broken\n")
-    with pytest.raises(ValueError, match="has any metrics yet"):
-        _ = collect(tmp_path / "a [sweep] *", print).metrics
-    log(tmp_path / "a [sweep] *", rows[3], [(0, {"a": 1.0})])
-    assert collect(tmp_path / "a [sweep] *", print).metrics.rows() == [(rows[3].id, 0, 1.0)]
 
 
 def test_unfinished_and_missing_runs_are_counted_and_the_first_ones_named(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -136,29 +135,6 @@ def test_the_directory_of_a_run_is_refused(tmp_path: Path) -> None:
     assert [path.name for path in run.iterdir()] == ["config.yaml"]
 
 
-def test_the_exit_code_after_a_signal_is_that_of_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    class Interrupted(Backend):
-        def train(self, *arguments: Any) -> dict[Job, str]:
-            stop = arguments[-1]
-            assert not stop()
-            signal.raise_signal(signal.SIGTERM)
-            assert stop()
-            return {}
-
-    runner = Runner(
-        SweepPlan(load_sweep(write_sweep(tmp_path))), tmp_path / "sweep", Interrupted(), Console(quiet=True)
-    )
-    assert runner.run() == 128 + signal.SIGTERM
-    assert "the same command resumes them" in capsys.readouterr().err
-
-
-def test_without_waiting_only_the_first_batch_of_a_search_is_made(tmp_path: Path) -> None:
-    pytest.importorskip("optuna")
-    runner = MadeUpRuns(tmp_path / "sweep", write_sweep(tmp_path, search=SEARCH), wait=False)
-    assert runner.run() == 0
-    assert [len(batch) for batch in runner.batches] == [2]
-
-
 def test_failed_points_of_a_search_are_repeated_only_while_no_later_points_depend_on_them(tmp_path: Path) -> None:
     pytest.importorskip("optuna")
     file, sweep = write_sweep(tmp_path, search=SEARCH), tmp_path / "sweep"
@@ -169,20 +145,6 @@ def test_failed_points_of_a_search_are_repeated_only_while_no_later_points_depen
     assert again.run() == 1
     assert again.batches == [[ids(sweep)[5]]]
     assert again.said.getvalue().count("made to fail") == 2
-
-
-def test_failed_points_of_a_cell_are_repeated_whatever_batch_the_other_cells_have_reached(tmp_path: Path) -> None:
-    pytest.importorskip("optuna")
-    file = write_sweep(tmp_path, search=SEARCH, grid={"algorithm.gamma": [0.9, 0.99]})
-    sweep = tmp_path / "sweep"
-    MadeUpRuns(sweep, file, wait=False).run()
-    behind = read_manifest(sweep)[-1]
-    (sweep / behind.directory / "status.json").write_text('{"state": "failed", "reason": "made to fail"}')
-    MadeUpRuns(sweep, file, name="manifest").run()
-    assert [row.cell["algorithm.gamma"] for row in read_manifest(sweep)] == [0.9] * 4 + [0.99] * 2
-    again = MadeUpRuns(sweep, file)
-    assert again.run() == 0
-    assert behind.id in again.batches[0]
 
 
 def test_code_that_a_manifest_names_is_not_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,7 +24,6 @@ from algorithms.studies.manifest import (
     FILE,
     ManifestRow,
     Scores,
-    label,
     read_manifest,
     run_id,
     write_manifest,
@@ -145,20 +144,6 @@ def test_cells_are_in_the_order_of_the_file_and_seeds_in_order_within_each_cell(
     assert len({row.id for row in rows}) == len(rows) == 16
 
 
-def test_a_mapping_is_merged_into_its_section(tmp_path: Path) -> None:
-    first, second = expanded(
-        tmp_path,
-        overrides={"evaluation": {"episodes": 7}},
-        grid={"training": [{"num_envs": 2, "total_timesteps": 480}, {"num_envs": 6}]},
-    )
-    for row in (first, second):
-        assert row.config["evaluation"]["episodes"] == 7
-        assert row.config["evaluation"]["final_episodes"] == VALUES["evaluation"]["final_episodes"]
-    assert [row.config["training"]["num_envs"] for row in (first, second)] == [2, 6]
-    assert [row.config["training"]["total_timesteps"] for row in (first, second)] == [480, 960]
-    assert label(first.cell) == 'training={"num_envs": 2, "total_timesteps": 480}'
-
-
 def test_the_id_of_a_run_changes_with_every_single_setting_that_affects_its_result() -> None:
     values = copy.deepcopy(VALUES)
     values["logging"]["wandb"] = {"project": "p", "tags": ["t"]}
@@ -200,14 +185,6 @@ def test_two_cells_with_the_same_run_are_refused_by_name(
     assert other.endswith(f"{second}]")
 
 
-def test_up_to_five_invalid_cells_are_named(tmp_path: Path) -> None:
-    rates = [-1.0 - number for number in range(6)]
-    said = refused_cells(tmp_path, grid={RATE: [0.1, *rates]})
-    assert said.startswith("6 of 7 cells are invalid:\n")
-    assert [rate for rate in rates if f"cell [{RATE}={rate}]" in said] == rates[:5]
-    assert said.endswith("and 1 more")
-
-
 @pytest.mark.parametrize(
     ("grid", "cell", "message"),
     [
@@ -236,25 +213,6 @@ def test_a_cell_that_cannot_be_built_is_refused_by_name(
     assert message in said
 
 
-def test_a_logger_that_is_not_installed_is_refused_before_a_run_starts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(config.importlib.util, "find_spec", lambda _: None)
-    assert "logging.wandb needs wandb: pip install" in refused_cells(tmp_path, grid={"logging.wandb.project": ["p"]})
-
-
-def test_the_job_of_a_row_has_the_same_experiment_also_on_a_device_that_this_machine_does_not_have(
-    tmp_path: Path,
-) -> None:
-    row = expanded(tmp_path, seeds=[3], overrides={"training.device": "cuda:99"})[1]
-    wanted = row.job(tmp_path / "sweep")
-    assert wanted.path == tmp_path / "sweep" / row.directory
-    assert wanted.id == row.id
-    assert wanted.name == f"{RATE}=0.003 seed 3 ({row.id})"
-    assert wanted.experiment.to_dict() == row.config
-    assert wanted.experiment.training.device == "cuda:99"
-
-
 def test_a_manifest_is_read_as_it_was_written(tmp_path: Path) -> None:
     rows = expanded(tmp_path, grid={"utility": [UTILITY], RATE: [1e-3, 0.1 + 0.2]}, seeds=3)
     path = write_manifest(tmp_path / "a" / "sweep", rows)
@@ -280,23 +238,6 @@ def test_a_line_that_no_sweep_writes_is_refused_with_its_number(
     path.write_text(f"{first}\n{second.replace(old, new, 1)}\n")
     with pytest.raises(ValueError, match=re.escape(f"manifest {str(path)!r} is broken in line 2: {problem}")):
         read_manifest(tmp_path / "sweep")
-
-
-@pytest.mark.parametrize("linked", [FILE, "runs", "runs/NAME"])
-def test_a_sweep_in_which_a_link_leads_elsewhere_is_read_but_not_written(tmp_path: Path, linked: str) -> None:
-    rows = expanded(tmp_path, seeds=1)
-    sweep, elsewhere = tmp_path / "sweep", tmp_path / "elsewhere"
-    write_manifest(elsewhere, rows)
-    link = sweep / (rows[0].directory if linked == "runs/NAME" else linked)
-    link.parent.mkdir(parents=True)
-    link.symlink_to(elsewhere / FILE if linked == FILE else elsewhere)
-    with pytest.raises(ValueError, match=rf"leads to '{elsewhere}.*; nothing is written or deleted through a link"):
-        write_manifest(sweep, rows)
-    if linked != FILE:
-        (sweep / FILE).write_bytes((elsewhere / FILE).read_bytes())
-    assert read_manifest(sweep) == rows
-    (tmp_path / "link").symlink_to(elsewhere)
-    write_manifest(tmp_path / "link", rows)
 
 
 def test_the_error_without_optuna_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from algorithms.runs.jobs import Job
 from algorithms.studies import FIGURES
 from algorithms.studies import paper as paper_module
 from algorithms.studies.manifest import ManifestRow
-from algorithms.studies.paper import QUICK_SEEDS, Reproduction, load_paper, paper_plan
+from algorithms.studies.paper import QUICK_SEEDS, load_paper, paper_plan
 from algorithms.studies.paper_claims import CLAIMS
 from algorithms.studies.paper_report import (
     QUICK,
@@ -170,14 +170,6 @@ def test_invalid_options_are_refused_before_anything_is_trained(
     assert code == 2
     assert message in err
     assert not (tmp_path / "runs").exists()
-
-
-def test_a_reproduction_of_everything_is_published_in_a_checkout_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert Reproduction(paper()).output_folder == PUBLISHED
-    monkeypatch.setattr(paper_module, "PUBLISHED", tmp_path / "docs" / "results")
-    assert Reproduction(paper()).output_folder == Path("runs/reproduce/results")
 
 
 @pytest.mark.parametrize(
