@@ -29,17 +29,10 @@ Make = Callable[..., Path]
 def make(tmp_path: Path) -> Make:
     """Make the directory of a run, with metrics."""
 
-    def make(
-        name: str,
-        algorithm: str = "mo_a2c",
-        seed: int = 0,
-        points: int = 5,
-        utility: str = "linear",
-        **hyperparameters: Any,
-    ) -> Path:
+    def make(name: str, algorithm: str = "mo_a2c", seed: int = 0, points: int = 5, **hyperparameters: Any) -> Path:
         values = {
             "environment": {"id": "mo-deepdrive-one-waypoint-v0"},
-            "utility": {"name": f"one_waypoint_{utility}"},
+            "utility": {"name": "one_waypoint_linear"},
             "algorithm": {"name": algorithm, **hyperparameters},
             "training": {"total_timesteps": 1000, "num_envs": 2, "seed": seed},
         }
@@ -48,7 +41,6 @@ def make(tmp_path: Path) -> Make:
         (path / "config.yaml").write_text(dump(make_experiment(values).to_dict()))
         metrics = MetricsFile(path / "metrics.csv")
         for step in range(points):
-            metrics.write(10 * step, {"train/utility": step + seed, "train/return/jerk": -float(step)})
             metrics.write(10 * step, {"eval/greedy/utility_esr": step + seed, "eval/greedy/success": 0.5})
         return path
 

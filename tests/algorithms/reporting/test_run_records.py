@@ -9,15 +9,12 @@ from typing import Any
 import pytest
 
 from algorithms.reporting.run_records import (
-    EnvironmentRecord,
     RunRecord,
     distinct_labels,
     experiment_record,
     find_runs,
     group_by_experiment,
-    label_of,
 )
-from algorithms.runs.config import make_experiment
 
 TWO = "mo-deepdrive-intersection-v0"
 CONFIG: dict[str, Any] = {
@@ -88,20 +85,3 @@ def test_files_below_a_run_are_no_runs(tmp_path: Path) -> None:
     for folder in (run, of_wandb):
         (folder / "config.yaml").write_text("_wandb: {}")
     assert find_runs([tmp_path], pytest.fail) == find_runs([run], pytest.fail) == [run]
-
-
-def test_environments_are_named_by_their_id_and_the_arguments_that_differ_from_the_default() -> None:
-    arguments = make_experiment(
-        {
-            "environment": {"id": TWO, "arguments": {"end_together": True, "time_limit": 30}},
-            "utility": {"name": "intersection_linear"},
-            "algorithm": {"name": "mo_a2c"},
-            "training": {"total_timesteps": 1000, "num_envs": 2},
-        }
-    ).to_dict()["environment"]["arguments"]
-    for env_id, given, label in (
-        (TWO, arguments, f"{TWO} time_limit=30.0 end_together=True"),
-        ("deep-sea-treasure-v0", {"float_state": True}, "deep-sea-treasure-v0"),
-        ("some.module:unknown-v0", {}, "some.module:unknown-v0"),
-    ):
-        assert label_of(EnvironmentRecord(id=env_id, arguments=given)) == label

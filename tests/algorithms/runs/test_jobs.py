@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import random
-import re
 import signal
 import sys
 import threading
@@ -53,38 +52,6 @@ def test_a_run_that_was_started_takes_over_device_and_logging_but_not_threads(tm
     before = (wanted.path / "config.yaml").stat()
     assert perform(replace(wanted, experiment=changed)) == "trained"
     assert (wanted.path / "config.yaml").stat() == before
-
-
-def test_a_run_with_a_checkpoint_stays_on_its_kind_of_device(tmp_path: Path) -> None:
-    wanted = job(tmp_path)
-    assert perform(wanted, stop=lambda: True) == "stopped"
-    assert perform(with_device(wanted, "cuda:99"), stop=lambda: True) == "stopped"
-    assert Run.open(wanted.path).experiment.training.device == "cpu"
-    config = wanted.path / "config.yaml"
-    config.write_text(config.read_text().replace("device: cpu", "device: cuda:98"))
-    with pytest.raises(ValueError, match=r"training\.device = 'cuda:98' does not exist"):
-        perform(wanted)
-    with pytest.raises(ValueError, match=r"training\.device = 'cuda:99' does not exist"):
-        perform(with_device(wanted, "cuda:99"))
-
-
-@pytest.mark.slow
-def test_a_job_with_an_id_is_one_run_of_wandb_however_often_it_is_started(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("WANDB_MODE", "offline")
-    monkeypatch.setenv("WANDB_SILENT", "true")
-    values = job(tmp_path).experiment.to_dict()
-    values["logging"]["wandb"] = {"project": "sweeps"}
-    wanted = Job("wanted", make_experiment(values), tmp_path / "run", id="0123456789ab")
-    assert perform(wanted, stop=lambda: True) == "stopped"
-    assert not wanted.done
-    assert perform(wanted) == "trained"
-    begun = [path.name for path in (wanted.path / "wandb").glob("offline-run-*")]
-    assert len(begun) == 2
-    # W&B numbers runs that begin within one second.
-    assert all(re.fullmatch(r"offline-run-\d+_\d+-0123456789ab(-\d+)?", name) for name in begun), begun
-    assert (wanted.path / "wandb_id").read_text() == "0123456789ab\n"
 
 
 def test_what_a_killed_process_leaves_incomplete_is_made_again(tmp_path: Path) -> None:

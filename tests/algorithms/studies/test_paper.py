@@ -214,15 +214,10 @@ def test_results_are_read_as_they_were_written_and_equal_results_give_equal_byte
     assert gzip.decompress(files["reproduction_curves.csv.gz"]).startswith(b"task,learner,seed,step,")
 
 
-@pytest.mark.parametrize("damage", ["missing", "not gzip", "truncated", "not a table"])
-def test_broken_results_are_refused(tmp_path: Path, damage: str) -> None:
+def test_truncated_results_are_refused(tmp_path: Path) -> None:
     make_results("one_waypoint_linear", {"a2c": SOLVED}).write(tmp_path)
     curves = tmp_path / "reproduction_curves.csv.gz"
-    data = curves.read_bytes()
-    curves.unlink()
-    broken = {"not gzip": b"x", "truncated": data[:-20], "not a table": gzip.compress(b"a,b\n1,2\n")}
-    if damage in broken:
-        curves.write_bytes(broken[damage])
+    curves.write_bytes(curves.read_bytes()[:-20])
     with pytest.raises(ValueError, match="no results of a reproduction"):
         PaperResults.read(paper(), tmp_path)
 

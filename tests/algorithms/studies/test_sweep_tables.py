@@ -33,15 +33,7 @@ def test_the_table_shows_the_best_cells_and_the_csv_has_all(
     assert shown.err.count("\n") == 1
     assert "1 of 18 runs have no final evaluation (1 waiting)" in shown.err
     assert "2 of 6 cells, by greedy utility" in shown.out
-    lines = [" ".join(line.split()) for line in shown.out.splitlines() if line.startswith(("  16", "  32"))]
-    assert [line.split(" 10.")[0].split(" -10.")[0] for line in lines] == [
-        f"{steps} {policy} {seeds}"
-        for steps, seeds in ((16, "3"), (32, "2 of 3"))
-        for policy in ("greedy", "stochastic")
-    ]
-    cells = read(output)
-    assert list(cells[0])[:5] == ["algorithm.learning_rate", "algorithm.steps", "seeds", "policy", "vehicle"]
-    utilities = [cell for cell in cells if cell["metric"] == "utility_esr"]
+    utilities = [cell for cell in read(output) if cell["metric"] == "utility_esr"]
     assert [cell["policy"] for cell in utilities] == ["greedy", "stochastic"] * 6
     first = [utilities[0][name] for name in ("algorithm.learning_rate", "algorithm.steps", "seeds", "n")]
     assert first == ["0.01", "16", "0 1 2", "3"]
@@ -89,14 +81,11 @@ def test_cells_are_ranked_among_comparable_cells(tmp_path: Path, base: dict[str,
     collection = collect(tmp_path, pytest.fail)
     scores = collection.scores
     rankings = rank(collection.cells, scores)
-    names = [
-        "mo-deepdrive-one-waypoint-v0, one_waypoint_linear",
-        "mo-deepdrive-one-waypoint-v0, one_waypoint_nonlinear",
-        "mo-deepdrive-one-waypoint-v0 fixed_destination=True",
+    assert [(each.title, each.score_name) for each in rankings] == [
+        ("mo-deepdrive-one-waypoint-v0, one_waypoint_linear", "greedy utility"),
+        ("mo-deepdrive-one-waypoint-v0, one_waypoint_nonlinear", "greedy utility"),
+        ("mo-deepdrive-one-waypoint-v0 fixed_destination=True", "front hypervolume"),
     ]
-    assert [(each.title, each.score_name) for each in rankings] == list(
-        zip(names, ["greedy utility", "greedy utility", "front hypervolume"], strict=True)
-    )
     rates = [[cell.keys["algorithm.learning_rate"] for cell in each.cells] for each in rankings]
     assert rates == [[1e-2, 1e-3, 1e-4], [1e-2, 1e-3, 1e-4], [1e-4, 1e-3, 1e-2]]
     assert rankings[0].ranked[0] == pytest.approx(10.05)
@@ -104,10 +93,6 @@ def test_cells_are_ranked_among_comparable_cells(tmp_path: Path, base: dict[str,
     assert [len(each.ranked) for each in by_collisions] == [3, 3, 0]
     assert [cell.keys["algorithm.learning_rate"] for cell in by_collisions[0].cells] == [1e-2, 1e-3, 1e-4]
     assert rank(collection.cells, scores, "front/igd_plus")[2].cells[0].keys["algorithm.learning_rate"] == 1e-2
-    for shortened in ("success", "greedy/success", "stochastic/utility_esr"):
-        assert rank(collection.cells, scores, shortened)[0].ranked
-    with pytest.raises(ValueError, match=r"'greedy/sucess' is not among .* did you mean 'greedy/success'"):
-        rank(collection.cells, scores, "greedy/sucess")
 
 
 def test_utilities_are_summed_over_vehicles(tmp_path: Path) -> None:
