@@ -5,16 +5,43 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from algorithms.reporting.training_log import MetricsFile
 from algorithms.runs.config import load_experiment
+from algorithms.runs.jobs import Job
 from algorithms.runs.run_directory import record_files
+from algorithms.studies.execution import Backend
 from algorithms.studies.manifest import ManifestRow, run_id, write_manifest
 from tests.helpers.paths import REPOSITORY
 
 Script = Callable[..., int]  # calls a script with arguments and returns its exit code
+
+
+@dataclass(frozen=True)
+class MadeUpBackend(Backend):
+    """A backend whose runs end at once: with their learning rate as score, or failed if ``fails`` says so."""
+
+    fails: Callable[[Job], bool] = lambda _job: False
+    batches: list[list[str | None]] = field(default_factory=list)  # the ids of the runs that were trained together
+
+    def train(self, jobs: Sequence[Job], *_: Any) -> dict[Job, str]:
+        failed = {}
+        open_jobs = [job for job in jobs if not job.done]
+        self.batches.append([job.id for job in open_jobs])
+        for job in open_jobs:
+            job.path.mkdir(parents=True, exist_ok=True)
+            state: dict[str, Any] = {"state": "finished", "cpu_seconds": 60.0}
+            if self.fails(job):
+                failed[job] = "made to fail"
+                state = {"state": "failed", "reason": failed[job]}
+            score = {"utility_esr": {"value": job.experiment.algorithm.config.learning_rate}}
+            (job.path / "config.yaml").write_text("")
+            (job.path / "status.json").write_text(json.dumps(state))
+            (job.path / "evaluation.json").write_text(json.dumps({"policies": {"stochastic": score}}))
+        return failed
 
 
 def make_row(base: Mapping[str, Any], cell: dict[str, Any], seed: int, trial: int | None = None) -> ManifestRow:

@@ -9,16 +9,12 @@ from typing import Any
 import pytest
 
 from algorithms.reporting.run_records import (
-    EnvironmentRecord,
     RunRecord,
-    UtilityRecord,
     distinct_labels,
     experiment_record,
     find_runs,
     group_by_experiment,
-    label_of,
 )
-from algorithms.runs.config import make_experiment
 
 TWO = "mo-deepdrive-intersection-v0"
 CONFIG: dict[str, Any] = {
@@ -71,23 +67,6 @@ def test_what_differs_decides_whether_runs_are_one_experiment_and_whether_their_
     assert (keys[0] == keys[1]) is comparable
 
 
-def test_groups_and_their_runs_keep_the_order() -> None:
-    other = changed("algorithm.name", "a2c")
-    seeds = [changed("training.seed", seed) for seed in (3, 1)]
-    assert groups(seeds[0], other, seeds[1]) == [[0, 2], [1]]
-
-
-def test_the_order_of_keys_does_not_matter() -> None:
-    backwards = {name: dict(reversed(section.items())) for name, section in reversed(CONFIG.items())}
-    backwards["training"]["seed"] = 1
-    assert groups(CONFIG, backwards) == [[0, 1]]
-
-
-def test_a_repeated_seed_is_refused_naming_both_runs() -> None:
-    with pytest.raises(ValueError, match="runs 'run0' and 'run2' are the same experiment with the same seed, 0"):
-        groups(CONFIG, changed("training.seed", 1), changed("training.device", "cuda"))
-
-
 def test_sections_of_one_name_are_told_apart_by_what_differs() -> None:
     sections: list[Any] = [
         {"name": "linear", "arguments": {"weights": [100, 1], "scale": 2}},
@@ -106,27 +85,3 @@ def test_files_below_a_run_are_no_runs(tmp_path: Path) -> None:
     for folder in (run, of_wandb):
         (folder / "config.yaml").write_text("_wandb: {}")
     assert find_runs([tmp_path], pytest.fail) == find_runs([run], pytest.fail) == [run]
-
-
-def test_environments_are_named_by_their_id_and_the_arguments_that_differ_from_the_default() -> None:
-    arguments = make_experiment(
-        {
-            "environment": {"id": TWO, "arguments": {"end_together": True, "time_limit": 30}},
-            "utility": {"name": "intersection_linear"},
-            "algorithm": {"name": "mo_a2c"},
-            "training": {"total_timesteps": 1000, "num_envs": 2},
-        }
-    ).to_dict()["environment"]["arguments"]
-    for env_id, given, label in (
-        (TWO, arguments, f"{TWO} time_limit=30.0 end_together=True"),
-        ("deep-sea-treasure-v0", {"float_state": True}, "deep-sea-treasure-v0"),
-        ("some.module:unknown-v0", {}, "some.module:unknown-v0"),
-    ):
-        assert label_of(EnvironmentRecord(id=env_id, arguments=given)) == label
-
-
-def test_utilities_are_named_with_those_of_other_vehicles() -> None:
-    assert label_of(None) == ""
-    assert label_of(UtilityRecord(name="linear")) == "linear"
-    other = UtilityRecord(name="linear", vehicles={"vehicle_1": UtilityRecord(name="owa")})
-    assert label_of(other) == "linear vehicle_1=owa"

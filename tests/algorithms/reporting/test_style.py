@@ -10,11 +10,8 @@ from matplotlib.figure import Figure
 from algorithms import ALGORITHMS
 from algorithms.reporting.style import (
     ALGORITHM_COLOURS,
-    MARKERS,
     OTHER_COLOURS,
     algorithm_colours,
-    algorithm_order,
-    curve_styles,
     figure_style,
     save_figure,
 )
@@ -27,19 +24,6 @@ def test_every_algorithm_has_one_colour_that_no_other_has() -> None:
     together = algorithm_colours(["mo_a2c", "my.package:Algorithm", "a2c"])
     for name in together:
         assert algorithm_colours([name]) == {name: together[name]}, "whatever else a figure shows"
-
-
-def test_the_order_is_that_of_the_colours_then_by_name() -> None:
-    names = ["x:B", "pcn", "mo_ppo", "a2c", "morl_baselines.pcn", "ppo", "mo_a2c"]
-    expected = ["a2c", "mo_a2c", "ppo", "mo_ppo", "pcn", "morl_baselines.pcn", "x:B"]
-    assert sorted(names, key=algorithm_order) == expected
-
-
-def test_curves_of_one_algorithm_have_its_shades_and_different_markers() -> None:
-    (first, plain), (other, _), (second, marker) = curve_styles(["mo_a2c", "a2c", "mo_a2c"])
-    assert [first, other] == [ALGORITHM_COLOURS["mo_a2c"].lower(), ALGORITHM_COLOURS["a2c"].lower()]
-    assert second not in (first, other)
-    assert [plain, marker] == list(MARKERS[:2])
 
 
 def test_figures_do_not_depend_on_a_users_settings(tmp_path: Path) -> None:

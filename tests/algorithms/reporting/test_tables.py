@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 from pathlib import Path
@@ -13,7 +12,6 @@ import pytest
 from rich.console import Console
 
 from algorithms.reporting.tables import (
-    TABLE_METRICS,
     comparison_table,
     evaluation_table,
     group_runs,
@@ -23,7 +21,7 @@ from algorithms.reporting.tables import (
     tidy_scores,
 )
 from algorithms.runs.config import make_experiment
-from mo_deepdrive.evaluation.evaluation import Evaluation, write_evaluation
+from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.evaluation.statistics import Estimate
 from mo_deepdrive.support.yaml import dump
 from mo_deepdrive.utilities import Utility
@@ -75,24 +73,6 @@ def test_runs_that_differ_in_their_seed_share_a_row_and_others_name_what_differs
     assert groups[0].scores["greedy", "", "success"] == pytest.approx([0.0, 0.1, 0.2])  # type: ignore[index]
     header, *rows = scores_table(groups)
     assert [row[header.index("settings")] for row in rows] == ["training.num_envs=2", "training.num_envs=4", ""]
-
-
-def test_a_csv_has_the_returns_of_all_objectives_and_the_terminal_has_not(tmp_path: Path) -> None:
-    make_run(tmp_path / "run", 0, scores={"success": 0.5, "return/energy": -3.0, "return/jerk": -2.0, "max_jerk": 4.0})
-    groups = group_runs([tmp_path], pytest.fail)
-    header, row = scores_table(groups)
-    assert header[-3:] == ["success", "return/energy", "return/jerk"]
-    assert [float(cell) for cell in row[-3:]] == [0.5, -3.0, -2.0]
-    assert scores_table(groups, TABLE_METRICS)[0][-1] == "success"
-
-
-def test_algorithms_are_in_the_order_of_figures_and_compared_with_the_ones_before(tmp_path: Path) -> None:
-    for name in ("mo_ppo", "ppo", "a2c"):
-        for seed in range(2):
-            make_run(tmp_path / f"{name}-{seed}", seed, name, {"utility_esr": 1.0 + seed})
-    groups = group_runs([tmp_path], pytest.fail)
-    assert [group.algorithm for group in groups] == ["a2c", "ppo", "mo_ppo"]
-    assert [row[3] for row in comparison_table(groups)[1:]] == ["ppo - a2c", "mo_ppo - a2c", "mo_ppo - ppo"]
 
 
 def make_pair(folder: Path, ppo: dict[str, Any], mo_ppo: dict[str, Any]) -> None:
@@ -155,16 +135,6 @@ def test_scores_have_the_digits_that_the_episodes_of_one_run_support(tmp_path: P
     assert columns_of(scores_table([group]))["utility_esr"] == "10.0010 [10.0000, 10.0020]"
 
 
-@pytest.mark.parametrize(
-    ("objective", "rate", "shown"), [("jerk", 0.0, False), ("jerk", 0.5, True), ("collision", 0.0, True)]
-)
-def test_collisions_have_a_column_where_there_is_something_to_collide_with(
-    tmp_path: Path, objective: str, rate: float, shown: bool
-) -> None:
-    make_run(tmp_path / "run", 0, scores={"success": 0.5, "end/collision": rate, f"return/{objective}": 0.0})
-    assert ("end/collision" in scores_table(group_runs([tmp_path], pytest.fail))[0]) is shown
-
-
 @pytest.mark.parametrize(("seeds", "noted"), [(1, False), (2, True), (3, False)])
 def test_two_seeds_have_no_interval_and_the_table_says_so(tmp_path: Path, seeds: int, noted: bool) -> None:
     for algorithm in ("a2c", "mo_a2c"):
@@ -185,17 +155,13 @@ def test_two_seeds_have_no_interval_and_the_table_says_so(tmp_path: Path, seeds:
 # ------------------------------------------------------------------------------------------------ evaluation of a run
 
 
-def square(returns: Any) -> Any:
-    return returns[..., 0] ** 2
-
-
 def evaluation(episodes: int = 50, vehicles: int = 1, ends: bool = True) -> Evaluation:
     generator = np.random.default_rng(1)
     shape = (episodes, vehicles)
     returns = generator.normal([3.0, -100.0], [1.0, 20.0], (*shape, 2))
     return Evaluation(
         objectives=OBJECTIVES,
-        utilities=(Utility("square", OBJECTIVES, square),) * vehicles,
+        utilities=(Utility("square", OBJECTIVES, lambda returns: returns[..., 0] ** 2),) * vehicles,
         returns=returns,
         discounted=0.5 * returns,
         lengths=np.full(shape, 10),
@@ -205,14 +171,8 @@ def evaluation(episodes: int = 50, vehicles: int = 1, ends: bool = True) -> Eval
     )
 
 
-def shown(evaluations: dict[str, Evaluation]) -> list[str]:
-    """The names of the rows of a table."""
-    return list(evaluation_table(evaluations, "a title").columns[0].cells)
-
-
 def test_ends_that_occurred_have_a_row_with_the_rate_of_every_policy() -> None:
     held, other = evaluation(), evaluation()
-    assert [name for name in shown({"greedy": held}) if name.startswith("end/")] == ["end/circling"]
     assert {"end/collision", "end/off_lane", "end/time_limit"} <= set(held.estimates()), "the files have them"
     held.ends[0], other.ends[:] = "harmful_jerk", "time_limit"
     table = evaluation_table({"greedy": held, "stochastic": other}, "a title")
@@ -222,32 +182,6 @@ def test_ends_that_occurred_have_a_row_with_the_rate_of_every_policy() -> None:
     never, always = r"0.000 \[0.000, 0.071]", r"1.000 \[0.929, 1.000]"
     assert cells["end/time_limit"] == [never, always]
     assert cells["end/harmful_jerk"][1] == never
-    assert table.caption == "success: the share of arrivals; other ends (end/...) that no episode had are left out."
-    without = evaluation(ends=False)
-    table = evaluation_table({"greedy": held, "stochastic": without}, "a title")
-    assert list(table.columns[2].cells)[names.index("end/circling") - 1] == "", "it is not known"
-    assert evaluation_table({"greedy": without}, "a title").caption is None
-
-
-def test_estimates_have_the_values_of_the_metrics() -> None:
-    held = evaluation()
-    summary, metrics = held.estimates(), held.metrics()
-    for name in (
-        "utility_esr",
-        "utility_ser",
-        "discounted_utility_esr",
-        "success",
-        "length",
-        "return/jerk",
-        "mean_jerk",
-    ):
-        assert summary[name].value == pytest.approx(metrics[name]), name
-    assert summary["end/circling"].value == 1.0
-    assert summary["end/collision"].value == 0.0
-    assert summary["max_jerk"] == Estimate(held.largest[..., 1].max())
-    assert "mean_distance" not in summary
-    unknown = evaluation(ends=False).estimates()
-    assert not [name for name in unknown if name == "success" or name.startswith("end/")]
 
 
 def test_success_and_collisions_of_all_vehicles_are_counted_per_episode() -> None:
@@ -260,46 +194,6 @@ def test_success_and_collisions_of_all_vehicles_are_counted_per_episode() -> Non
     assert summary["vehicle_1/end/collision"].value == 0.5
     assert "success" in evaluation().estimates()
     assert {"utility_esr", "length"}.isdisjoint(summary)
-
-
-def test_every_metric_is_written_and_shown(tmp_path: Path) -> None:
-    policies = {"greedy": evaluation(5), "stochastic": evaluation(5, ends=False)}
-    write_evaluation(tmp_path, policies, {"seed": 7, "episodes": 5})
-    stored = json.loads((tmp_path / "evaluation.json").read_text())
-    expected = policies["greedy"].estimates()["utility_esr"]
-    assert stored["seed"] == 7
-    assert stored["policies"]["greedy"]["utility_esr"] == {
-        "value": expected.value,
-        "low": expected.low,
-        "high": expected.high,
-    }
-    with (tmp_path / "evaluation.csv").open() as file:
-        rows = {(row["policy"], row["metric"]): row for row in csv.DictReader(file)}
-    assert float(rows["greedy", "utility_esr"]["value"]) == expected.value
-    assert rows["greedy", "max_jerk"]["low"] == ""
-    with (tmp_path / "episodes.csv").open() as file:
-        episodes = list(csv.DictReader(file))
-    assert [int(row["seed"]) for row in episodes] == [7, 8, 9, 10, 11] * 2
-    assert float(episodes[2]["return/jerk"]) == policies["greedy"].returns[2, 0, 1]
-    console = Console(width=120, record=True)
-    console.print(evaluation_table(policies, "a [title]"))
-    text = console.export_text()
-    assert "end/circling" in text
-    assert expected.text() in text
-
-
-@pytest.mark.parametrize("width", [60, 80, 100])
-def test_a_table_with_two_vehicles_and_long_names_fits_the_terminal(width: int) -> None:
-    held = evaluation(vehicles=2)
-    held.objectives = ("distance", "minus_the_energy_drawn_from_the_battery_in_kilowatt_hours")
-    console = Console(width=width, record=True)
-    console.print(evaluation_table({"greedy": held, "stochastic": held}, "a title"))
-    lines = console.export_text().splitlines()
-    assert max(map(len, lines)) <= width
-    assert not any("…" in line for line in lines)
-    text = "".join("".join(lines).split())
-    for name, estimate in held.estimates().items() if width >= 80 else ():
-        assert "".join(estimate.text().split()) in text, name
 
 
 # --------------------------------------------------------------------------------------------------------- a terminal
@@ -322,22 +216,6 @@ def printed(rows: list[list[str]], labels: int, width: int, rest: str | None = N
     return console.file.getvalue().splitlines()  # type: ignore[attr-defined]
 
 
-def test_a_table_that_fits_stays_one_table() -> None:
-    assert len(printed(ROWS, 4, 1000)) == len(ROWS) + 4
-    lines = printed([row[:5] for row in ROWS], 4, 100)
-    assert lines[0] == "a title"
-    assert lines[2].split() == [*LABELS, METRICS[0]]
-    assert len(lines) == 9
-
-
-def test_columns_that_do_not_fit_follow_in_further_tables_with_the_same_labels() -> None:
-    lines = printed(ROWS, 4, 100)
-    for name in METRICS:
-        assert sum(name in line for line in lines) == 1
-    for row in ROWS[1:]:
-        assert all(any(cell in line and row[0] in line and row[2] in line for line in lines) for cell in row[4:])
-
-
 @pytest.mark.parametrize("width", [60, 80, 100, 120])
 def test_nothing_is_cut_off_however_many_keys_a_cell_has(width: int) -> None:
     keys = [f"learning_rate_of_the_{i}th_network" for i in range(8)]
@@ -358,13 +236,3 @@ def test_with_another_place_for_all_columns_the_rest_is_named() -> None:
     assert 0 < len(shown) < len(METRICS)
     assert f"not shown: {', '.join(METRICS[len(shown) :])}; --output FILE.csv writes every column" in note
     assert "not shown" not in "".join(printed(ROWS, 4, 1000, "--output FILE.csv"))
-
-
-def test_labels_that_all_rows_share_move_to_the_title_and_rows_without_values_are_left_out() -> None:
-    rows = [ROWS[0], *ROWS[1:], ["ppo", "greedy", "", "0 1 2 3 4", "", "", *ROWS[1][6:]]]
-    lines = printed(rows, 4, 100)
-    assert lines[0] == "a title, policy greedy, seeds 0 1 2 3 4"
-    assert lines[2].split() == ["algorithm", "vehicle", *METRICS[:2]]
-    assert [sum(line.strip().startswith(name) for line in lines) for name in ("ppo", "a2c")] == [4, 10]
-    (only,) = [line for line in printed(rows[:2], 4, 60) if METRICS[8] in line]
-    assert only.split() == [METRICS[8]]  # one row shares all its labels

@@ -56,14 +56,3 @@ def test_a_damaged_file_is_neither_read_nor_continued(tmp_path: Path, content: b
     with pytest.raises(ValueError, match=f"^{whole}.*; repair it, or delete it to resume without its rows$"):
         MetricsFile(path, after=10)
     assert path.read_bytes() == content
-
-
-def test_a_file_that_is_deleted_while_it_is_written_is_an_error(tmp_path: Path) -> None:
-    path = tmp_path / "metrics.csv"
-    file = MetricsFile(path)
-    file.write(0, {"a": 1})
-    path.unlink()
-    for action in (lambda: file.write(10, {"a": 2}), file.sync):
-        with pytest.raises(FileNotFoundError):
-            action()
-    assert not path.exists()

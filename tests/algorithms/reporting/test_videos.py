@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,27 +12,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from rich.console import Console
 
 from algorithms.actor_critic import ActorCritic
-from algorithms.reporting import fronts, videos
 from algorithms.reporting.videos import (
     CAPTION_PIXELS,
     GAP,
     HOLD,
-    MAX_WIDTH,
     Frame,
     caption_strip,
-    check_renderable,
     cut_off,
-    make_render_env,
     record,
-    video_writer,
     write_video_grid,
 )
 from algorithms.runs.build import build
 from algorithms.runs.config import Experiment, make_experiment
-from algorithms.runs.report import film
 from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.world.actions import action_names
 
@@ -40,9 +33,6 @@ ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 UTILITIES = {ONE: "one_waypoint_linear", TWO: "intersection_linear"}
 FPS, LIMIT = 10, 12
 IDLE, SPEED_UP = (action_names("discrete").index(name) for name in ("idle", "decay steer, increase speed"))
-GREEN, AMBER = (38, 150, 92), (170, 122, 34)
-LABEL_ROWS = (84, 406)  # of the frame, where the panel says why each of two vehicles ended
-LABEL_COLUMN = 720 + 310  # within a label, behind its text
 
 
 def make(env_id: str, **arguments: Any) -> tuple[ActorCritic, Experiment]:
@@ -57,19 +47,6 @@ def make(env_id: str, **arguments: Any) -> tuple[ActorCritic, Experiment]:
     return build(experiment), experiment
 
 
-def policy(*actions: int) -> Callable[..., NDArray[np.int64]]:
-    """Always the same action per vehicle."""
-    return lambda *_: np.array([actions])
-
-
-def label(frame: NDArray[np.uint8], v: int) -> NDArray[np.uint8]:
-    return frame[LABEL_ROWS[v], LABEL_COLUMN]
-
-
-def resembles(pixel: NDArray[np.uint8], colour: tuple[int, ...]) -> bool:
-    return bool(np.abs(pixel.astype(int) - colour).max() < 40)
-
-
 @pytest.mark.slow
 def test_a_video_lasts_until_both_vehicles_have_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     agent, experiment = make(TWO, time_limit=LIMIT)
@@ -82,14 +59,7 @@ def test_a_video_lasts_until_both_vehicles_have_ended(tmp_path: Path, monkeypatc
     monkeypatch.setattr(agent, "act", act)
     path = tmp_path / "episode.mp4"
     count = record(agent, experiment.environment.id, experiment.environment.arguments, path, episodes=1)
-    frames = iio.imread(path)
-    assert len(frames) == count == 1 + LIMIT * FPS + round(HOLD * FPS)
-    arrived = [resembles(label(frame, 1), GREEN) for frame in frames]
-    first = arrived.index(True)
-    assert 5 * FPS < first < LIMIT * FPS
-    assert all(arrived[first:])
-    late = [resembles(label(frame, 0), AMBER) for frame in frames]
-    assert late.index(True) == LIMIT * FPS
+    assert len(iio.imread(path)) == count == 1 + LIMIT * FPS + round(HOLD * FPS)
     destinations = np.stack(seen)[:, 1, agent.env.objectives.index("destination")]
     assert len(np.unique(destinations)) == 2, "the policy observes the reward of its vehicle, which ends with it"
 
@@ -99,7 +69,7 @@ def test_each_episode_of_one_vehicle_is_filmed_from_its_start_to_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     agent, experiment = make(ONE, time_limit=1)
-    monkeypatch.setattr(agent, "act", policy(SPEED_UP))
+    monkeypatch.setattr(agent, "act", lambda *_: np.array([[SPEED_UP]]))
     count = record(
         agent, experiment.environment.id, experiment.environment.arguments, tmp_path / "episode.mp4", episodes=2
     )
@@ -112,44 +82,6 @@ def test_each_episode_of_one_vehicle_is_filmed_from_its_start_to_its_end(
         assert np.abs(last - frames[start + length - 1]).mean() < 1
 
 
-def test_a_video_without_frames_is_not_written(tmp_path: Path) -> None:
-    with video_writer(tmp_path / "episode.mp4", FPS):
-        pass
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_environment_without_render_modes_cannot_be_rendered(
-    examples: None, tmp_path: Path, recwarn: pytest.WarningsRecorder
-) -> None:
-    experiment = make_experiment(
-        {
-            "environment": {"id": "commute:commute-v0"},
-            "utility": {"name": "linear", "arguments": {"weights": [1.0, 1.0]}},
-            "algorithm": {"name": "mo_a2c", "steps": 4, "hidden": [8]},
-            "training": {"total_timesteps": 8, "num_envs": 1},
-        }
-    )
-    message = (
-        r"environment 'commute:commute-v0' cannot be rendered: metadata\['render_modes'\] = \[\] lacks 'rgb_array'"
-    )
-    with pytest.raises(ValueError, match=message):
-        make_render_env("commute:commute-v0")
-    check_renderable("mo-mountaincar-v0")
-    check_renderable(ONE)
-    console = Console(width=200, record=True)
-    assert not film(build(experiment), experiment, tmp_path / "video.mp4", console, seed=0)
-    assert console.export_text().startswith("warning: no video: environment 'commute:commute-v0' cannot be rendered: ")
-    assert not [warning for warning in recwarn if "render" in str(warning.message)]
-    assert not list(tmp_path.iterdir())
-
-
-def write_noise(path: Path, frames: int) -> None:
-    noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
-    with video_writer(path, fps=10) as write:
-        for shift in range(frames):
-            write(np.roll(noise, 7 * shift, axis=1))
-
-
 @pytest.mark.skipif(os.name != "posix", reason="needs limits of file sizes")
 @pytest.mark.parametrize("frames", [5, 60], ids=["at its end", "before its end"])
 def test_a_video_that_could_not_be_written_whole_leaves_the_former_one(tmp_path: Path, frames: int) -> None:
@@ -157,11 +89,12 @@ def test_a_video_that_could_not_be_written_whole_leaves_the_former_one(tmp_path:
 
     path = tmp_path / "video.mp4"
     path.write_bytes(b"former")
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
     try:
         with pytest.raises(OSError, match=r"^'.*video.mp4': ffmpeg [^\n]*$"):
-            write_noise(path, frames)
+            write_video_grid([("", [np.roll(noise, 7 * shift, axis=1) for shift in range(frames)])], path, 10)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert path.read_bytes() == b"former"
@@ -170,82 +103,11 @@ def test_a_video_that_could_not_be_written_whole_leaves_the_former_one(tmp_path:
 
 # -------------------------------------------------------------------------------------------------------- side by side
 
-HEIGHT, WIDTH = 60, 100
-COLOURS = ((200, 40, 40), (40, 180, 40), (50, 60, 220), (220, 200, 40))
-
-
-def plain(level: float, colour: tuple[int, ...] = (255, 255, 255), size: tuple[int, int] = (HEIGHT, WIDTH)) -> Frame:
-    """A frame of one colour, darkened to ``level``."""
-    return np.full((*size, 3), np.array(colour) * level, dtype=np.uint8)
-
-
-def tile(frames: Frame, row: int, column: int) -> Frame:
-    """The tile at a place, of all frames, less a margin where colours run."""
-    top = row * (HEIGHT + CAPTION_PIXELS) + CAPTION_PIXELS
-    left = column * (WIDTH + GAP)
-    return frames[:, top + 8 : top + HEIGHT - 8, left + 8 : left + WIDTH - 8]
-
-
-@pytest.mark.slow
-def test_four_tracks_form_a_square_and_each_keeps_its_last_frame(tmp_path: Path) -> None:
-    lengths = (3, 8, 5, 1)
-
-    def track(k: int) -> Iterator[Frame]:
-        for step in range(lengths[k]):
-            yield plain(0.5 + step / 16, COLOURS[k])
-
-    tracks = [(f"policy {k}", track(k)) for k in range(4)]
-    count = write_video_grid(tracks, tmp_path / "video.mp4", FPS, hold=0.5)
-    frames = iio.imread(tmp_path / "video.mp4")
-    assert len(frames) == count == max(lengths) + 5
-    assert frames.shape[1:] == (2 * (HEIGHT + CAPTION_PIXELS), 2 * WIDTH + GAP, 3)
-    for k in range(4):
-        for step in range(count):
-            level = 0.5 + min(step, lengths[k] - 1) / 16
-            shown = tile(frames, *divmod(k, 2))[step].astype(float)
-            assert np.abs(shown - np.array(COLOURS[k]) * level).max() < 16.0
-    assert list(tmp_path.iterdir()) == [tmp_path / "video.mp4"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("n", "rows", "columns"), [(1, 1, 1), (3, 1, 3), (5, 2, 3)])
-def test_up_to_three_tracks_are_side_by_side_and_the_rest_of_a_last_row_is_empty(
-    tmp_path: Path, n: int, rows: int, columns: int
-) -> None:
-    write_video_grid([(str(k), [plain(1.0)]) for k in range(n)], tmp_path / "video.mp4", FPS, hold=0.2)
-    frames = iio.imread(tmp_path / "video.mp4")
-    assert frames.shape[1:] == (rows * (HEIGHT + CAPTION_PIXELS), columns * (WIDTH + GAP) - GAP, 3)
-    assert tile(frames, *divmod(n - 1, columns)).min() > 230
-    if n == 5:
-        assert tile(frames, 1, 2).max() < 60
-
-
-def test_captions_are_above_their_tiles(tmp_path: Path) -> None:
-    write_video_grid([("", [plain(0.0)]), ("WWW", [plain(0.0)])], tmp_path / "video.mp4", FPS)
-    strips = iio.imread(tmp_path / "video.mp4")[0, :CAPTION_PIXELS].max(axis=2)
-    assert strips[:, :WIDTH].max() < 60
-    assert strips[:, WIDTH + GAP :].max() > 180
-
-
-def test_wide_frames_are_scaled_and_odd_sides_made_even(tmp_path: Path) -> None:
-    height, width = 301, 1101
-    frame = plain(1.0, size=(height, width))
-    frame[:, width // 2 :] = 0
-    write_video_grid([("a", [frame]), ("b", [frame])], tmp_path / "wide.mp4", FPS)
-    frame = iio.imread(tmp_path / "wide.mp4")[0]
-    assert frame.shape[1] in range(MAX_WIDTH - 4, MAX_WIDTH + 1)
-    shown = (frame.shape[1] - GAP) // 2
-    assert (frame.shape[0] - CAPTION_PIXELS) / shown == pytest.approx(height / width, abs=0.005)
-    row = frame[CAPTION_PIXELS + 50].astype(int)
-    for left in (0, shown + GAP):
-        assert row[left + 5 : left + shown // 2 - 5].min() > 230
-        assert row[left + shown // 2 + 5 : left + shown - 5].max() < 30
-    write_video_grid([("a", [plain(1.0, size=(31, 57))])], tmp_path / "odd.mp4", FPS)
-    assert iio.imread(tmp_path / "odd.mp4")[0].shape == (CAPTION_PIXELS + 32, 58, 3)
+WHITE = np.full((60, 100, 3), 255, dtype=np.uint8)
 
 
 def failing() -> Iterator[Frame]:
-    yield plain(1.0)
+    yield WHITE
     raise RuntimeError("no idea")
 
 
@@ -253,7 +115,7 @@ def failing() -> Iterator[Frame]:
     ("tracks", "error", "message"),
     [
         ([], ValueError, "at least one"),
-        ([("a", [plain(1.0)]), ("b", [])], ValueError, "track 'b' has no frames"),
+        ([("a", [WHITE]), ("b", [])], ValueError, "track 'b' has no frames"),
         ([("a", failing())], RuntimeError, "no idea"),
     ],
 )
@@ -265,23 +127,6 @@ def test_tracks_that_cannot_be_shown_leave_nothing_behind(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
-def test_captions_that_do_not_fit_shrink_and_are_then_shortened() -> None:
-    def ink(text: str, width: int = 300) -> tuple[int, int]:
-        """Width and height of what is written."""
-        strip = caption_strip(text, width).max(axis=2) > 90
-        assert strip.shape == (CAPTION_PIXELS, width)
-        columns, rows = np.flatnonzero(strip.any(axis=0)), np.flatnonzero(strip.any(axis=1))
-        assert columns[-1] <= width - 10
-        return int(np.ptp(columns)), int(np.ptp(rows))
-
-    short, longer, endless = ink("H" * 10), ink("H" * 30), ink("H" * 300)
-    assert short[1] > longer[1] >= endless[1], "smaller letters"
-    assert longer[0] > short[0]
-    assert endless[0] > 240
-    assert ink("two\nlines  $x^2$")[1] < 24
-
-
 def test_a_video_that_is_cut_off_says_so_on_its_last_frame() -> None:
     frames = [np.full((60, 200, 3), 5 * i, dtype=np.uint8) for i in range(30)]
     for count in (30, 31):
@@ -291,14 +136,6 @@ def test_a_video_that_is_cut_off_says_so_on_its_last_frame() -> None:
     np.testing.assert_array_equal(last[:-CAPTION_PIXELS], frames[19][:-CAPTION_PIXELS])
     np.testing.assert_array_equal(last[-CAPTION_PIXELS:], caption_strip("cut off after 2 s", 200))
     assert not list(cut_off([], 3, 10))
-
-
-def test_whole_episodes_of_our_environments_fit_into_a_video() -> None:
-    env = make_render_env(ONE)
-    frames_of_episode = env.unwrapped.config.max_decisions + 1
-    env.close()
-    assert frames_of_episode <= fronts.MAX_FRAMES
-    assert 3 * (frames_of_episode + HOLD * 10) <= videos.MAX_FRAMES
 
 
 # ---------------------------------------------------------------------------------------------------------------- GIF
@@ -334,10 +171,3 @@ def test_clips_of_a_gif_are_side_by_side_below_their_captions_and_the_shorter_on
             assert np.abs(column[57] - colour).max() < 12  # no bar comes that far down
             assert (column[10 * bar + 5] > 200).all()
         assert (frame[:, 60 : 60 + GAP] > 240).all()
-
-
-@pytest.mark.parametrize("fps", [30, 0])
-def test_a_gif_counts_hundredths_of_a_second(tmp_path: Path, fps: int) -> None:
-    with pytest.raises(ValueError, match=f"fps = {fps} must divide 100"):
-        write_video_grid([("Red", clip(RED, 2))], tmp_path / "none.gif", fps)
-    assert not list(tmp_path.iterdir())

@@ -12,7 +12,6 @@ import pytest
 
 from algorithms.runs.config import Experiment, make_experiment
 from algorithms.runs.console import make_console, print_line
-from algorithms.runs.interrupts import Accessory
 from algorithms.runs.progress import ProgressReporter
 from algorithms.runs.run_directory import Run, read_status
 from algorithms.runs.training import resume, train_and_finish
@@ -89,18 +88,6 @@ def test_a_front_is_finished_without_anything_that_draws(tmp_path: Path, monkeyp
     said = finished(tmp_path, make_experiment(FRONT), io.StringIO())
     starts = ("the front could not be drawn", "no video", "no explorer", "the curves could not be drawn")
     assert [line.split(": ")[1] for line in said] == list(starts)
-
-
-def test_an_accessory_ends_with_its_first_error_and_lets_an_interrupt_pass() -> None:
-    said: list[str] = []
-    accessory = Accessory("no video", said.append)
-    with accessory:
-        assert accessory.works
-        raise OSError("gone")
-    assert not accessory.works
-    assert said == ["warning: no video: gone"]
-    with pytest.raises(KeyboardInterrupt), accessory:
-        raise KeyboardInterrupt
 
 
 def test_a_display_that_fails_gives_the_terminal_back(monkeypatch: pytest.MonkeyPatch) -> None:

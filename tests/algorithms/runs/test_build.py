@@ -6,28 +6,16 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from algorithms import MOA2C
-from algorithms.runs.build import build, load_policy, make_environment, training_memory
-from algorithms.runs.config import EnvironmentSettings, make_experiment
-from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.policy import AccruedReward
+from algorithms.runs.build import build, training_memory
+from algorithms.runs.config import make_experiment
 from mo_deepdrive.support.machine import GIB
 from tests.helpers.short_runs import VALUES
 
 
 def experiment_with(**sections: Any) -> Any:
     return make_experiment({**VALUES, **sections})
-
-
-def test_an_agent_has_the_environments_utilities_and_hyperparameters_of_its_experiment() -> None:
-    agent = build(experiment_with(training={"total_timesteps": 96, "num_envs": 3, "seed": 9}))
-    assert isinstance(agent, MOA2C)
-    assert (agent.env.num_envs, agent.seed, agent.config.steps) == (3, 9, 8)
-    assert [utility.name for utility in agent.utilities] == ["one_waypoint_linear"]
-    assert build(experiment_with(), num_envs=1).env.num_envs == 1
 
 
 def test_vehicles_have_their_own_utilities() -> None:
@@ -87,29 +75,6 @@ def test_a_users_utility_is_called_in_every_shape_before_training(
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ValueError, match=message):
         build(experiment_with(utility={"name": f"{name}:utility"}))
-
-
-def test_an_environment_that_cannot_be_made_is_named_with_its_arguments() -> None:
-    settings = EnvironmentSettings(id="deep-sea-treasure-v0", arguments={"depth": 3})
-    with pytest.raises(ValueError, match=r"'deep-sea-treasure-v0' with arguments \{'depth': 3\} cannot be made"):
-        make_environment(settings, 1)
-
-
-def test_a_loaded_policy_acts_like_the_trained_one_and_knows_its_steps(tmp_path: Path) -> None:
-    experiment = experiment_with()
-    run = Run.create(experiment, tmp_path / "run")
-    run.unlock()
-    with pytest.raises(ValueError, match="checkpoint"):
-        load_policy(run)
-    trained = build(experiment)
-    trained.train(96)
-    trained.save(run.checkpoint)
-    policy = load_policy(run)
-    assert policy.step == trained.step >= 96
-    observations = make_environment(experiment.environment, 5).reset(seed=3)[0][:, None]
-    accrued_reward = AccruedReward.begin(5, 1, 4)
-    actions = [agent.act(observations, accrued_reward, None) for agent in (trained, policy)]
-    np.testing.assert_array_equal(*actions)
 
 
 @pytest.mark.parametrize("name", ["mo_a2c", "mo_ppo", "pcn", "conditioned_mo_ppo"])

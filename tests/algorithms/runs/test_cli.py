@@ -16,13 +16,10 @@ from algorithms.runs.cli import (
     PROCESS_DEFAULTS,
     RUN_OUTPUT,
     Command,
-    check_directory,
-    check_file,
     evaluation_arguments,
     evaluation_options,
     exit_on_error,
     named_numbers,
-    new_runs,
     option,
 )
 from algorithms.runs.config import Experiment, make_experiment
@@ -79,30 +76,6 @@ def parsed(*arguments: str, options: Any = (), takes_keys: bool = False) -> Name
     return Command("name", "Text\n  as it is.", options, lambda _: 0, takes_keys=takes_keys).parse(arguments)
 
 
-def test_a_command_has_its_options_and_perhaps_the_keys_of_an_experiment(capsys: pytest.CaptureFixture[str]) -> None:
-    options = parsed("--training.seed=1", "--seed", "3", "--output", "run", options=(RUN_OUTPUT,), takes_keys=True)
-    assert (options.output, options.overrides) == ("run", ["--training.seed=1", "--seed", "3"])
-    for arguments in (["--surplus"], ["--out", "run"], ["--help"]):
-        with pytest.raises(SystemExit):
-            parsed(*arguments, options=(RUN_OUTPUT,))
-    said = capsys.readouterr()
-    assert "unrecognized arguments: --surplus" in said.err
-    assert said.out.startswith("usage: mo-deepdrive name ")
-    assert "Text\n  as it is." in said.out
-
-
-def test_a_new_run_is_in_its_output_or_a_directory_named_after_its_config(
-    tmp_path: Path, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (given,) = new_runs(Namespace(config="fast.yaml", output="given"), [experiment])
-    (default,) = new_runs(Namespace(config="fast.yaml", output=None), [experiment])
-    given.unlock()
-    default.unlock()
-    assert given.path == Path("given")
-    assert default.path.parent == Path("runs/fast")
-
-
 def choices(*arguments: str, episodes: int | None = None, split: Split | None = None) -> Namespace:
     """What a command that evaluates gets from a command line."""
     return parsed(*arguments, options=(*evaluation_options(episodes, split), option("--video", "FILE", "film it")))
@@ -146,27 +119,6 @@ def test_a_video_of_an_environment_without_frames_is_refused_before_the_evaluati
     )
     with pytest.raises(ValueError, match=r"--video 'a\.mp4': environment 'commute:commute-v0' cannot be rendered"):
         evaluation_arguments(choices("--video=a.mp4"), experiment)
-
-
-def test_a_file_is_refused_where_it_cannot_be_written(tmp_path: Path) -> None:
-    check_file("--output", None)
-    check_file("--output", tmp_path / "new.PNG", ".png")
-    with pytest.raises(ValueError, match=r"--output '.*nowhere/new': '.*nowhere' is not a directory"):
-        check_file("--output", tmp_path / "nowhere" / "new")
-    with pytest.raises(ValueError, match=rf"--output '{tmp_path}' is a directory; it must be a file"):
-        check_file("--output", tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_directory_is_refused_where_it_cannot_be_made(tmp_path: Path) -> None:
-    check_directory("--output", None)
-    check_directory("--output", tmp_path)
-    check_directory("--output", str(tmp_path / "new" / "newer"))
-    (tmp_path / "file").touch()
-    for path in ("file", "file/new"):
-        with pytest.raises(ValueError, match=rf"--output '{tmp_path}/{path}': '{tmp_path}/file' is not a directory"):
-            check_directory("--output", tmp_path / path)
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import signal
-import threading
 import time
 
 import pytest
@@ -61,19 +60,6 @@ def test_what_does_not_end_in_time_is_interrupted_unless_it_is_settled(number: s
         signal.raise_signal(number)
         interrupts.settle()
         time.sleep(0.1)
-
-
-def test_outside_the_main_thread_nothing_is_recorded() -> None:
-    received = []
-
-    def work() -> None:
-        with Interrupts() as interrupts:
-            received.append(interrupts.received)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert received == [None]
 
 
 @pytest.mark.parametrize(

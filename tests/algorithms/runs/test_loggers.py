@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import math
 import sys
@@ -26,30 +25,6 @@ def scalars(directory: Path) -> dict[str, list[tuple[int, float]]]:
 
     events = EventAccumulator(str(directory / "tensorboard")).Reload()
     return {name: [(e.step, e.value) for e in events.Scalars(name)] for name in events.Tags()["scalars"]}
-
-
-def test_every_row_is_stored_to_the_last_bit_and_columns_are_added(tmp_path: Path) -> None:
-    with Logger(tmp_path) as logger:
-        logger.log(0, {"a": 1 / 3})
-        logger.log(10, {"a": 2, "b/c": np.float32(0.1)})
-        logger.log(10, {"b/c": float("nan"), "d": float("inf")})
-        logger.log(20, {"a": 1e-300})
-    lines = (tmp_path / "metrics.csv").read_text().splitlines()
-    assert lines[0] == "step,a,b/c,d"
-    assert lines[1] == "0,0.3333333333333333,,"
-    columns = read_metrics(tmp_path / "metrics.csv")
-    np.testing.assert_array_equal(columns["step"], [0, 10, 10, 20])
-    np.testing.assert_array_equal(columns["a"], [1 / 3, 2, np.nan, 1e-300])
-    np.testing.assert_array_equal(columns["b/c"], [np.nan, np.float32(0.1), np.nan, np.nan])
-    np.testing.assert_array_equal(columns["d"], [np.nan, np.nan, np.inf, np.nan])
-    assert scalars(tmp_path)["a"] == [(0, pytest.approx(1 / 3)), (10, 2.0), (20, pytest.approx(0.0))]
-
-
-def test_rows_can_be_read_during_training(tmp_path: Path) -> None:
-    with Logger(tmp_path) as logger:
-        for step in range(3):
-            logger.log(step, {"a": step})
-            assert len(read_metrics(tmp_path / "metrics.csv")["step"]) == step + 1
 
 
 def test_a_resumed_run_writes_rows_after_the_checkpoint_again(tmp_path: Path) -> None:
@@ -96,27 +71,6 @@ def test_tensorboard_shows_hyperparameters_final_scores_and_the_video_of_a_finis
     with Image.open(io.BytesIO(image.encoded_image_string)) as gif:
         assert gif.format == "GIF"
         assert 2 <= gif.n_frames <= 40  # type: ignore[attr-defined]
-
-
-def test_a_run_without_checkpoint_starts_its_metrics_again(tmp_path: Path) -> None:
-    with Logger(tmp_path) as logger:
-        logger.log(0, {"a": 1})
-    with Logger(tmp_path, after=-1) as logger:
-        logger.log(0, {"a": 2})
-    np.testing.assert_array_equal(read_metrics(tmp_path / "metrics.csv")["a"], [2])
-
-
-def test_a_full_disk_is_an_error_and_keeps_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with Logger(tmp_path) as logger:
-        logger.log(0, {"a": 1})
-
-        def full(*arguments: Any) -> None:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-        monkeypatch.setattr("os.fsync", full)
-        with pytest.raises(OSError, match="No space left"):
-            logger.log(1, {"a": 2, "new": 3})
-    np.testing.assert_array_equal(read_metrics(tmp_path / "metrics.csv")["a"], [1])
 
 
 class FakeWandb:
@@ -198,19 +152,6 @@ def test_a_run_of_a_sweep_is_resumed_in_the_sweeps_project(tmp_path: Path, monke
     assert places == [(None, None, None), ("team", "elsewhere", "new-id")]
 
 
-def test_a_resumed_run_that_began_without_an_entity_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fake = FakeWandb(mode="offline")
-    for _ in range(2):
-        assert log_with(fake, tmp_path, monkeypatch) == []
-    places = [(run["entity"], run["project"], run["id"]) for run in fake.runs]
-    assert places == [(None, "p", None), (None, "p", "new-id")]
-
-
-def test_a_run_that_wandb_was_disabled_for_has_no_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert log_with(FakeWandb(mode="disabled"), tmp_path, monkeypatch) == []
-    assert not list(tmp_path.glob("wandb*"))
-
-
 @pytest.mark.parametrize(
     ("fake", "said"),
     [(FakeWandb(key=False), "no API key"), (FakeWandb(refuses=("online",)), "online does not work")],
@@ -221,12 +162,6 @@ def test_wandb_goes_offline_without_key_or_server(
     (message,) = log_with(fake, tmp_path, monkeypatch)
     assert said in message
     assert [run["mode"] for run in fake.runs] == ["offline"]
-
-
-def test_training_continues_when_wandb_fails_altogether(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (message,) = log_with(FakeWandb(key=False, refuses=("offline",)), tmp_path, monkeypatch, SETTINGS)[1:]
-    assert "is disabled" in message
-    assert len(read_metrics(tmp_path / "metrics.csv")["step"]) == 1
 
 
 def test_training_continues_without_wandb_and_says_what_to_install(

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from algorithms import ALGORITHMS
-from algorithms.peers import PEERS
 from algorithms.runs.config import (
     agent_class,
     directory_name,
@@ -30,33 +29,10 @@ def test_names_are_known_without_importing_an_algorithm(run_python: Callable[[st
     assert loaded.splitlines() == [str(sorted(ALGORITHMS)), "[] False"]
 
 
-def test_every_algorithm_has_an_entry_and_a_class() -> None:
-    for name, algorithm in ALGORITHMS.items():
-        entry = find_algorithm(name)
-        assert (entry.name, entry.known_utility, entry.is_peer) == (name, algorithm.known_utility, False)
-        assert entry.config_class is algorithm.Config
-        assert agent_class(name) is algorithm
-
-
-def test_peers_have_an_entry_but_no_class() -> None:
-    for name, peer in PEERS.items():
-        entry = find_algorithm(name)
-        assert (entry.known_utility, entry.config_class, entry.is_peer) == (peer.known_utility, peer.Config, True)
-        with pytest.raises(ValueError, match=f"algorithm '{name}' is another library's"):
-            agent_class(name)
-
-
-@pytest.mark.parametrize("name", ["mo_a2d", "", None, 3, ["pcn"]])
-def test_unknown_algorithms_are_refused(name: object) -> None:
-    with pytest.raises(ValueError, match=r"algorithm.name = .* is unknown; .*known: a2c, .*mo_a2c"):
-        find_algorithm(name)
-
-
 # ------------------------------------------------------------------------------------------------- a user's algorithm
 
 USERS = """
-from algorithms import Agent, FrontAgent, MOPPO
-from algorithms.actor_critic import ActorCritic
+from algorithms import Agent, FrontAgent
 from mo_deepdrive.world.config import Settings
 
 class Learner(Agent):
@@ -66,12 +42,6 @@ class Learner(Agent):
     def update(self, progress): ...
     def get_state(self): ...
     def set_state(self, state): ...
-
-class Renamed(MOPPO):
-    name = "mine"
-
-class Inherited(MOPPO):
-    pass
 
 class Partial(Agent):
     Config = Learner.Config
@@ -86,9 +56,6 @@ class Front(FrontAgent):
     def update(self, progress): ...
     def get_state(self): ...
     def set_state(self, state): ...
-
-class NoLoss(ActorCritic):
-    Config = Learner.Config
 
 class Unknown(Learner):
     known_utility = False

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from algorithms.runs import progress as module
 from algorithms.runs.jobs import Job
-from algorithms.runs.progress import COMPILING, MOST_ROWS, Dashboard, ProgressReporter, compilation_noted
+from algorithms.runs.progress import COMPILING, Dashboard, compilation_noted
 from tests.helpers.short_runs import job, printed, quiet
 
 STEPS = 960  # of each run
@@ -70,25 +70,6 @@ def test_runs_are_counted_by_their_states(tmp_path: Path) -> None:
     (wanted[8].path / "status.json").write_bytes(b'{"state": "run')
     summary = Dashboard(wanted, quiet()).summary()
     assert summary == "2 done, 2 running, 1 failed, 2 waiting, 1 interrupted, 1 pruned of 9"
-
-
-def test_changes_are_shown_at_the_next_update(tmp_path: Path, clock: Clock) -> None:
-    wanted = jobs(tmp_path, 2)
-    dashboard = Dashboard(wanted, quiet())
-    put(wanted[0], "running", 96)
-    assert dashboard.counts == {"waiting": 2}
-    dashboard.update()
-    assert dashboard.counts == {"running": 1, "waiting": 1}
-    put(wanted[0], "finished", STEPS)
-    clock.now += 0.9
-    dashboard.update()
-    assert dashboard.counts == {"running": 1, "waiting": 1}
-    clock.now += 0.2
-    dashboard.update()
-    assert dashboard.counts == {"done": 1, "waiting": 1}
-    put(wanted[1], "pruned", 96)
-    dashboard.update(now=True)
-    assert dashboard.counts == {"done": 1, "pruned": 1}
 
 
 def test_the_time_left_is_extrapolated_from_the_steps_so_far(tmp_path: Path, clock: Clock) -> None:
@@ -161,33 +142,7 @@ def test_a_terminal_shows_the_running_runs(tmp_path: Path, clock: Clock, monkeyp
     assert all(len(line) <= 100 for line in seen)
 
 
-def test_a_terminal_shows_a_dozen_runs_and_counts_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TERM", "xterm")
-    wanted = jobs(tmp_path, MOST_ROWS + 3)
-    for each in wanted:
-        put(each, "running", 96)
-    console = terminal()
-    with Dashboard(wanted, console) as dashboard:
-        dashboard.update()
-        seen = shown(console)
-    assert [line.split()[-1] for line in seen if "seed" in line] == [str(seed) for seed in range(MOST_ROWS)]
-    assert [line for line in seen if "more" in line] == ["and 3 more"]
-    assert printed(console).count("\x1b[?25h") == 1  # the cursor is back
-
-
 # ------------------------------------------------------------------------------------------------------------- one run
-
-
-def test_the_time_left_is_that_of_the_updates_after_compilation(clock: Clock) -> None:
-    console = quiet()
-    with ProgressReporter(100_000, 0, console) as reporter:
-        for step, seconds in ((100, 30.0), (200, 16.0), (1200, 1.0), (20_200, 19.0)):
-            clock.now += seconds
-            reporter.update(step)
-    lines = printed(console).splitlines()
-    assert lines[0] == "step 100 of 100,000 (0%)"
-    assert lines[1] == "step 200 of 100,000 (0%)"
-    assert lines[2] == "step 20,200 of 100,000 (20%)    0:01:20 left"  # 20,000 steps in 20 s
 
 
 @pytest.mark.parametrize(("module", "said"), [("mo_deepdrive.simulation.kernel", [COMPILING]), ("users_code", [])])

@@ -14,7 +14,6 @@ from algorithms.reporting.training_log import read_metrics
 from algorithms.runs.jobs import perform
 from algorithms.runs.run_directory import Run, read_status
 from algorithms.runs.training import reopen, resume, train_and_finish
-from mo_deepdrive.support.faults import NotFinite
 from mo_deepdrive.support.yaml import dump
 from tests.helpers.short_runs import assert_same_run, job, metrics, printed, quiet
 
@@ -66,15 +65,6 @@ def test_a_run_that_fails_keeps_its_last_checkpoint_and_the_others_are_finished(
     assert_same_run(whole[1].path, broken[1].path)
 
 
-def test_runs_of_which_all_have_failed_are_an_error(tmp_path: Path) -> None:
-    runs = runs_of(tmp_path, 4, 5)
-    agent = resume(*runs)
-    agent.learners[0].vector[:] = torch.nan
-    with pytest.raises(NotFinite, match="seed 5, in the evaluation at step 0: environment 0: an output of"):
-        finished(runs, agent)
-    assert [read_status(run.path)["state"] for run in runs] == ["failed"] * 2
-
-
 def test_runs_that_are_stopped_side_by_side_are_resumed_together_or_not_at_all(tmp_path: Path) -> None:
     whole, part = runs_of(tmp_path / "whole", 5, 6), runs_of(tmp_path / "part", 5, 6)
     finished(whole, resume(*whole))
@@ -114,8 +104,3 @@ def test_the_runs_of_several_seeds_are_those_of_each_and_tabulated(
     assert "with three seeds" in capsys.readouterr().out
     assert Run.open(paths[2]).experiment.training.seed == 7
     assert read_metrics(paths[2] / "metrics.csv")["step"][-1] == TOTAL
-
-
-def test_a_job_is_one_run(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"training\.seeds = \[0, 1\]: mo-deepdrive train alone trains several"):
-        perform(job(tmp_path, seeds=[0, 1]))

@@ -16,7 +16,6 @@ from algorithms.runs.suite_entries import (
     check_experiment,
     disagreement,
     fresh_seed,
-    open_entry,
     recorded_rows,
 )
 from mo_deepdrive import suite
@@ -67,22 +66,6 @@ def test_a_run_that_cannot_be_an_entry_is_refused(task_id: str, changes: dict[st
         check_experiment(experiment(task_id, **changes), task_id, "mine")
 
 
-@pytest.mark.parametrize(
-    ("text", "source", "message"),
-    [
-        (None, "policy.py", "policy file .*policy.py' does not exist"),
-        ("def drive(*_):\n    pass\n", "policy.py", "'policy' has no 'policy' or 'Policy'; .*drive"),
-        (STILL, "policy.py:policy_2", "'policy' has no 'policy_2'; did you mean 'policy'"),
-        ("import nothing_of_this_name\n", "policy.py", "cannot be imported: ModuleNotFoundError"),
-    ],
-)
-def test_a_policy_file_without_a_policy_is_refused(tmp_path: Path, text: str | None, source: str, message: str) -> None:
-    if text is not None:
-        (tmp_path / "policy.py").write_text(text)
-    with pytest.raises(ValueError, match=message):
-        open_entry(str(tmp_path / source))
-
-
 def test_fresh_scenarios_are_in_no_split_and_follow_from_the_number() -> None:
     seeds = [fresh_seed(number, 1000) for number in (1, 1, 2)]
     assert seeds[0] == seeds[1] != seeds[2]
@@ -121,12 +104,6 @@ def test_numbers_without_an_interval_are_compared_on_the_same_scenarios_alone() 
 @pytest.mark.parametrize(("source", "agrees"), [("runs/a", False), ("policy.py", True)])
 def test_a_run_is_scored_by_the_seed_that_it_was_trained_with(source: str, agrees: bool) -> None:
     assert (disagreement(replace(FOUND, seed=1, source=source), FOUND, fresh=False) == "") is agrees
-
-
-def test_more_steps_than_a_task_allows_are_refused_in_a_table() -> None:
-    row = Row("K1", "a", 0, "greedy", "score", 1.0, version=suite.load().version, steps=100_000_000)
-    with pytest.raises(ValueError, match="steps = 100,000,000; task K1 allows 3,000,000"):
-        suite.check_of_suite(row)
 
 
 def test_policies_that_a_table_could_not_tell_apart_are_refused_before_they_are_scored(
@@ -206,7 +183,8 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "'mine' has no 'policy' or 'Policy'"),
+        (None, r"policy file '.*mine\.py' does not exist"),
+        ("def drive(*_):\n    pass\n", "'mine' has no 'policy' or 'Policy'; .*drive"),
         ("import sys\nsys.exit(3)\n", "cannot be imported: SystemExit: 3 at mine.py:2"),
         ("1 / 0\n", "cannot be imported: ZeroDivisionError: .* at mine.py:1"),
         ("class Policy:\n    pass\n", r"Policy\('K1'\) cannot be made: TypeError"),
@@ -228,9 +206,10 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
     ],
 )
 def test_a_policy_that_cannot_drive_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str | None, message: str
 ) -> None:
-    (tmp_path / "mine.py").write_text(text)
+    if text is not None:
+        (tmp_path / "mine.py").write_text(text)
     with pytest.raises(SystemExit):
         main(["score", str(tmp_path / "mine.py"), "--tasks", "K1"])
     error = capsys.readouterr().err.strip()

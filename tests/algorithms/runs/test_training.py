@@ -69,32 +69,6 @@ def test_a_run_that_was_killed_after_its_checkpoint_is_resumed_silently(tmp_path
     assert_same_run(wanted.path, whole.path)
 
 
-@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs the names of open files")
-def test_metrics_reach_the_disk_before_each_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    synced: list[str] = []
-    fsync = os.fsync
-
-    def record(descriptor: int) -> None:
-        name = Path(f"/proc/self/fd/{descriptor}").readlink().name
-        synced.append(name.lstrip(".").split(".")[0])
-        fsync(descriptor)
-
-    monkeypatch.setattr(os, "fsync", record)
-    wanted = job(tmp_path)
-    perform(wanted)
-    checkpoints = [i for i, name in enumerate(synced) if name == "checkpoint"]
-    assert len(checkpoints) == 11
-    for i in checkpoints:
-        assert synced[i - 1] == "metrics"
-
-
-def test_a_run_with_broken_metrics_is_not_reopened(tmp_path: Path) -> None:
-    wanted = stopped_job(tmp_path)
-    (wanted.path / "metrics.csv").write_bytes(b"\xff\n")
-    with pytest.raises(ValueError, match=r"metrics\.csv' cannot be read"):
-        reopen(str(wanted.path))
-
-
 CONSTANT: dict[str, dict[str, Any]] = {
     "mo_a2c": {},
     "pcn": {"hidden": [8, 8], "warmup_episodes": 4, "gradient_steps": 2},

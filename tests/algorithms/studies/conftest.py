@@ -28,18 +28,6 @@ def grid(base: dict[str, Any]) -> list[ManifestRow]:
     return [make_row(base, cell, seed) for cell in cells for seed in range(3)]
 
 
-def _caller(module: ModuleType) -> Script:
-    """Calls a command; its exit code."""
-
-    def call(*arguments: Any) -> int:
-        try:
-            return int(module.main([str(argument) for argument in arguments]))
-        except SystemExit as end:
-            return int(end.code or 0)
-
-    return call
-
-
 @pytest.fixture
 def table(load_script: Callable[[str], ModuleType]) -> Script:
     """Call mo-deepdrive table."""

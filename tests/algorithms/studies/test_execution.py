@@ -4,61 +4,32 @@ from __future__ import annotations
 
 import io
 import json
-import signal
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
-from algorithms.runs.jobs import Job
-from algorithms.studies.execution import Backend, Runner
+from algorithms.studies.execution import Runner
 from algorithms.studies.manifest import read_manifest
 from algorithms.studies.plan import SweepPlan
 from algorithms.studies.settings import load_sweep
+from tests.helpers.made_up_sweeps import MadeUpBackend
 from tests.helpers.sweep_files import write_sweep
 
 RATE = "algorithm.learning_rate"
-SEARCH = {"space": {RATE: {"low": 1e-4, "high": 1e-2}}, "metric": "greedy/utility_esr", "trials": 6, "batch": 2}
-
-
-class MadeUpBackend(Backend):
-    """A backend whose runs end at once, with a score, or with an error if their number is in ``failing``."""
-
-    failing: tuple[int, ...]
-    batches: list[list[str]]
-
-    def train(self, jobs: Sequence[Job], *_: Any) -> dict[Job, str]:
-        numbers = {row.id: i for i, row in enumerate(read_manifest(jobs[0].path.parents[1]))}
-        self.batches.append([])
-        failed: dict[Job, str] = {}
-        for job in jobs:
-            if job.done:
-                continue
-            assert job.id is not None
-            self.batches[-1].append(job.id)
-            job.path.mkdir(parents=True, exist_ok=True)
-            status: dict[str, Any] = {"state": "finished", "step": 1}
-            if numbers[job.id] in self.failing:
-                failed[job] = "made to fail"
-                status |= {"state": "failed", "reason": failed[job]}
-            (job.path / "status.json").write_text(json.dumps(status))
-            summary = {"greedy": {"utility_esr": {"value": float(numbers[job.id]), "low": None, "high": None}}}
-            (job.path / "evaluation.json").write_text(json.dumps({"policies": summary}))
-        return failed
+SEARCH = {"space": {RATE: {"low": 1e-4, "high": 1e-2}}, "metric": "stochastic/utility_esr", "trials": 6, "batch": 2}
 
 
 class MadeUpRuns(Runner):
-    """A runner with this backend."""
+    """A runner whose runs end at once, with an error if their number is in ``failing``."""
 
     def __init__(self, directory: Path, file: Path, *failing: int, **backend: Any):
         self.said = io.StringIO()
-        self.batches: list[list[str]] = []
-        made_up = MadeUpBackend(**backend)
-        vars(made_up).update(failing=failing, batches=self.batches)
+        made_up = MadeUpBackend(**backend, fails=lambda job: ids(directory).index(str(job.id)) in failing)
+        self.batches = made_up.batches
         super().__init__(SweepPlan(load_sweep(file)), directory, made_up, Console(file=self.said, width=200))
 
 
@@ -114,19 +85,6 @@ def test_a_sweep_is_extended_by_seeds_and_cells(tmp_path: Path) -> None:
     assert "1 runs of the previous manifest are no longer in the sweep" in runner.said.getvalue()
 
 
-def test_a_search_refuses_another_sweep_whatever_its_scores_are(tmp_path: Path) -> None:
-    pytest.importorskip("optuna")
-    sweep = tmp_path / "sweep"
-    MadeUpRuns(sweep, write_sweep(tmp_path)).run()
-    search = {**SEARCH, "metric": "greedy/success", "seed": 1}
-    with pytest.raises(ValueError, match="has another sweep: none of its 2 runs"):
-        MadeUpRuns(sweep, write_sweep(tmp_path, search=search)).run()
-    MadeUpRuns(tmp_path / "search", write_sweep(tmp_path, search=SEARCH)).run()
-    longer = MadeUpRuns(tmp_path / "search", write_sweep(tmp_path, search={**SEARCH, "trials": 8}))
-    assert longer.run() == 0
-    assert [len(batch) for batch in longer.batches] == [2]
-
-
 def test_the_directory_of_a_run_is_refused(tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()
@@ -134,29 +92,6 @@ def test_the_directory_of_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="run' is the directory of a run; choose another directory"):
         MadeUpRuns(run, write_sweep(tmp_path)).run()
     assert [path.name for path in run.iterdir()] == ["config.yaml"]
-
-
-def test_the_exit_code_after_a_signal_is_that_of_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    class Interrupted(Backend):
-        def train(self, *arguments: Any) -> dict[Job, str]:
-            stop = arguments[-1]
-            assert not stop()
-            signal.raise_signal(signal.SIGTERM)
-            assert stop()
-            return {}
-
-    runner = Runner(
-        SweepPlan(load_sweep(write_sweep(tmp_path))), tmp_path / "sweep", Interrupted(), Console(quiet=True)
-    )
-    assert runner.run() == 128 + signal.SIGTERM
-    assert "the same command resumes them" in capsys.readouterr().err
-
-
-def test_without_waiting_only_the_first_batch_of_a_search_is_made(tmp_path: Path) -> None:
-    pytest.importorskip("optuna")
-    runner = MadeUpRuns(tmp_path / "sweep", write_sweep(tmp_path, search=SEARCH), wait=False)
-    assert runner.run() == 0
-    assert [len(batch) for batch in runner.batches] == [2]
 
 
 def test_failed_points_of_a_search_are_repeated_only_while_no_later_points_depend_on_them(tmp_path: Path) -> None:
@@ -171,20 +106,6 @@ def test_failed_points_of_a_search_are_repeated_only_while_no_later_points_depen
     assert again.said.getvalue().count("made to fail") == 2
 
 
-def test_failed_points_of_a_cell_are_repeated_whatever_batch_the_other_cells_have_reached(tmp_path: Path) -> None:
-    pytest.importorskip("optuna")
-    file = write_sweep(tmp_path, search=SEARCH, grid={"algorithm.gamma": [0.9, 0.99]})
-    sweep = tmp_path / "sweep"
-    MadeUpRuns(sweep, file, wait=False).run()
-    behind = read_manifest(sweep)[-1]
-    (sweep / behind.directory / "status.json").write_text('{"state": "failed", "reason": "made to fail"}')
-    MadeUpRuns(sweep, file, name="manifest").run()
-    assert [row.cell["algorithm.gamma"] for row in read_manifest(sweep)] == [0.9] * 4 + [0.99] * 2
-    again = MadeUpRuns(sweep, file)
-    assert again.run() == 0
-    assert behind.id in again.batches[0]
-
-
 def test_code_that_a_manifest_names_is_not_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("optuna")
     (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w').close()\n")
@@ -195,7 +116,7 @@ def test_code_that_a_manifest_names_is_not_imported(tmp_path: Path, monkeypatch:
     first, last = path.read_text().splitlines()[0], json.loads(path.read_text().splitlines()[-1])
     last["config"]["algorithm"]["name"] = "evil:Algorithm"
     path.write_text(f"{first}\n{json.dumps(last)}\n")
-    status = {"state": "finished", "files": {"config.yaml": {}}}
+    status = {"state": "finished", "files": {"checkpoint.safetensors": {}}}
     (tmp_path / "sweep" / last["directory"] / "status.json").write_text(json.dumps(status))
     again = MadeUpRuns(tmp_path / "sweep", file)
     assert again.remake() == 0

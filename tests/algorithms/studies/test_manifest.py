@@ -6,7 +6,6 @@ import copy
 import datetime
 import math
 import os
-import random
 import re
 import shutil
 import sys
@@ -24,7 +23,6 @@ from algorithms.studies.manifest import (
     FILE,
     ManifestRow,
     Scores,
-    label,
     read_manifest,
     run_id,
     write_manifest,
@@ -96,25 +94,6 @@ def test_the_manifest_is_the_same_in_another_directory_and_process(
 UTILITY = {"name": "augmented_chebyshev", "arguments": {"weights": [1, 1, 1, 1], "ideal": [0, 0, 0, 0], "rho": 0.1}}
 
 
-def reordered(values: Any, generator: random.Random) -> Any:
-    """The same value, with the keys of every mapping in another order."""
-    if not isinstance(values, Mapping):
-        return values
-    keys = list(values)
-    generator.shuffle(keys)
-    return {key: reordered(values[key], generator) for key in keys}
-
-
-def test_the_manifest_does_not_depend_on_the_order_of_keys_in_a_base_config(tmp_path: Path) -> None:
-    """Nor on that of the arguments of a utility, which is not fixed by a schema."""
-    file = write_sweep(tmp_path, seeds=2)
-    manifests = set()
-    for number in range(4):
-        write_yaml(tmp_path / "base.yaml", reordered({**VALUES, "utility": UTILITY}, random.Random(number)))
-        manifests.add(tuple(row.line() for row in rows_of(file)))
-    assert len(manifests) == 1
-
-
 def test_cells_are_in_the_order_of_the_file_and_seeds_in_order_within_each_cell(tmp_path: Path) -> None:
     bases = [str(write_yaml(tmp_path / f"{name}.yaml", VALUES)) for name in ("second", "first")]
     settings = {
@@ -145,20 +124,6 @@ def test_cells_are_in_the_order_of_the_file_and_seeds_in_order_within_each_cell(
     assert len({row.id for row in rows}) == len(rows) == 16
 
 
-def test_a_mapping_is_merged_into_its_section(tmp_path: Path) -> None:
-    first, second = expanded(
-        tmp_path,
-        overrides={"evaluation": {"episodes": 7}},
-        grid={"training": [{"num_envs": 2, "total_timesteps": 480}, {"num_envs": 6}]},
-    )
-    for row in (first, second):
-        assert row.config["evaluation"]["episodes"] == 7
-        assert row.config["evaluation"]["final_episodes"] == VALUES["evaluation"]["final_episodes"]
-    assert [row.config["training"]["num_envs"] for row in (first, second)] == [2, 6]
-    assert [row.config["training"]["total_timesteps"] for row in (first, second)] == [480, 960]
-    assert label(first.cell) == 'training={"num_envs": 2, "total_timesteps": 480}'
-
-
 def test_the_id_of_a_run_changes_with_every_single_setting_that_affects_its_result() -> None:
     values = copy.deepcopy(VALUES)
     values["logging"]["wandb"] = {"project": "p", "tags": ["t"]}
@@ -183,29 +148,10 @@ def test_an_explicit_default_gives_the_same_run(tmp_path: Path) -> None:
     assert [row.id for row in plain] == [row.id for row in written]
 
 
-@pytest.mark.parametrize(
-    ("grid", "first", "second"),
-    [
-        ({RATE: [0.001, 0.002, 1e-3]}, f"{RATE}=0.001", f"{RATE}=0.001"),
-        ({"training.device": ["cpu", "cuda"]}, "training.device=cpu", "training.device=cuda"),
-    ],
-)
-def test_two_cells_with_the_same_run_are_refused_by_name(
-    tmp_path: Path, grid: dict[str, Any], first: str, second: str
-) -> None:
-    said = refused_cells(tmp_path, grid=grid, seeds=[4])
-    assert "have the same run (seed 4, " in said
-    one, other = said.split(" have the same run")[0].split(" and ")
-    assert one.endswith(f"{first}]")
-    assert other.endswith(f"{second}]")
-
-
-def test_up_to_five_invalid_cells_are_named(tmp_path: Path) -> None:
-    rates = [-1.0 - number for number in range(6)]
-    said = refused_cells(tmp_path, grid={RATE: [0.1, *rates]})
-    assert said.startswith("6 of 7 cells are invalid:\n")
-    assert [rate for rate in rates if f"cell [{RATE}={rate}]" in said] == rates[:5]
-    assert said.endswith("and 1 more")
+def test_two_cells_with_the_same_run_are_refused_by_name(tmp_path: Path) -> None:
+    said = refused_cells(tmp_path, grid={"training.device": ["cpu", "cuda"]}, seeds=[4])
+    assert "training.device=cpu] and " in said
+    assert "training.device=cuda] have the same run (seed 4, " in said
 
 
 @pytest.mark.parametrize(
@@ -216,14 +162,7 @@ def test_up_to_five_invalid_cells_are_named(tmp_path: Path) -> None:
             "utility.name=static_obstacle_linear",
             "needs collision",
         ),
-        ({"utility": [{"name": "linear", "arguments": {"weights": [1, 2]}}]}, "weights", "must be 4 finite numbers"),
-        ({"algorithm.learning_rate.deeper": [1]}, "algorithm.learning_rate.deeper=1", "learning_rate"),
         ({"training.device": ["quantum"]}, "training.device=quantum", "is not a valid device"),
-        (
-            {"training": [{"num_env": 2}]},
-            'training={"num_env": 2}',
-            "'training.num_env' is unknown; did you mean 'num_envs'?",
-        ),
         # YAML has dates, JSON does not.
         ({"utility.arguments.since": [datetime.date(2024, 1, 1)]}, "2024-01-01", "utility.arguments.since"),
     ],
@@ -234,25 +173,6 @@ def test_a_cell_that_cannot_be_built_is_refused_by_name(
     said = refused_cells(tmp_path, grid=grid)
     assert cell in said
     assert message in said
-
-
-def test_a_logger_that_is_not_installed_is_refused_before_a_run_starts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(config.importlib.util, "find_spec", lambda _: None)
-    assert "logging.wandb needs wandb: pip install" in refused_cells(tmp_path, grid={"logging.wandb.project": ["p"]})
-
-
-def test_the_job_of_a_row_has_the_same_experiment_also_on_a_device_that_this_machine_does_not_have(
-    tmp_path: Path,
-) -> None:
-    row = expanded(tmp_path, seeds=[3], overrides={"training.device": "cuda:99"})[1]
-    wanted = row.job(tmp_path / "sweep")
-    assert wanted.path == tmp_path / "sweep" / row.directory
-    assert wanted.id == row.id
-    assert wanted.name == f"{RATE}=0.003 seed 3 ({row.id})"
-    assert wanted.experiment.to_dict() == row.config
-    assert wanted.experiment.training.device == "cuda:99"
 
 
 def test_a_manifest_is_read_as_it_was_written(tmp_path: Path) -> None:
@@ -266,10 +186,8 @@ def test_a_manifest_is_read_as_it_was_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "problem"),
     [
-        ('"seed":0', '"seed":', "Invalid JSON"),
         ('"seed":', '"sead":', "seed = "),
         ('"directory":"runs/', '"directory":"runs/../', "directory = 'runs/../"),
-        ('"seed":0', '"seed":true', "seed = True: Input should be a valid integer"),
     ],
 )
 def test_a_line_that_no_sweep_writes_is_refused_with_its_number(
@@ -280,23 +198,6 @@ def test_a_line_that_no_sweep_writes_is_refused_with_its_number(
     path.write_text(f"{first}\n{second.replace(old, new, 1)}\n")
     with pytest.raises(ValueError, match=re.escape(f"manifest {str(path)!r} is broken in line 2: {problem}")):
         read_manifest(tmp_path / "sweep")
-
-
-@pytest.mark.parametrize("linked", [FILE, "runs", "runs/NAME"])
-def test_a_sweep_in_which_a_link_leads_elsewhere_is_read_but_not_written(tmp_path: Path, linked: str) -> None:
-    rows = expanded(tmp_path, seeds=1)
-    sweep, elsewhere = tmp_path / "sweep", tmp_path / "elsewhere"
-    write_manifest(elsewhere, rows)
-    link = sweep / (rows[0].directory if linked == "runs/NAME" else linked)
-    link.parent.mkdir(parents=True)
-    link.symlink_to(elsewhere / FILE if linked == FILE else elsewhere)
-    with pytest.raises(ValueError, match=rf"leads to '{elsewhere}.*; nothing is written or deleted through a link"):
-        write_manifest(sweep, rows)
-    if linked != FILE:
-        (sweep / FILE).write_bytes((elsewhere / FILE).read_bytes())
-    assert read_manifest(sweep) == rows
-    (tmp_path / "link").symlink_to(elsewhere)
-    write_manifest(tmp_path / "link", rows)
 
 
 def test_the_error_without_optuna_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from algorithms.runs.jobs import Job
 from algorithms.studies import FIGURES
 from algorithms.studies import paper as paper_module
 from algorithms.studies.manifest import ManifestRow
-from algorithms.studies.paper import QUICK_SEEDS, Reproduction, load_paper, paper_plan
+from algorithms.studies.paper import QUICK_SEEDS, load_paper, paper_plan
 from algorithms.studies.paper_claims import CLAIMS
 from algorithms.studies.paper_report import (
     QUICK,
@@ -172,14 +172,6 @@ def test_invalid_options_are_refused_before_anything_is_trained(
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_reproduction_of_everything_is_published_in_a_checkout_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert Reproduction(paper()).output_folder == PUBLISHED
-    monkeypatch.setattr(paper_module, "PUBLISHED", tmp_path / "docs" / "results")
-    assert Reproduction(paper()).output_folder == Path("runs/reproduce/results")
-
-
 @pytest.mark.parametrize(
     ("arrivals", "solved"),
     [([0.0, 0.0, 0.99, 0.97, 0.0], 23), ([0.0, 0.0, 0.0, 0.0, 0.0], None), ([0.96, 0.97, 0.98, 0.99, 0.0], None)],
@@ -222,15 +214,10 @@ def test_results_are_read_as_they_were_written_and_equal_results_give_equal_byte
     assert gzip.decompress(files["reproduction_curves.csv.gz"]).startswith(b"task,learner,seed,step,")
 
 
-@pytest.mark.parametrize("damage", ["missing", "not gzip", "truncated", "not a table"])
-def test_broken_results_are_refused(tmp_path: Path, damage: str) -> None:
+def test_truncated_results_are_refused(tmp_path: Path) -> None:
     make_results("one_waypoint_linear", {"a2c": SOLVED}).write(tmp_path)
     curves = tmp_path / "reproduction_curves.csv.gz"
-    data = curves.read_bytes()
-    curves.unlink()
-    broken = {"not gzip": b"x", "truncated": data[:-20], "not a table": gzip.compress(b"a,b\n1,2\n")}
-    if damage in broken:
-        curves.write_bytes(broken[damage])
+    curves.write_bytes(curves.read_bytes()[:-20])
     with pytest.raises(ValueError, match="no results of a reproduction"):
         PaperResults.read(paper(), tmp_path)
 

@@ -249,14 +249,6 @@ def test_without_waiting_a_search_goes_on_without_runs_that_failed(tmp_path: Pat
     ]
 
 
-def test_without_waiting_a_sweep_without_search_submits_failed_runs_again(tmp_path: Path, fake: FakeSlurm) -> None:
-    settings = load_sweep(write_sweep(tmp_path, grid={}))
-    (job,) = jobs_of(settings, tmp_path)
-    fail(job)
-    assert run_on_slurm(settings, [job], tmp_path, wait=False) == {}
-    assert len(fake.arrays) == 1
-
-
 # ------------------------------------------------------------------------------------------------------------- messages
 
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import json
 import re
 import shutil
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from algorithms.studies.manifest import Scores, read_manifest
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.settings import load_study
 from mo_deepdrive.suite import read_rows
+from tests.helpers.made_up_sweeps import MadeUpBackend
 from tests.helpers.short_runs import VALUES, printed, quiet
 from tests.helpers.sweep_files import broken_utility, forked_workers, status
 
@@ -50,29 +49,9 @@ def write_study(folder: Path, **changes: Any) -> Path:
     return path
 
 
-@dataclasses.dataclass(frozen=True)
-class MadeUpBackend(Backend):
-    """A backend whose runs end at once: with their learning rate as score, or failed if ``fails`` says so."""
-
-    fails: Callable[[dict[str, Any]], bool] = lambda _config: False
-    batches: list[int] = dataclasses.field(default_factory=list)
-
-    def train(self, jobs: Sequence[Job], *_: Any) -> dict[Job, str]:
-        failed = {}
-        open_jobs = [job for job in jobs if not job.done]
-        self.batches.append(len(open_jobs))
-        for job in open_jobs:
-            config = job.experiment.to_dict()
-            job.path.mkdir(parents=True, exist_ok=True)
-            state: dict[str, Any] = {"state": "finished", "cpu_seconds": 60.0}
-            if self.fails(config):
-                failed[job] = "made to fail"
-                state = {"state": "failed", "reason": failed[job]}
-            score = {"utility_esr": {"value": config["algorithm"]["learning_rate"]}}
-            (job.path / "config.yaml").write_text("")
-            (job.path / "status.json").write_text(json.dumps(state))
-            (job.path / "evaluation.json").write_text(json.dumps({"policies": {"stochastic": score}}))
-        return failed
+def sizes(backend: MadeUpBackend) -> list[int]:
+    """How many runs were trained together, batch by batch."""
+    return [len(batch) for batch in backend.batches]
 
 
 def train(folder: Path, plan: StudyPlan, backend: Backend, console: Console | None = None) -> int:
@@ -98,7 +77,7 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
         f"{tmp_path / 'base.yaml'}: training.seed is not used; set seeds with the key 'seeds'",
         "4 runs of tuning, then 4 that count: mo, plain on short",
     ]
-    assert backend.batches == [4, 4]
+    assert sizes(backend) == [4, 4]
     rows = read_manifest(tmp_path / "study")
     for row in rows:
         tuned = row.trial is not None
@@ -122,14 +101,14 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
 def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_chosen(tmp_path: Path) -> None:
     file = write_study(tmp_path)
 
-    def fails(config: dict[str, Any]) -> bool:
+    def fails(job: Job) -> bool:
         """The better rate of MO-A2C, one of its seeds that count, and everything of A2C."""
-        settings, seed = config["algorithm"], config["training"]["seed"]
-        return settings["name"] == "a2c" or (seed == 100 and settings["learning_rate"] == 0.003) or seed == 1
+        algorithm, seed = job.experiment.algorithm, job.experiment.training.seed
+        return algorithm.name == "a2c" or (seed == 100 and algorithm.config.learning_rate == 0.003) or seed == 1
 
     backend = MadeUpBackend(fails=fails)
     assert made_up(tmp_path, file, backend) == 1
-    assert backend.batches == [4, 2]
+    assert sizes(backend) == [4, 2]
     states = [(each.learner, each.seed, each.value, each.state) for each in read_rows(tmp_path / "study/results.csv")]
     assert states == [
         ("mo", 0, 0.001, "finished"),
@@ -143,7 +122,7 @@ def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_c
     again = MadeUpBackend()
     assert made_up(tmp_path, file, again) == 1, "the failed rate stays failed, or other settings would be the best"
     # MO-A2C: the seed that failed. A2C, of which nothing was chosen: its tuning, then its seeds.
-    assert again.batches == [3, 2]
+    assert sizes(again) == [3, 2]
 
 
 def test_settings_come_from_the_task_the_help_the_learner_and_its_task_in_this_order(tmp_path: Path) -> None:
@@ -244,7 +223,7 @@ def test_arms_that_are_not_selected_are_not_trained_and_keep_their_results(tmp_p
     for learner, trained in (("mo", {"mo"}), ("plain", {"mo", "plain"})):
         backend = MadeUpBackend()
         assert train(tmp_path, StudyPlan(study, ["short"], [learner]), backend) == 0
-        assert backend.batches == [2, 2]
+        assert sizes(backend) == [2, 2]
         assert {each.learner for each in read_rows(tmp_path / "study" / "results.csv")} == trained
         assert {row.cell["learner"] for row in read_manifest(tmp_path / "study")} == trained
     with pytest.raises(ValueError, match="--learners nobody: the study has no such learner"):

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from itertools import count, takewhile
 from typing import Any
 
-import numpy as np
 import optuna
 import pytest
 
@@ -76,27 +74,6 @@ def test_tpe_proposes_a_batch_once_all_scores_of_the_previous_batches_are_known(
     assert points(settings, scores)[:8] == second
     assert len(points(settings, scores)) == 10
     assert points(settings_of(trials=10, batch=4, seed=1)) != first
-
-
-def negative_squared_error(point: dict[str, Any]) -> float:
-    """A score whose maximum is at a learning rate of 0.001."""
-    return -((math.log10(point[RATE]) + 3) ** 2)
-
-
-def all_points(settings: SearchSettings) -> list[dict[str, Any]]:
-    """All points of a search, proposed batch by batch."""
-    scores: dict[str, float | None] = {}
-    while len(found := points(settings, scores)) > len(scores):
-        scores |= {str(trial): negative_squared_error(found[trial]) for trial in range(len(scores), len(found))}
-    return found
-
-
-def test_tpe_is_deterministic_given_the_scores_and_approaches_the_optimum() -> None:
-    settings = settings_of(trials=36, batch=6)
-    found = all_points(settings)
-    assert all_points(settings) == found
-    first, last = ([negative_squared_error(point) for point in part] for part in (found[:12], found[-12:]))
-    assert np.mean(last) > np.mean(first)
 
 
 @pytest.fixture

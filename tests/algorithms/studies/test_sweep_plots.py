@@ -6,13 +6,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from algorithms.studies.collection import collect
 from algorithms.studies.manifest import ManifestRow, write_manifest
-from algorithms.studies.sweep_plots import best_curves, varied_scores
-from algorithms.studies.sweep_tables import rank
 from tests.helpers.made_up_sweeps import Script, config_of, end, log, make_row, make_sweep, scores_of
 
 
@@ -38,16 +35,6 @@ def test_figures_of_a_sweep(
     ]
     for name in ("curves.png", "curves-cells.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
-
-
-def test_curves_of_several_cells_have_greedy_and_sampled_evaluations(tmp_path: Path, base: dict[str, Any]) -> None:
-    names = ("eval/greedy/utility_esr", "eval/stochastic/utility_esr", "train/utility")
-    rows = make_sweep(tmp_path, [make_row(base, {"algorithm.learning_rate": rate}, 0) for rate in (1e-3, 1e-2)])
-    for row in rows:
-        log(tmp_path, row, [(step, dict.fromkeys(names, 1.0)) for step in (0, 10)])
-    collection = collect(tmp_path, print)
-    groups = best_curves(collection, rank(collection.cells, collection.scores))
-    assert [{*columns} - {"step"} for group in groups for columns in group.runs] == [{*names[:2]}] * 2
 
 
 @pytest.mark.slow
@@ -93,16 +80,3 @@ def test_a_directory_without_runs_is_refused(
     assert all("give one sweep, or else runs" in error for error in errors(tmp_path, "runs"))
     assert table(tmp_path, "--top", "0") == 2
     assert "--top 0 must be at least 1" in capsys.readouterr().err
-
-
-def test_only_numbers_are_compared_as_numbers(tmp_path: Path, base: dict[str, Any]) -> None:
-    points = [(1e-3, True, "b"), (1e-2, False, "b"), (1e-3, False, "a")]
-    keys = ("algorithm.learning_rate", "algorithm.observe_discount", "config")
-    make_sweep(tmp_path, [make_row(base, dict(zip(keys, point, strict=True)), 0) for point in points])
-    collection = collect(tmp_path, print)
-    (ranking,) = rank(collection.cells, collection.scores)
-    found = varied_scores(collection, ranking)
-    assert found.values.tolist() == pytest.approx([1.0, 10.0, 1.0])
-    assert np.array_equal(found.keys["learning_rate"], [1e-3, 1e-2, 1e-3])
-    assert found.keys["observe_discount"] == ["true", "false", "false"]
-    assert found.keys["config"] == ["b", "b", "a"]

@@ -58,13 +58,6 @@ def test_an_invalid_setting_is_refused_with_its_name(
         assert message in said
 
 
-def test_all_errors_in_a_file_are_reported_together(tmp_path: Path) -> None:
-    said = refused(tmp_path, overrides={RATE: 1, "seed": 3})
-    assert said.count(";") == 1
-    for message in (f"'{RATE}' is in overrides and in grid", "'seed' in overrides"):
-        assert message in said
-
-
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -98,22 +91,6 @@ def test_a_single_config_and_a_list_of_choices_are_short_forms(tmp_path: Path) -
     assert settings.search is not None
     assert settings.search.space[RATE].choices == [1, 2]
     assert settings.search.trials == 10
-
-
-def test_a_config_may_be_beside_the_file_of_the_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder, elsewhere = tmp_path / "study", tmp_path / "elsewhere"
-    for each in (folder, elsewhere):
-        each.mkdir()
-    write_sweep(folder)
-    (folder / "sweep.yaml").write_text("config: base.yaml\nseeds: 2\n")
-    monkeypatch.chdir(elsewhere)
-    settings = load_sweep("../study/sweep.yaml")
-    assert settings.config == ["../study/base.yaml"]
-    assert [row.seed for row in SweepPlan(settings).rows(Scores())] == [0, 1]
-    write_sweep(elsewhere)
-    assert load_sweep("../study/sweep.yaml").config == ["base.yaml"]  # the working directory comes first
-    monkeypatch.chdir(folder)
-    assert load_sweep("sweep.yaml").config == ["base.yaml"]
 
 
 def test_the_file_of_an_experiment_is_refused_with_the_command_for_it() -> None:

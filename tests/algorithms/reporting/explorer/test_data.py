@@ -14,7 +14,6 @@ from algorithms.reporting.explorer.data import (
     ExplorableFront,
     drive_to_json,
 )
-from algorithms.reporting.explorer.page import as_json
 from mo_deepdrive.evaluation.drives import POSE, READINGS, Drive, Scene
 from mo_deepdrive.utilities import COMFORT_BUDGETS
 
@@ -121,14 +120,6 @@ def test_a_car_may_be_absent_for_a_while_or_throughout() -> None:
     stored = drive_to_json(Drive(np.zeros((5, 1, len(READINGS))), cars, ("arrived",)))
     assert stored["cars"][0] == {name: [None, 2 / step, None, 3 / step] for name, step in list(RESOLUTION.items())[:3]}
     assert stored["cars"][1] == {name: [] for name in POSE}
-
-
-def test_two_hundred_policies_take_less_than_five_megabytes() -> None:
-    long, short = made_up_front(200, 600, episodes=20), made_up_front(200, 150, episodes=20)
-    for front, scenes in ((long, 1), (short, 3)):  # of noise, which takes more space than real drives
-        stored = dataclasses.replace(front, scenes=front.scenes * 3).to_json()
-        assert len(stored["scenes"]) == scenes
-        assert len(as_json(stored)) < 5e6
 
 
 def test_what_is_not_known_is_left_out() -> None:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from algorithms.reporting.explorer.data import ExplorableFront
-from algorithms.reporting.explorer.page import FORMAT, SCRIPTS, SOURCES, as_json, explorer_page, write_page
-from algorithms.reporting.style import COLOURS
+from algorithms.reporting.explorer.page import FORMAT, as_json, explorer_page
 
 HOSTILE = "</script><!-- <script>alert(1)</script> & \u2028 <!-- vega -->"
 
@@ -76,26 +74,8 @@ def test_hostile_text_stays_inside_of_the_data(page: str) -> None:
     assert "&lt;script&gt;alert(1)" in page.partition("</title>")[0]
 
 
-def test_every_part_is_in_its_place(page: str) -> None:
-    code = Scripts(page).scripts[2]
-    positions = [code.index((SOURCES / name).read_text(encoding="utf-8").splitlines()[0]) for name in SCRIPTS]
-    assert positions == sorted(positions)
-    assert f"const FORMAT = {FORMAT};" in code
-    assert f"--light-0: {COLOURS[0]};" in page
-    assert "/* series */" not in page
-    assert re.search(r"<!--\nThis page contains Vega \d+\.\d+\.\d+ and", page)
-    assert not re.search(r"<!-- (title|style|data|licences|vega|script) -->", page.replace(HOSTILE, ""))
-
-
 def test_the_page_takes_less_than_a_megabyte_besides_its_data(page: str) -> None:
     assert len(page.encode()) < 1e6
-
-
-def test_a_page_is_written_as_a_whole(tmp_path: Path, page: str) -> None:
-    write_page([front(HOSTILE)], tmp_path / "explore.html", HOSTILE)
-    assert (tmp_path / "explore.html").read_text(encoding="utf-8") == page
-    with pytest.raises(OSError, match="nowhere"):
-        write_page([front()], tmp_path / "nowhere" / "explore.html", "Explorer")
 
 
 def test_json_cannot_end_its_script_and_has_only_numbers() -> None:
