@@ -201,8 +201,7 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
     known = pl.concat([finite, totals(finite)]).join(cell_of_run, on="run")
     experiments = [cells[members[0]].experiment for members in comparable.values()]
     tasks = [
-        {name: section.model_dump() for name, section in experiment.task.items() if section is not None}
-        | {"split": experiment.evaluation.split}
+        {name: section or {} for name, section in experiment.task.items()} | {"split": experiment.evaluation.split}
         for experiment in experiments
     ]
     titles = distinct_labels([experiment.title for experiment in experiments], tasks)

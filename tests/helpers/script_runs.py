@@ -72,7 +72,7 @@ logging: {interval: 2, checkpoint_interval: 400}
 RESULTS = {"config.yaml", "versions.json", "status.json", "checkpoint.safetensors", "metrics.csv", "tensorboard"}
 RESULTS |= {"evaluation.json", "curves.png", "video.mp4"}
 FRONT_RESULTS = RESULTS | {"fronts.csv", "front.csv", "explore.html"}
-PICTURES = {"importance.png", "reduction.png", "parallel.png", "scatter.png", "bars.png"}
+PICTURES = {"importance.png", "reduction.png", "scatter.png"}
 RESULTS |= {"evaluation.csv", "episodes.csv"}
 
 Done = tuple[int, str, str]  # exit code, standard output, standard error

@@ -21,7 +21,6 @@ from mo_deepdrive.evaluation import evaluate
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import Call, interrupt, refused
 from tests.helpers.short_runs import assert_same_run
-from tests.helpers.sweep_files import forked_workers
 
 EXAMPLES = REPOSITORY / "docs" / "examples"
 MODULES = ("reinforce", "kl_penalty", "commute", "constants", "plain_ppo")
@@ -104,13 +103,12 @@ def test_the_commands_of_the_tutorial_train_resume_evaluate_sweep_and_plot_an_ow
     sweep = yaml.safe_load((folder / "reinforce_sweep.yaml").read_text())
     (folder / "reinforce_sweep.yaml").write_text(yaml.safe_dump({**sweep, "seeds": 2}))
     printed = []
-    with forked_workers():
-        for program, name, *words in documented_commands("docs/own_algorithm.md"):
-            if name == "suite" or "--algorithm.name=kl_penalty:KLPenalty" in words:
-                continue
-            code, out, error = call(name, *words)
-            assert (program, code, error) == ("mo-deepdrive", 0, ""), out + error
-            printed.append(out)
+    for program, name, *words in documented_commands("docs/own_algorithm.md"):
+        if name == "suite" or "--algorithm.name=kl_penalty:KLPenalty" in words:
+            continue
+        code, out, error = call(name, *words)
+        assert (program, code, error) == ("mo-deepdrive", 0, ""), out + error
+        printed.append(out)
     assert len(printed) == 6
     assert "finished: runs/first" in printed[0]
     assert "runs/first is finished" in printed[1]
@@ -128,8 +126,7 @@ def test_an_own_loss_trains_with_several_seeds_and_becomes_onnx(folder: Path, ca
     sections = {name: SHORT[name] for name in ("training", "evaluation", "logging")}
     options = [f"--{name}.{key}={value}" for name, values in sections.items() for key, value in values.items()]
     command = next(words for words in documented_commands("docs/own_algorithm.md") if "--config" in words)
-    with forked_workers():
-        code, out, error = call(*command[1:], *options, "--training.seeds=[3, 4]", "--output", "runs")
+    code, out, error = call(*command[1:], *options, "--training.seeds=[3, 4]", "--output", "runs")
     assert code == 0, out + error
     weights = [load_file(folder / "runs" / f"seed-{seed}" / "checkpoint.safetensors") for seed in (3, 4)]
     assert not torch.equal(*(each["vehicle_0.actor.body.0.weight"] for each in weights))
