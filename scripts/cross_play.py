@@ -239,15 +239,9 @@ def play(options: Namespace) -> int:
             done += 1
             status.update(f"{done} of {pairs} pairs")
 
+        how = {name: getattr(options, name) for name in ("split", "episodes", "greedy")}
         encounters = cross_play(
-            drivers,
-            options.env,
-            utility=utility,
-            env_kwargs=arguments_of(options),
-            split=options.split,
-            episodes=options.episodes,
-            greedy=options.greedy,
-            progress=progress,
+            drivers, options.env, utility=utility, env_kwargs=arguments_of(options), progress=progress, **how
         )
     episodes = describe_episodes(options.episodes, SPLITS[options.split].start)
     name = OWN if isinstance(utility, dict) else utility

@@ -42,7 +42,6 @@ ENVIRONMENT = {
     "RAY_NUM_REDIS_GET_RETRIES": "1",  # report an unreachable cluster within a minute
     "RAY_AIR_NEW_OUTPUT": "0",  # this command prints the progress, for all backends
 }
-REQUIRED_MODULES = {"ray": "ray", "slurm": "submitit"}
 BACKENDS_OF_OPTIONS = {
     "workers": ("local", "ray"),
     "address": ("ray",),
@@ -87,7 +86,7 @@ def check_options(options: Namespace) -> None:
     for name, backends in BACKENDS_OF_OPTIONS.items():
         if getattr(options, name) and options.on not in backends:
             raise ValueError(f"--{name.replace('_', '-')} is for --on {' and '.join(backends)}, not {options.on}")
-    module = REQUIRED_MODULES.get(options.on)
+    module = {"ray": "ray", "slurm": "submitit"}.get(options.on)
     if module is not None and find_spec(module) is None:
         raise ValueError(f"--on {options.on} needs {module}: pip install 'mo-deepdrive[sweep]'")
 

@@ -43,16 +43,12 @@ WORKER_MEMORY = GIB / 4  # bytes of a process that trains, without its rollouts
 
 @dataclass(frozen=True)
 class Backend:
-    """What trains runs: one of :data:`algorithms.studies.BACKENDS`, "manifest" only to list them.
+    """What trains runs."""
 
-    Locally and on Ray, at most ``workers`` runs are concurrent, None for as many as there are resources for. A running
-    Ray cluster has an ``address``; with Slurm, ``wait`` says whether to wait for the jobs that are submitted.
-    """
-
-    name: str = "local"
-    workers: int | None = None
-    address: str | None = None
-    wait: bool = True
+    name: str = "local"  # one of algorithms.studies.BACKENDS, "manifest" only to list them
+    workers: int | None = None  # that are concurrent, locally and on Ray; None for as many as there are resources for
+    address: str | None = None  # of a running Ray cluster
+    wait: bool = True  # for the jobs that are submitted to Slurm
 
     def train(
         self,
@@ -195,19 +191,17 @@ class Runner(Scores):
             raise ValueError(f"{str(self._directory)!r} is the directory of a run; choose another directory")
         before = {row.id: row.name for row in self._listed}
         if before and before.keys().isdisjoint(row.id for row in self._plan.rows(Scores())):
-            raise ValueError(
-                f"{str(self._directory)!r} has another sweep: none of its {len(before)} runs, such as "
-                f"{next(iter(before.values()))}, is in this one; choose another directory, or delete that sweep"
-            )
+            runs = f"none of its {len(before)} runs, such as {next(iter(before.values()))}, is in this one"
+            hint = "choose another directory, or delete that sweep"
+            raise ValueError(f"{str(self._directory)!r} has another sweep: {runs}; {hint}")
 
     def _train(self, stop: Callable[[], bool]) -> list[Job]:
         """Train the runs, batch after batch; returns all of them, whether they succeeded or not."""
         rows = self._begin()
         while True:
             if removed := len({row.id for row in self._listed} - {row.id for row in rows}):
-                self._say(
-                    f"{removed} runs of the previous manifest are no longer in the sweep; their directories are kept"
-                )
+                kept = "are no longer in the sweep; their directories are kept"
+                self._say(f"{removed} runs of the previous manifest {kept}")
             write_manifest(self._directory, rows)
             self._listed = rows
             jobs = [row.job(self._directory) for row in rows if self._plan.wanted(row)]

@@ -15,9 +15,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.runs.config import find_algorithm, find_config
-from algorithms.studies.manifest import ManifestRow, Scores, cell_rows, overridden, refuse_duplicates, short_names
-from algorithms.studies.settings import ELSEWHERE, SEED_KEYS, learners_in, replaced_keys
+from algorithms.runs.config import CONFIGS, find_algorithm, find_config
+from algorithms.studies import ALL, CORE, REFERENCE
+from algorithms.studies.manifest import (
+    ManifestRow,
+    Scores,
+    cell_rows,
+    first_of,
+    overridden,
+    refuse_duplicates,
+    short_names,
+)
+from algorithms.studies.settings import (
+    ELSEWHERE,
+    SEED_KEYS,
+    Learner,
+    StudyTask,
+    key_problems,
+    keys_in,
+    learners_in,
+    load_study,
+    problems_of,
+    replaced_keys,
+)
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import SUITE_SCORE, lower_is_better
 from mo_deepdrive.support.extras import needed_for
@@ -30,15 +50,7 @@ if TYPE_CHECKING:
     import optuna
 
     from algorithms.runs.config import AlgorithmEntry
-    from algorithms.studies.settings import (
-        Learner,
-        PlanSettings,
-        SearchRange,
-        SearchSettings,
-        Study,
-        StudyTask,
-        SweepSettings,
-    )
+    from algorithms.studies.settings import PlanSettings, SearchRange, SearchSettings, Study, SweepSettings
 
 TASK, LEARNER = "task", "learner"  # keys of every cell of a study
 MAX_PROBLEMS = 5  # invalid cells that an error message lists
@@ -115,9 +127,8 @@ class SweepPlan(Plan):
             except ValueError as error:
                 problems.append(str(error))
         if problems:
-            more = len(problems) - MAX_PROBLEMS
-            shown = [*problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
-            raise ValueError(f"{len(problems)} of {len(combinations)} cells are invalid:\n  " + "\n  ".join(shown))
+            shown = "\n  ".join(first_of(problems, MAX_PROBLEMS))
+            raise ValueError(f"{len(problems)} of {len(combinations)} cells are invalid:\n  {shown}")
         refuse_duplicates(rows)
         return rows
 
@@ -206,17 +217,14 @@ def _distribution(key: str, values: SearchRange) -> optuna.distributions.BaseDis
 
 @dataclass(frozen=True)
 class Arm:
-    """A learner on a task: the sections of its experiment, and the points, values by key, that are tried for it.
-
-    Settings are chosen and learners are compared by ``metric``, of the final evaluation.
-    """
+    """A learner on a task."""
 
     task: str
     learner: str
     label: str
-    metric: str
-    values: dict[str, Any]
-    points: tuple[dict[str, Any], ...]
+    metric: str  # of the final evaluation, by which settings are chosen and learners are compared
+    values: dict[str, Any]  # the sections of its experiment
+    points: tuple[dict[str, Any], ...]  # values by key that are tried for it
     tuning_share: float
     seeds: tuple[int, ...]
 
@@ -228,17 +236,12 @@ class Arm:
 
 @dataclass(frozen=True)
 class ArmRuns:
-    """The runs of an arm that are known by now: those of every point of its tuning, and the final ones, which count.
-
-    Attributes:
-        scores: the mean of every point; None if a run of it failed, NaN if one has not ended.
-        chosen: index of the best point; None while it is not known, or if the study does not tune.
-    """
+    """The runs of an arm that are known by now: those of every point of its tuning, and the final ones, which count."""
 
     arm: Arm
     tuning: tuple[list[ManifestRow], ...]
-    scores: tuple[float | None, ...]
-    chosen: int | None
+    scores: tuple[float | None, ...]  # the mean of every point; None if a run of it failed, NaN if one has not ended
+    chosen: int | None  # index of the best point; None while it is not known, or if the study does not tune
     final: list[ManifestRow]
 
     @property
@@ -253,16 +256,10 @@ class ArmRuns:
 
 
 class StudyPlan(Plan):
-    """The arms of a study, all or those of some tasks and learners.
+    """The arms of a study; those of some tasks and learners are ``selected``, to be trained now.
 
-    Args:
-        overrides: values of experiment keys for every learner that has them, which count for more than those of the
-            study and of the learners.
-
-    Attributes:
-        arms: learners on tasks.
-        selected: task and learner of those that are to be trained now.
-        idle: what has no effect, one line each: a learner that fits no task, a setting that no learner has.
+    ``overrides`` are values of experiment keys for every learner that has them, which count for more than those of the
+    study and of the learners. ``idle`` has lines about learners that fit no task and settings that no learner has.
     """
 
     def __init__(
@@ -312,8 +309,8 @@ class StudyPlan(Plan):
         counted = sum(len(arm.seeds) for arm in arms)
         learners, tasks = (", ".join(dict.fromkeys(arm.key[i] for arm in arms)) for i in (1, 0))
         runs = f"{tried} runs of tuning, then {counted}" if tried else f"{counted} runs, without tuning,"
-        lines = replaced_keys((learner.config for _, learner in learners_in(self.study)), ELSEWHERE)
-        return [*lines, f"{runs} that count: {learners} on {tasks}"]
+        replaced = replaced_keys((learner.config for _, learner in learners_in(self.study)), ELSEWHERE)
+        return [*replaced, f"{runs} that count: {learners} on {tasks}"]
 
     def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
         """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
@@ -440,8 +437,58 @@ def _has(entry: AlgorithmEntry, key: str) -> bool:
 def _metric(study: Study, name: str) -> str:
     """The metric of a task."""
     task = study.tasks[name]
-    default = study.metric if task.task is None else f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
-    metric = task.metric or default
-    if metric is None:
+    of_suite = task.task and f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
+    if (metric := task.metric or of_suite or study.metric) is None:
         raise ValueError(f"task {name!r} has no metric; give one to it or to the study")
     return metric
+
+
+# ------------------------------------------------------------------------------------------------ a study of the suite
+
+# The reference results of the suite, in a checkout and in an installed package.
+PUBLISHED = CONFIGS.parent / "docs" / "results" / "suite.csv"
+if not PUBLISHED.is_file():
+    PUBLISHED = CONFIGS / "suite" / "published.csv"
+
+
+def selected_tasks(names: Sequence[str]) -> list[str]:
+    """The tasks of ids, of "core" and of "all" that count; each of them once."""
+    tasks = suite.load().tasks
+    groups = {CORE: [key for key in tasks if tasks[key].core], ALL: [key for key in tasks if tasks[key].counted]}
+    selected = dict.fromkeys(key for name in names for key in groups.get(name, [name]))
+    for key in selected:
+        suite.load().task(key)
+    return list(selected)
+
+
+def plan_of(
+    learners: list[str], tasks: Sequence[str], seeds: int, overrides: Mapping[str, Any] | None = None
+) -> StudyPlan:
+    """The study of learners on tasks of the suite (ids, "core" or "all"), with the help of the reference study.
+
+    The learners are some of the reference study, configs and paths of classes. If one of them is of the reference
+    study, all are tuned by its rule; else none is.
+    """
+    if seeds < 1:
+        raise ValueError(f"--seeds {seeds} must be at least 1")
+    wanted = selected_tasks(tasks)
+    reference, names = load_study(REFERENCE), short_names(learners)
+    planned = {key for task in reference.tasks for key in reference.learners_of(task)} & {*learners}
+    trained = {name: learner for name, learner in reference.learners.items() if name in planned}
+    for name in (name for name in learners if name not in planned):
+        trained[names[name]] = Learner(overrides={"algorithm.name": name}) if ":" in name else Learner(config=name)
+    study_tasks = {}
+    for key, task in suite.load().tasks.items():
+        given = reference.tasks.get(key, StudyTask(task=key))
+        changed = {name: learner for name, learner in given.learners.items() if name in planned}
+        study_tasks[key] = given.model_copy(update={"learners": changed, "title": task.title})
+    tuning = reference.tuning if planned else None
+    changes = {"seeds": list(range(seeds)), "tasks": study_tasks, "learners": trained, "tuning": tuning}
+    study = reference.model_copy(update=changes)
+    problems = [f"--learner {name} is given twice" for name in names if learners.count(name) > 1]
+    problems += key_problems({"the options": keys_in(overrides or {})}, ELSEWHERE)
+    asked = {key: study_tasks[key] for key in wanted if study.learners_of(key)}
+    problems += problems_of(study.model_copy(update={"tasks": asked}))
+    if problems:
+        raise ValueError("; ".join(problems))
+    return StudyPlan(study, wanted, [*names.values()], overrides)

@@ -96,18 +96,14 @@ class Scores:
 
 
 class Scoreboard:
-    """The normalised scores of a table of results, of tasks of the suite in its version.
-
-    Attributes:
-        tasks: that have results, by id, in the order of the suite.
-        learners: in the order of the results.
-    """
+    """The normalised scores of a table of results, of tasks of the suite in its version."""
 
     def __init__(self, results: Sequence[Row]):
-        self._rows: dict[tuple[str, str], list[Row]] = {}
+        self._rows: dict[tuple[str, str], list[Row]] = defaultdict(list)
         for result in results:
-            self._rows.setdefault((result.task, result.learner), []).append(result)
+            self._rows[result.task, result.learner].append(result)
         scored = {task for task, _ in self._rows}
+        # In the order of the suite, and in that of the results.
         self.tasks: dict[str, Task] = {name: task for name, task in suite.load().tasks.items() if name in scored}
         self.learners = list(dict.fromkeys(result.learner for result in results))
 

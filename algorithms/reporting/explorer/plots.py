@@ -60,10 +60,7 @@ def draw_front(
 
     Of more than MOST_PAIRED objectives there is no scatter; of more than MOST_DRAWN, those of several vehicles, there
     is importance alone. A policy's number is its row in ``front.csv``. Returns are discounted, as they determine
-    dominance, and so is ``reference_front`` (k, d), which is drawn behind the front.
-
-    Returns:
-        The files.
+    dominance, and so is ``reference_front`` (k, d), which is drawn behind the front. Returns the files.
     """
     view = FrontView(front, title)
     d = len(front.objectives)
@@ -141,9 +138,8 @@ def _reduction(view: FrontView) -> Figure:
     if len(shown) < len(front):
         x, y = components.points[shown].T
         axis.scatter(x, y, s=80, facecolors="none", edgecolors=INK, linewidths=1.0, zorder=4)
-    for k, (name, share) in enumerate(zip(("first", "second"), components.explained, strict=True)):
-        text = f"{name} component" + (f" ({share:.0%} of the variance)" if share > 0.0 else " (no variance)")
-        (axis.set_xlabel, axis.set_ylabel)[k](text)
+    shares = [f"({share:.0%} of the variance)" if share > 0.0 else "(no variance)" for share in components.explained]
+    axis.set(xlabel=f"first component {shares[0]}", ylabel=f"second component {shares[1]}")
     view.add_colour_bar(figure, axis)
     _loadings(compass, view, components.loadings)
     style: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "path_effects": [HALO], "zorder": 6}
@@ -165,12 +161,10 @@ def _loadings(axis: Axes, view: FrontView, loadings: NDArray[np.float64]) -> Non
     same = [bool(np.isnan(column).any()) for column in view.importance.T]
     names = [name_and_unit(name)[0] + " (no variance)" * same[i] for i, name in enumerate(view.front.objectives)]
     handles = [Line2D([], [], color=c, linewidth=2.4, label=name) for c, name in zip(colours, names, strict=True)]
-    axis.set_title("Loadings of the components")
-    axis.set_aspect("equal")
-    axis.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), xlabel="first component", ylabel="second component")
+    ticks = [-1, 0, 1]
+    axis.set(title="Loadings of the components", aspect="equal", xlabel="first component", ylabel="second component")
+    axis.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), xticks=ticks, yticks=ticks)
     axis.yaxis.set_label_position("right")
-    axis.set_xticks([-1, 0, 1])
-    axis.set_yticks([-1, 0, 1])
     axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False, fontsize=9)
 
 
@@ -224,15 +218,12 @@ def importance(returns: ArrayLike) -> NDArray[np.float64]:
 
 
 class Projection(NamedTuple):
-    """Points (K, 2), centred at 0, projected onto their first two principal components.
+    """Points projected onto their first two principal components."""
 
-    ``loadings`` (d, 2) are the weights of the objectives in each component; a column has length 1, or 0 if the points
-    do not vary in this direction. ``explained`` (2,) is the share of the variance along each component.
-    """
-
-    points: NDArray[np.float64]
+    points: NDArray[np.float64]  # (K, 2), centred at 0
+    # (d, 2) weights of the objectives; a column has length 1, or 0 if the points do not vary in this direction.
     loadings: NDArray[np.float64]
-    explained: NDArray[np.float64]
+    explained: NDArray[np.float64]  # (2,) share of the variance along each component
 
 
 def principal_components(values: ArrayLike) -> Projection:
@@ -252,20 +243,15 @@ def principal_components(values: ArrayLike) -> Projection:
 
 
 class FrontView:
-    """A front as all its figures show it: the same policies, numbers and colours in each.
-
-    Attributes:
-        leading: index of the objective that orders and colours policies.
-        importance: (K, d) :func:`importance` of the discounted returns, which determine the front: policies that
-            differ in when they arrive alone have the same undiscounted ones.
-    """
+    """A front as all its figures show it: the same policies, numbers and colours in each."""
 
     def __init__(self, front: Front, title: str = ""):
         names = front.objectives
         if len(names) < 2:
             raise ValueError(f"the front has the objectives {list(names)}; figures of a front need at least two")
         self.front, self.title = front, title
-        self.leading = names.index(LEADING) if LEADING in names else 0
+        self.leading = names.index(LEADING) if LEADING in names else 0  # it orders and colours policies
+        # (K, d); policies that differ in when they arrive alone have the same undiscounted returns.
         self.importance = importance(front.discounted)
 
     @property
@@ -319,9 +305,7 @@ class FrontView:
         faces = self.colours.copy()
         if self.arrived is not None:
             faces[~self.arrived] = 1.0
-        axis.scatter(
-            points[:, 0], points[:, 1], s=size, c=faces, edgecolors=self.colours.tolist(), linewidths=1.2, zorder=3
-        )
+        axis.scatter(*points.T, s=size, c=faces, edgecolors=self.colours.tolist(), linewidths=1.2, zorder=3)
 
     def figure(
         self, size: tuple[float, float], heading: str, notes: Sequence[str], handles: Sequence[Line2D] = ()
