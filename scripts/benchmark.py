@@ -111,10 +111,7 @@ ONE_CORE, CPU_TIME = Place(), Place(clock=process_time)
 
 
 def training(place: Place, values: str | dict[str, Any], *overrides: str, steps: int = MEASURED) -> float:
-    """Environment steps per second of an experiment, given by its values or as the name of a shipped one.
-
-    On a GPU its SEEDS trainings are side by side, and worlds and learners stay there.
-    """
+    """Environment steps per second of an experiment, or a shipped one; on a GPU of SEEDS trainings side by side."""
     from algorithms.runs.build import build, build_trainee
     from algorithms.runs.config import load_experiment, make_experiment
 

@@ -67,10 +67,7 @@ def choice_table(
     values: NDArray[Any],
     names: dict[int, str],
 ) -> Table:
-    """The best policy with intervals, and the next best policies next to it.
-
-    ``values`` are what each of the front's policies is worth by the criterion, ``names`` those of columns by position.
-    """
+    """The best policy with intervals, and the next best; ``values`` are what the criterion gives the policies."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

@@ -50,10 +50,8 @@ def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | Non
             raise ValueError(f"{'--vehicle' if options.vehicle is not None else '--stochastic'} requires --against RUN")
         env = make_play_env(options.env)
         if env.vehicles > len(KEYBOARD):
-            raise ValueError(
-                f"--env {options.env} has {env.vehicles} vehicles, and a keyboard has room for {len(KEYBOARD)} people; "
-                "add --against RUN"
-            )
+            room = f"a keyboard has room for {len(KEYBOARD)} people; add --against RUN"
+            raise ValueError(f"--env {options.env} has {env.vehicles} vehicles, and {room}")
         return env, None, list(range(env.vehicles))
     with needed_for("--against"):
         from algorithms.driving.named_rules import is_rule

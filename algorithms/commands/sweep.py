@@ -104,10 +104,7 @@ def run_command(
     make_plan: Callable[[], P],
     finish: Callable[[P, Runner, Path, Console], None] | None = None,
 ) -> int:
-    """Do what the options of :func:`run_options` say; returns the exit code.
-
-    ``finish`` is what follows after training, and instead of it with --tables.
-    """
+    """Do what the options of :func:`run_options` say, then (with --tables alone) ``finish``; returns the exit code."""
     from algorithms.runs.console import make_console, print_line
     from algorithms.studies.execution import Backend, Runner, progress, verify
 

@@ -172,10 +172,7 @@ def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any
 
 
 def plot(groups: Sequence[CurveGroup], path: str | Path, remark: str = "") -> None:
-    """Draw utility, arrival rate and the return of every objective against environment steps, into an image file.
-
-    There is one curve per group; the remark is an additional line below the title.
-    """
+    """Draw utility, arrival rate and the return of every objective against environment steps, a curve per group."""
     panels = curve_panels(groups)
     if not panels:
         raise ValueError("the runs have no metrics to draw yet")
@@ -207,10 +204,7 @@ class CurvePanel(NamedTuple):
 
 
 def curve_panels(groups: Sequence[CurveGroup]) -> list[CurvePanel]:
-    """The panels that have a curve; scores that cannot be compared get separate panels.
-
-    So do runs with one vehicle, which their metrics do not name, and runs with several.
-    """
+    """The panels that have a curve; scores that cannot be compared, and runs of one vehicle, get their own."""
     present = [{name for columns in group.runs for name in columns} for group in groups]
     several = [any(split_name(name).vehicle for name in names) for names in present]
     panels: list[CurvePanel] = []
@@ -297,16 +291,11 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
 
 def _limits(name: str, values: NDArray[Any], pad: float) -> tuple[float, float]:
     """Limits of an axis around values of a metric, which do not magnify noise."""
-    low, high = widened(np.nanmin(values), np.nanmax(values), quantity_scale(name, values))
-    pad *= high - low or 2.0
-    return low - pad, high + pad
-
-
-def quantity_scale(name: str, values: NDArray[Any]) -> float:
-    """The magnitude of a metric: the largest of its ``values``; of a return at least the objective's nominal scale."""
     objective = split_name(name).metric.removeprefix(RETURN)
     nominal = OBJECTIVES[INDEX[objective]].scale if objective in INDEX else 0.0
-    return max(float(np.nanmax(np.abs(values))), nominal)
+    low, high = widened(np.nanmin(values), np.nanmax(values), max(float(np.nanmax(np.abs(values))), nominal))
+    pad *= high - low or 2.0
+    return low - pad, high + pad
 
 
 def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
@@ -351,10 +340,7 @@ class VariedScores(NamedTuple):
 
 
 def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, remark: str = "") -> None:
-    """Draw final scores against every key that varies: a panel per key, a dot per run, the mean per value.
-
-    Scores that cannot be compared, of which each has at least one key, are drawn in separate rows.
-    """
+    """Draw final scores against every key that varies: a row of panels per comparable scores, a dot per run."""
     notes = [
         "dots: runs; circles: means of the runs that share a value, or have neighbouring ones, with 95% intervals of "
         f"{MIN_SAMPLES} runs or more{of_three([MIN_SAMPLES], 'runs')}",

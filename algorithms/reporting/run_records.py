@@ -176,10 +176,7 @@ class RunRecord:
 
 
 def find_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
-    """The run directories among and below ``paths``, each once; links to runs and folders are followed.
-
-    A folder that holds none is refused; if another one does, ``warn`` is called with a line about it.
-    """
+    """The run directories among and below ``paths``, each once; with a warning about folders without any."""
     runs: dict[Path, Path] = {}
     without: list[str] = []
     for path in paths:
@@ -214,10 +211,7 @@ def _runs_below(path: Path) -> Iterator[Path]:
 def read_runs(
     paths: Iterable[Path], warn: Callable[[str], None], *, scores: bool = False, metrics: bool = False
 ) -> list[RunRecord]:
-    """Read runs, with their final evaluations and their metrics if asked to.
-
-    Those that cannot be read are left out: ``warn`` is called with a line that names the file and the fault.
-    """
+    """Read runs, with what is asked for; those that cannot be read are left out with a warning."""
     records = []
     for path in paths:
         file = path / "config.yaml"

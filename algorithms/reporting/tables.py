@@ -389,10 +389,7 @@ def _by_task(rows: Rows, task: Iterable[str]) -> dict[str, Rows]:
 
 
 def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
-    """A table with a row per metric and a column per policy, with intervals over the episodes.
-
-    Ends that no episode had are left out; the files have all.
-    """
+    """A row per metric, a column per policy, with intervals over the episodes; without ends that no episode had."""
     columns = {policy: evaluation.estimates() for policy, evaluation in evaluations.items()}
     names = list(dict.fromkeys(name for estimates in columns.values() for name in estimates))
     ends = [name for name in names if split_name(name).metric.startswith(END)]
@@ -528,10 +525,7 @@ def _title(metric: str) -> str:
 
 
 def write_table(path: Path, rows: Cells, labels: int, note: str) -> None:
-    """Write one table in the format that the ending of its path names, one of :data:`FORMATS`.
-
-    The first ``labels`` columns say what a row is; the note is below the table, but not in a CSV.
-    """
+    """Write one table in the format of the ending of its path, with the note below it, but not in a CSV."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
         atomic_write(path, csv_bytes(rows))

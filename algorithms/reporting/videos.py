@@ -137,9 +137,8 @@ def caption_strip(text: str, width: int) -> Frame:
     fonts = [ImageFont.truetype(f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf", size) for size in FONT_SIZES]
     font = next((font for font in fonts if font.getlength(line) <= room), fonts[-1])
     if font.getlength(line) > room:
-        line = next(
-            (f"{line[:end]}…" for end in range(len(line), 0, -1) if font.getlength(f"{line[:end]}…") <= room), ""
-        )
+        shorter = (f"{line[:end]}…" for end in range(len(line), 0, -1))
+        line = next((text for text in shorter if font.getlength(text) <= room), "")
     strip = Image.new("RGB", (width, CAPTION_PIXELS), BACKGROUND)
     ImageDraw.Draw(strip).text((10, CAPTION_PIXELS / 2), line, INK, font, anchor="lm")
     return np.asarray(strip)

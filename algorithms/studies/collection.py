@@ -79,10 +79,8 @@ class Collection:
     def metrics(self) -> pl.DataFrame:
         """The metrics of all runs."""
         if self.logged.is_empty():
-            raise ValueError(
-                f"no run of sweep {str(self.sweep)!r} has any metrics yet: "
-                f"mo-deepdrive sweep with --output {self.sweep} trains the runs"
-            )
+            hint = f"mo-deepdrive sweep with --output {self.sweep} trains the runs"
+            raise ValueError(f"no run of sweep {str(self.sweep)!r} has any metrics yet: {hint}")
         return self.logged
 
     @cached_property
@@ -119,9 +117,8 @@ def collect(sweep: Path, warn: Callable[[str], None]) -> Collection:
     """Collect the results of all runs, and write ``SWEEP/collected/``; ``warn`` is told what is left out."""
     rows = tuple(read_manifest(sweep))
     if not rows:
-        raise ValueError(
-            f"sweep {str(sweep)!r} is empty: its manifest has no runs; mo-deepdrive sweep writes the manifest"
-        )
+        hint = "its manifest has no runs; mo-deepdrive sweep writes the manifest"
+        raise ValueError(f"sweep {str(sweep)!r} is empty: {hint}")
     files = {name: own_path(sweep, f"{FOLDER}/{name}.parquet") for name in ("metrics", "runs", "scores")}
     statuses = {row.id: read_status(sweep / row.directory) for row in rows}
     metrics, unreadable = _metrics_frame(rows, sweep)

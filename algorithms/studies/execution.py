@@ -10,6 +10,7 @@ import math
 import shutil
 import sys
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -112,6 +113,7 @@ class Runner(Scores):
     def __init__(self, plan: Plan, directory: Path, backend: Backend, console: Console):
         self._plan, self._directory = plan, directory
         self._backend, self._console = backend, console
+        self._say = partial(print_line, console)
         self._failed: dict[Job, str] = {}
         self._listed = read_manifest(directory) if is_sweep(directory) else []
 
@@ -218,9 +220,6 @@ class Runner(Scores):
                 return jobs
             rows = self._expand()
 
-    def _say(self, text: str) -> None:
-        print_line(self._console, text)
-
 
 def read_score(run: Path, metric: str) -> float | None:
     """The value of a metric of a run, that of its last evaluation if it was pruned.
@@ -242,10 +241,7 @@ def read_score(run: Path, metric: str) -> float | None:
 
 
 def verify(sweep: Path, say: Callable[[str], None]) -> list[tuple[ManifestRow, list[str]]]:
-    """Compare the files of the finished runs with their recorded sizes and hashes; returns what is broken, by run.
-
-    ``say`` is called with a line about each run that is broken, and with a summary.
-    """
+    """Compare the files of the finished runs with their recorded hashes; says and returns what is broken, by run."""
     finished = [row for row in read_manifest(sweep) if read_status(sweep / row.directory).get("state") == "finished"]
     broken = [(row, problems) for row in finished if (problems := changed_files(sweep / row.directory))]
     for row, problems in broken:

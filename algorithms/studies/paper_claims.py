@@ -51,7 +51,7 @@ from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -205,15 +205,12 @@ class PaperResults:
 
 
 class Check(NamedTuple):
-    """A criterion applied to results; ``passed`` is None if it is inconclusive.
-
-    ``stopped_at`` is the step at which training stopped too early for an answer; None if that is not the reason.
-    """
+    """A criterion applied to results."""
 
     criterion: str
     measured: str
-    passed: bool | None
-    stopped_at: int | None = None
+    passed: bool | None  # None if it is inconclusive
+    stopped_at: int | None = None  # the step at which training stopped too early for an answer, if that is the reason
 
 
 class Verdict(NamedTuple):
@@ -243,11 +240,33 @@ class Criterion(Settings):
 
     def check(self, results: TaskResults) -> Check:
         """Apply it to results of its task; KeyError if some are missing."""
-        estimate, measured, unit = MEASURES[self.measure](results, self.of)
+        estimate, measured, unit = self.measured(results)
         passed = is_between(estimate, unit * self.above, unit * self.below)
         if passed is None or passed is self.lasting or is_settled(results):
             return Check(self.text, measured, passed)
         return Check(self.text, measured, None, results.steps)
+
+    def measured(self, results: TaskResults) -> tuple[Estimate, str, float]:
+        """What is measured, its text, and the unit of the limits that it is compared with."""
+        if self.measure == "front":
+            score = iqm(results.values(FRONT_LEARNER, self.of, FRONT))
+            return score, shown(score) + ("" if self.of == CARDINALITY else " m"), 1.0
+        if self.measure == "success":
+            rate = iqm(results.values(self.of, SUCCESS))
+            return rate, f"success rate {percent(rate)}", 1.0
+        if self.measure == "progress":
+            progress = iqm(results.values(self.of, return_of("distance")))
+            return progress, f"progress {shown(progress)} m", 1.0
+        if self.measure == "deviations":
+            first, second = (results.values(learner, results.utility) for learner in (MULTI_OBJECTIVE, BASELINE))
+            ratio, runs = spread_ratio(first, second), min(len(first), len(second))
+            powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
+            return ratio, f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}", 1.0
+        baseline, _, difference, _ = compare(results)
+        text, unit = f"difference {shown(difference)}", abs(baseline.value)
+        if self.measure == "difference":
+            return difference, text, 1.0
+        return difference, f"{text}, {SIMILAR:.0%} is {SIMILAR * unit:.2g}", unit
 
 
 class Claim(Settings):
@@ -270,9 +289,9 @@ class Claim(Settings):
         except KeyError:
             return None
         passed = {check.passed for check in checks}
-        return Verdict(
-            "not reproduced" if False in passed else "inconclusive" if None in passed else "reproduced", checks
-        )
+        if False in passed:
+            return Verdict("not reproduced", checks)
+        return Verdict("inconclusive" if None in passed else "reproduced", checks)
 
     def verdicts(self, results: PaperResults) -> dict[str, Verdict]:
         """The verdicts by protocol; only protocols with results for all tasks."""
@@ -331,52 +350,3 @@ def percent(estimate: Estimate) -> str:
     """A fraction in percent, with its interval."""
     bounds = [None if bound is None else 100.0 * bound for bound in (estimate.low, estimate.high)]
     return f"{shown(Estimate(100.0 * estimate.value, *bounds))}%"
-
-
-# ------------------------------------------------------------------------------------------------------------ measures
-# Each gives an estimate, its text, and the unit of the limits that it is compared with.
-
-Measured = tuple[Estimate, str, float]
-
-
-def _success(results: TaskResults, learner: str) -> Measured:
-    rate = iqm(results.values(learner, SUCCESS))
-    return rate, f"success rate {percent(rate)}", 1.0
-
-
-def _progress(results: TaskResults, learner: str) -> Measured:
-    progress = iqm(results.values(learner, return_of("distance")))
-    return progress, f"progress {shown(progress)} m", 1.0
-
-
-def _difference(results: TaskResults, _: str) -> Measured:
-    difference = compare(results)[2]
-    return difference, f"difference {shown(difference)}", 1.0
-
-
-def _relative_difference(results: TaskResults, _: str) -> Measured:
-    baseline, difference = compare(results)[::2]
-    unit = abs(baseline.value)
-    return difference, f"difference {shown(difference)}, {SIMILAR:.0%} is {SIMILAR * unit:.2g}", unit
-
-
-def _deviations(results: TaskResults, _: str) -> Measured:
-    first, second = (results.values(learner, results.utility) for learner in (MULTI_OBJECTIVE, BASELINE))
-    ratio, runs = spread_ratio(first, second), min(len(first), len(second))
-    powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
-    return ratio, f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}", 1.0
-
-
-def _front(results: TaskResults, metric: str) -> Measured:
-    score = iqm(results.values(FRONT_LEARNER, metric, FRONT))
-    return score, shown(score) + ("" if metric == CARDINALITY else " m"), 1.0
-
-
-MEASURES: dict[str, Callable[[TaskResults, str], Measured]] = {
-    "success": _success,
-    "progress": _progress,
-    "difference": _difference,
-    "relative_difference": _relative_difference,
-    "deviations": _deviations,
-    "front": _front,
-}

@@ -289,8 +289,8 @@ def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how
         f"Written by `{how}`: {len(runs)} runs, {runs['cpu_seconds'].sum() / 3600:.1f} hours on one core, seeds "
         f"{min(runs['seed'])} to {max(runs['seed'])}. Background: [reproduction](../reproduction.md).",
         "Scores are interquartile means over seeds of the utility (ESR) of the policy that samples its actions; at the "
-        "intersection, of the sum of both vehicles' utilities. The scores of every run, also of greedy policies, are in "
-        "reproduction_scores.csv.",
+        "intersection, of the sum of both vehicles' utilities. The scores of every run, also of greedy policies, are "
+        "in reproduction_scores.csv.",
         "Intervals (95%, bootstrap) are over seeds. P(MO-A2C higher) is the probability that a run of MO-A2C scores "
         "higher than one of A2C. A run of PCN has collapsed if its hypervolume is below "
         f"{COLLAPSED:.0%} of the median.",

@@ -76,18 +76,11 @@ class Plan(ABC):
         del row
         return True
 
-    def _cell(
-        self,
-        cell: dict[str, Any],
-        values: Mapping[str, Any],
-        seeds: Sequence[int],
-        trial: int | None = None,
-        **checks: Any,
-    ) -> list[ManifestRow]:
+    def _cell(self, cell: dict[str, Any], trial: int | None, **arguments: Any) -> list[ManifestRow]:
         """The rows of a cell, which is checked and built once; the arguments are those of ``cell_rows``."""
         key = repr((cell, trial))
         if key not in self._cells:
-            self._cells[key] = cell_rows(cell, values, seeds, trial, **checks)
+            self._cells[key] = cell_rows(cell, trial=trial, **arguments)
         return self._cells[key]
 
 
@@ -121,7 +114,7 @@ class SweepPlan(Plan):
             try:
                 sections = overridden(bases[path], {**settings.overrides, **grid}, cell)
                 if settings.search is None:
-                    rows += self._cell(cell, sections, settings.seeds, metric=metric)
+                    rows += self._cell(cell, None, values=sections, seeds=settings.seeds, metric=metric)
                 else:
                     rows += self._search_rows(settings.search, cell, sections, scores)
             except ValueError as error:
@@ -157,7 +150,7 @@ class SweepPlan(Plan):
             for trial, point in enumerate(points, len(by_point)):
                 keys = {**cell, **point}
                 sections, metric = overridden(values, point, keys), None if trial else search.metric
-                batch.append(self._cell(keys, sections, self.settings.seeds, trial, metric=metric))
+                batch.append(self._cell(keys, trial, values=sections, seeds=self.settings.seeds, metric=metric))
             earlier, later = ([row for rows in part for row in rows] for part in (by_point[first:], batch))
             if not scores.settle(earlier, later):
                 break
@@ -170,22 +163,17 @@ class SweepPlan(Plan):
 
 
 def propose_points(search: SearchSettings, scores: Sequence[float | None]) -> list[dict[str, Any]]:
-    """The points of a search, values by key, up to the end of the first batch whose scores are not all there.
-
-    The search is replayed from its seed, so that the same scores give the same points. A point without a score, None,
-    has failed.
-    """
+    """The points of a search, replayed from its seed, up to the first batch whose scores are not all there."""
     with needed_for("a search"):
         import optuna
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    if search.sampler == "random":
-        sampler: optuna.samplers.BaseSampler = optuna.samplers.RandomSampler(seed=search.seed)
-    else:
+    sampler: optuna.samplers.BaseSampler = optuna.samplers.RandomSampler(seed=search.seed)
+    size = search.trials
+    if search.sampler == "tpe":
         # Without constant_liar the points of a batch, which have no scores yet, would be close to each other.
-        sampler = optuna.samplers.TPESampler(seed=search.seed, constant_liar=True)
+        sampler, size = optuna.samplers.TPESampler(seed=search.seed, constant_liar=True), search.batch
     study = optuna.create_study(sampler=sampler, direction=search.direction)
     space = {key: _distribution(key, values) for key, values in search.space.items()}
-    size = search.batch if search.sampler == "tpe" else search.trials
     points: list[dict[str, Any]] = []
     for first in range(0, search.trials, size):
         trials = [study.ask(space) for _ in range(min(size, search.trials - first))]
@@ -272,12 +260,11 @@ class StudyPlan(Plan):
         super().__init__(study)
         self.study = study
         self.arms, self.idle = _arms(study, overrides or {})
+        missing = "no learner of the study is trained on it", "the study has no such learner"
         for option, given, i in (("--tasks", tasks, 0), ("--learners", learners, 1)):
             known = dict.fromkeys(arm.key[i] for arm in self.arms)
-            for name in given or ():
-                if name not in known:
-                    missing = "no learner of the study is trained on it", "the study has no such learner"
-                    raise ValueError(f"{option} {name}: {missing[i]}; {nearest(name, known)}")
+            for name in (name for name in given or () if name not in known):
+                raise ValueError(f"{option} {name}: {missing[i]}; {nearest(name, known)}")
         on_tasks = [arm.key for arm in self.arms if tasks is None or arm.task in tasks]
         self.selected = {key for key in on_tasks if learners is None or key[1] in learners}
         for name in learners or ():
@@ -351,7 +338,7 @@ class StudyPlan(Plan):
             if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
                 values["training"]["total_timesteps"] = max(1, round(arm.tuning_share * steps))
         build_once = arm.key in self.selected  # others may need what is not installed here
-        return self._cell(cell, values, seeds, trial, metric=arm.metric, build_once=build_once)
+        return self._cell(cell, trial, values=values, seeds=seeds, metric=arm.metric, build_once=build_once)
 
 
 def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str]]:
@@ -382,10 +369,8 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
             points, seeds = tuple(study.points(learner)), tuple(task.seeds or study.seeds)
             for tried in points[0] if points else ():
                 if not _has(entry, tried):
-                    raise ValueError(
-                        f"{where}: the study tunes {tried!r}, a setting that it does not have; give it values of its "
-                        "own that are tried, or train it without learners that are tuned"
-                    )
+                    hint = "give it values of its own that are tried, or train it without learners that are tuned"
+                    raise ValueError(f"{where}: the study tunes {tried!r}, a setting that it does not have; {hint}")
                 if tried in given:
                     raise ValueError(f"{tried} = {given[tried]!r}: the study tunes it for {where}")
             share = learner.tuning_share or (study.tuning.share if study.tuning else 1.0)

@@ -144,10 +144,7 @@ class _RecordingAsha(ASHAScheduler):  # type: ignore[misc]  # Ray's types are no
 
 
 class _Driver(tune.Callback, tune.Stopper):  # type: ignore[misc]  # Ray's types are not checked
-    """Updates the dashboard, collects errors, and stops all trials once ``stop`` returns True or the disk is full.
-
-    Each trial then saves a checkpoint.
-    """
+    """Updates the dashboard, collects errors, and stops all trials once ``stop`` returns True or the disk is full."""
 
     def __init__(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]):
         self._jobs = {job.id: job for job in jobs}

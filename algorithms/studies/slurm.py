@@ -70,10 +70,7 @@ class TaskExecutor(submitit.SlurmExecutor):
 
 
 def sbatch_options(settings: PlanSettings, name: str) -> dict[str, Any]:
-    """The options of sbatch for each task of the array, under submitit's names.
-
-    A task trains ``slurm.side_by_side`` runs at a time, with ``resources`` for each; ``name`` is that of the job.
-    """
+    """The options of sbatch, under submitit's names, for each task of the array of a job ``name``."""
     slurm, resources = settings.slurm, settings.resources
     given = {"partition", "account", "qos", "constraint", "array_parallelism", "signal_delay_s", "setup"}
     cpus = max(1, math.ceil(resources.cpus * slurm.side_by_side))
@@ -166,10 +163,7 @@ def _query_states(jobs: Iterable[str]) -> dict[str, str] | None:
 
 
 class SlurmQueue:
-    """The submitted jobs of a sweep, with the ids of their runs: in slurm/jobs.json, so that none is submitted twice.
-
-    ``states`` are those of the jobs as of the last :meth:`refresh`.
-    """
+    """The submitted jobs of a sweep with the ids of their runs, in slurm/jobs.json, so that none is submitted twice."""
 
     def __init__(self, sweep: Path):
         self._sweep = sweep

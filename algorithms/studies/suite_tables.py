@@ -127,10 +127,7 @@ class Scoreboard:
         return learner or (BASELINE if BASELINE in self.learners else self.learners[0])
 
     def task_table(self, *, ranked: bool = True) -> Rows:
-        """Scores by task and learner; with ``ranked`` false, those of the policy that is not ranked.
-
-        The last column names the best learner, if its interval lies above those of all others.
-        """
+        """Scores by task and learner, and who is clearly best, by the policy that is ``ranked`` or by the other one."""
         rows = [["task", "track", "floor", "ceiling", "policy", *self.learners, "clearly best"]]
         for name, task in self.tasks.items():
             policy = task.policy if ranked else {GREEDY: STOCHASTIC, STOCHASTIC: GREEDY}[task.policy]
@@ -142,10 +139,7 @@ class Scoreboard:
         return rows
 
     def track_tables(self, against: str | None = None) -> list[tuple[str, Rows]]:
-        """A table per track with its name: a row per learner, the best first.
-
-        Without ``against`` others are compared with :data:`BASELINE` if it has results on the track, else the first.
-        """
+        """A table per track with its name: a row per learner, the best first, compared with one, else BASELINE."""
         self._reference("--against", against)
         tables: list[tuple[str, Rows]] = []
         for track, by_learner in self._tracks().items():

@@ -73,9 +73,8 @@ def print_sweep(
     """
     collection = collect(sweep, warn)
     if collection.scores.is_empty():
-        raise ValueError(
-            f"no run of sweep {str(sweep)!r} has a final evaluation yet; mo-deepdrive plot draws what runs have logged"
-        )
+        hint = "mo-deepdrive plot draws what runs have logged"
+        raise ValueError(f"no run of sweep {str(sweep)!r} has a final evaluation yet; {hint}")
     rankings = rank(collection.cells, collection.scores, metric)
     groups_of_rankings = [group_cells(collection, ranking, columns) for ranking in rankings]
     all_groups = [group for groups in groups_of_rankings for group in groups]

@@ -20,16 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from algorithms.reporting.style import (
-    DIM,
-    FAINT,
-    GRID,
-    INK,
-    figure_style,
-    objective_colour,
-    save_figure,
-    surround,
-)
+from algorithms.reporting.style import COLOURS, DIM, FAINT, GRID, INK, figure_style, save_figure, surround
 from mo_deepdrive.evaluation.metrics import label, name_and_unit, without_vehicle
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
@@ -113,12 +104,11 @@ def _importance(view: FrontView) -> Figure:
             axis.text(x, height + 0.03, f"{height:.2f}", ha="center", va="bottom", fontsize=8)
         axis.set_yticks([0, 1], [f"{worst} = 0", f"{best} = 1"])
         axis.axhline(1.0, color=GRID, linewidth=0.8, zorder=1)
-    ticks = [str(policy) for policy in shown]
-    if view.arrived is not None:
-        ticks = [f"{policy}\n{front.success[policy]:.0%}" for policy in shown]
+    known = view.arrived is not None
+    ticks = [f"{policy}\n{front.success[policy]:.0%}" if known else str(policy) for policy in shown]
     axes[-1].set_xticks(range(n), ticks, color=INK)
     axes[-1].set_xlim(n / 2 - max(n, 6) / 2 - 0.6, n / 2 + max(n, 6) / 2 - 0.4)
-    axes[-1].set_xlabel("policy" + (", and share of its episodes that arrive" if view.arrived is not None else ""))
+    axes[-1].set_xlabel("policy" + (", and share of its episodes that arrive" if known else ""))
     return figure
 
 
@@ -154,10 +144,9 @@ def _loadings(axis: Axes, view: FrontView, loadings: NDArray[np.float64]) -> Non
     """An arrow per objective: its weights in the two components."""
     angles = np.linspace(0.0, 2 * np.pi, 181)
     axis.plot(np.cos(angles), np.sin(angles), color=FAINT, linewidth=0.9, zorder=1)
-    colours = [objective_colour(i) for i in range(len(loadings))]
-    axis.quiver(
-        *np.zeros((2, len(loadings))), *loadings.T, color=colours, angles="xy", scale_units="xy", scale=1, zorder=3
-    )
+    colours = [COLOURS[i % len(COLOURS)] for i in range(len(loadings))]
+    scaled: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1}
+    axis.quiver(*np.zeros((2, len(loadings))), *loadings.T, color=colours, zorder=3, **scaled)
     same = [bool(np.isnan(column).any()) for column in view.importance.T]
     names = [name_and_unit(name)[0] + " (no variance)" * same[i] for i, name in enumerate(view.front.objectives)]
     handles = [Line2D([], [], color=c, linewidth=2.4, label=name) for c, name in zip(colours, names, strict=True)]
@@ -206,10 +195,7 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
 
 
 def importance(returns: ArrayLike) -> NDArray[np.float64]:
-    """``returns`` (K, d) scaled per objective from 0, the worst of the K, to 1, the best.
-
-    NaN for an objective in which the K do not differ: no policy favours it.
-    """
+    """``returns`` (K, d) scaled per objective from 0, the worst of the K, to 1, the best; NaN where all are equal."""
     values = np.asarray(returns, dtype=np.float64)
     low, extent = values.min(axis=0), np.ptp(values, axis=0)
     differ = extent > 1e-9 * np.abs(values).max(axis=0)  # by more than rounding errors
@@ -227,10 +213,7 @@ class Projection(NamedTuple):
 
 
 def principal_components(values: ArrayLike) -> Projection:
-    """The first two principal components of ``values`` (K, d), by singular value decomposition.
-
-    The largest loading of a component is positive, so that equal values always look the same.
-    """
+    """The first two principal components of ``values`` (K, d); the largest loading of each is positive."""
     points = np.asarray(values, dtype=np.float64)
     centred = points - points.mean(axis=0)
     _, sizes, axes = np.linalg.svd(centred, full_matrices=False)
@@ -273,9 +256,8 @@ class FrontView:
     def returns_note(self) -> str:
         """What the numbers are."""
         known = [OBJECTIVES[INDEX[name]].sign for name in map(without_vehicle, self.front.objectives) if name in INDEX]
-        episodes = self.front.episodes
-        note = f"mean discounted (gamma {self.front.gamma:g}) returns of "
-        note += f"{episodes} episode{'' if episodes == 1 else 's'} per policy"
+        episodes = f"{self.front.episodes} episode{'' if self.front.episodes == 1 else 's'} per policy"
+        note = f"mean discounted (gamma {self.front.gamma:g}) returns of {episodes}"
         return note + (", sums over decisions" if known else "") + (", costs negative" if -1 in known else "")
 
     def policies_note(self, shown: NDArray[np.intp]) -> str:
@@ -305,7 +287,8 @@ class FrontView:
         faces = self.colours.copy()
         if self.arrived is not None:
             faces[~self.arrived] = 1.0
-        axis.scatter(*points.T, s=size, c=faces, edgecolors=self.colours.tolist(), linewidths=1.2, zorder=3)
+        x, y = points.T
+        axis.scatter(x, y, s=size, c=faces, edgecolors=self.colours.tolist(), linewidths=1.2, zorder=3)
 
     def figure(
         self, size: tuple[float, float], heading: str, notes: Sequence[str], handles: Sequence[Line2D] = ()
