@@ -111,10 +111,7 @@ ONE_CORE, CPU_TIME = Place(), Place(clock=process_time)
 
 
 def training(place: Place, values: str | dict[str, Any], *overrides: str, steps: int = MEASURED) -> float:
-    """Environment steps per second of an experiment, given by its values or as the name of a shipped one.
-
-    On a GPU its SEEDS trainings are side by side, and worlds and learners stay there.
-    """
+    """Environment steps per second of an experiment, or a shipped one; on a GPU of SEEDS trainings side by side."""
     from algorithms.runs.build import build, build_trainee
     from algorithms.runs.config import load_experiment, make_experiment
 
@@ -241,9 +238,9 @@ def _run(arguments: Sequence[str], folder: str | None = None, **variables: str) 
     """The last line that ``python ARGUMENTS`` prints, with these variables in its environment."""
     command, variables = [sys.executable, *arguments], {**os.environ, **variables}
     done = subprocess.run(command, cwd=folder, env=variables, capture_output=True, text=True, check=False)
-    failed = done.returncode != 0
-    last_line = [*((done.stderr or done.stdout) if failed else done.stdout).strip().splitlines(), ""][-2:][0]
-    if failed:
+    printed = (done.returncode and done.stderr) or done.stdout
+    last_line = (printed.strip().splitlines() or [""])[-1]
+    if done.returncode:
         raise CannotMeasureError(last_line)
     return last_line
 
@@ -374,10 +371,10 @@ def overview(repetitions: int) -> list[Row]:
 
 def revision(commit: str) -> str:
     """The full hash of ``commit``."""
-    found = _git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{commit}^{{commit}}").decode().strip()
-    if not found:
+    full = _git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{commit}^{{commit}}").decode().strip()
+    if not full:
         raise ValueError(f"{commit!r} is not a commit of {REPOSITORY}")
-    return found
+    return full
 
 
 def working_tree() -> str:
@@ -454,14 +451,12 @@ def compare(
     problems: dict[str, str] = {}
     for pair, name in progress(list(product(range(-1, pairs), names))):
         sides = (("old", old, values[name][0]), ("new", new, values[name][1]))
-        for title, side, measured in sides[:: 1 if pair % 2 == 0 else -1]:
-            if name in problems:
-                continue
+        for title, side, measured in () if name in problems else sides[:: 1 if pair % 2 == 0 else -1]:
             try:
                 value = measure(side, name)
             except CannotMeasureError as error:
                 problems[name] = f"the {title} side cannot run it: {error}"
-                continue
+                break
             if pair >= 0:
                 measured.append(value)
     return [comparison(name, *values[name], problems.get(name, "")) for name in names]
@@ -503,8 +498,8 @@ def show(rows: Sequence[Row], output: Path | None, about: Row, caption: str = ""
         table.add_row(*(f"{value:,.6g}" if isinstance(value, float) else str(value or "") for value in row.values()))
     Console().print(table)
     if output is not None:
-        values = [["" if value is None else value for value in (row | about).values()] for row in rows]
-        cells = [[f"{value:.6g}" if isinstance(value, float) else value for value in row] for row in values]
+        lines = ((row | about).values() for row in rows)
+        cells = [[f"{cell:.6g}" if isinstance(cell, float) else cell for cell in line] for line in lines]
         atomic_write(output, csv_bytes([[*rows[0], *about], *cells]))
 
 

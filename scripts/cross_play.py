@@ -62,19 +62,14 @@ COLLISIONS = end_by(COLLISION)
 # ------------------------------------------------------------------------------------------------------------- drivers
 
 
-def open_env(options: Namespace) -> EnvAdapter:
+def open_env(options: Namespace, arguments: dict[str, int]) -> EnvAdapter:
     """The environment in which they meet."""
     if not is_ours(find_environment(options.env, "--env")):
         raise ValueError(f"--env = {options.env!r}: only this package's environments have several vehicles")
-    env = EnvAdapter(make_env(options.env, 1, arguments_of(options)))
+    env = EnvAdapter(make_env(options.env, 1, arguments))
     if env.vehicles == 1:
         raise ValueError(f"--env {options.env} has one vehicle; cross-play needs several")
     return env
-
-
-def arguments_of(options: Namespace) -> dict[str, int]:
-    """The arguments of the environment."""
-    return {} if options.vehicles is None else {"vehicles": options.vehicles}
 
 
 def open_drivers(options: Namespace, env: EnvAdapter) -> list[dict[str, Policy]]:
@@ -228,7 +223,8 @@ def _draw(axis: Axes, values: NDArray[np.float64], colours: str, limits: tuple[f
 def play(options: Namespace) -> int:
     """Let all drivers meet, and write and print what they achieve."""
     cli.check_directory("--output", options.output)
-    env = open_env(options)
+    arguments = {} if options.vehicles is None else {"vehicles": options.vehicles}
+    env = open_env(options, arguments)
     drivers = open_drivers(options, env)
     utility = utilities_of(options, env, drivers)
     pairs, done = len(drivers[0]) * len(drivers[1]), 0
@@ -239,16 +235,8 @@ def play(options: Namespace) -> int:
             done += 1
             status.update(f"{done} of {pairs} pairs")
 
-        encounters = cross_play(
-            drivers,
-            options.env,
-            utility=utility,
-            env_kwargs=arguments_of(options),
-            split=options.split,
-            episodes=options.episodes,
-            greedy=options.greedy,
-            progress=progress,
-        )
+        how = {name: getattr(options, name) for name in ("split", "episodes", "greedy")}
+        encounters = cross_play(drivers, options.env, utility=utility, env_kwargs=arguments, progress=progress, **how)
     episodes = describe_episodes(options.episodes, SPLITS[options.split].start)
     name = OWN if isinstance(utility, dict) else utility
     note = f"{episodes} per pair, {'greedy' if options.greedy else 'sampled'} actions, utility {name}"

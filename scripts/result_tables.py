@@ -73,11 +73,9 @@ def open_results() -> sqlite3.Connection:
             fill(database, f"{name}_{k}" if k else name, header, rows)
     fill_suite(database, suite.read_rows(folder / "suite.csv"))
     fill(database, "result_files", ["name", "file"], [*(files | dict.fromkeys(FROM_SUITE, files["suite"])).items()])
-    about = [json.loads(path.read_bytes()) | {"policy": path.parent.name} for path in sorted(ZOO.glob("*/about.json"))]
-    fill(database, "zoo", ["policy", "commit"], [[each["policy"], each["commit"]] for each in about])
-    database.create_function(
-        "decimals", 2, lambda value, places: None if value is None else f"{value:.{places}f}", deterministic=True
-    )
+    commits = {path.parent.name: json.loads(path.read_bytes())["commit"] for path in sorted(ZOO.glob("*/about.json"))}
+    fill(database, "zoo", ["policy", "commit"], [*commits.items()])
+    database.create_function("decimals", 2, lambda value, places: None if value is None else f"{value:.{places}f}")
     aggregate: Any = InterquartileMean
     database.create_aggregate("interquartile_mean", 1, aggregate)
     database.executescript((folder / "views.sql").read_text(encoding="utf-8"))

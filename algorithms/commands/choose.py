@@ -67,11 +67,7 @@ def choice_table(
     values: NDArray[Any],
     names: dict[int, str],
 ) -> Table:
-    """The best policy with intervals, and the next best policies next to it.
-
-    ``values`` are what each of the front's policies is worth by the criterion; ``names`` are those of the columns, by
-    the positions of policies, the best one first.
-    """
+    """The best policy with intervals, and the next best; ``values`` are what the criterion gives the policies."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -114,11 +110,9 @@ def choose(options: Namespace) -> int:
     experiment = run.experiment
     cli.check_front(run, options.run)
     episodes, seed = cli.evaluation_arguments(options, experiment)
-    front = every = Front.read(run.path)
-    numbers = list(range(len(every)))
-    if options.policy is not None:
-        numbers = [cli.policy_index(options.policy, len(every))]
-        front = front.take(numbers)
+    every = Front.read(run.path)
+    numbers = [*range(len(every))] if options.policy is None else [cli.policy_index(options.policy, len(every))]
+    front = every.take(numbers)
     agent = load_policy(run)
     criterion = parse_criterion(options, front.objectives, agent.front_scales)
     evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)

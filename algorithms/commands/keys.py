@@ -18,14 +18,7 @@ from pydantic import BaseModel
 
 from algorithms import ALGORITHMS
 from algorithms.runs import cli
-from algorithms.runs.config import (
-    Experiment,
-    agent_class,
-    find_algorithm,
-    find_environment,
-    is_ours,
-    load_experiment,
-)
+from algorithms.runs.config import Experiment, agent_class, find_algorithm, find_environment, is_ours, load_experiment
 from algorithms.studies.settings import Learner, Study, StudyTask, SweepSettings
 from mo_deepdrive.world.config import EnvConfig
 
@@ -51,10 +44,10 @@ class Key(NamedTuple):
     default: str  # in JSON; "required" if there is none, and empty for a section whose keys have defaults
     description: str  # a line; empty if the settings model has none
 
-    def text(self) -> str:
-        """The key in a line and its description, if it has one, in another one."""
+    def text(self, remark: str = "") -> str:
+        """The key with a remark in a line and its description, if it has one, in another one."""
         default = {"": "", "required": ", required"}.get(self.default, f", default {self.default}")
-        return f"{self.name}: {self.type}{default}" + (f"\n    {self.description}" if self.description else "")
+        return f"{self.name}: {self.type}{default}{remark}" + (f"\n    {self.description}" if self.description else "")
 
 
 def experiment_keys(algorithm: str, env_id: str | None = None) -> list[Key]:
@@ -157,9 +150,8 @@ def list_keys(options: Namespace) -> int:
         console.print(f"{title}\n", style="bold", markup=False, highlight=False)
         set_here = differing_values(values, keys)
         for key in keys:
-            line, *description = key.text().splitlines()
             here = f"; here {set_here[key.name]}" if key.name in set_here else ""
-            for text in (line + here, *description):
+            for text in key.text(here).splitlines():
                 wrapped = textwrap.fill(text, console.width, subsequent_indent="    ", break_on_hyphens=False)
                 print_line(console, wrapped)
         console.print()

@@ -79,8 +79,7 @@ def train_peer(options: Namespace) -> int:
     console = make_console()
     with cli.exit_on_error(ValueError, OSError):
         if options.list:
-            given = [*(["--output"] if options.output else []), *options.overrides]
-            if given:
+            if given := [*(["--output"] if options.output else []), *options.overrides]:
                 raise ValueError(f"{given[0]} has no effect beside --list")
             console.print(peers_table())
             return 0

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from mo_deepdrive.play import EpisodeOutcome
 
 ENVIRONMENT: dict[str, str] = {}  # SDL chooses the driver of the window
-MAX_FPS = 1000
-MAX_SEED = 2**31 - 1
 
 
 def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
@@ -48,15 +46,12 @@ def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | Non
     if not is_ours(spec):
         raise ValueError(f"--env = {options.env!r}: only this package's environments can be driven")
     if options.against is None:
-        for name, given in (("--vehicle", options.vehicle is not None), ("--stochastic", options.stochastic)):
-            if given:
-                raise ValueError(f"{name} requires --against RUN")
+        if options.stochastic or options.vehicle is not None:
+            raise ValueError(f"{'--vehicle' if options.vehicle is not None else '--stochastic'} requires --against RUN")
         env = make_play_env(options.env)
         if env.vehicles > len(KEYBOARD):
-            raise ValueError(
-                f"--env {options.env} has {env.vehicles} vehicles, and a keyboard has room for {len(KEYBOARD)} people; "
-                "add --against RUN"
-            )
+            room = f"a keyboard has room for {len(KEYBOARD)} people; add --against RUN"
+            raise ValueError(f"--env {options.env} has {env.vehicles} vehicles, and {room}")
         return env, None, list(range(env.vehicles))
     with needed_for("--against"):
         from algorithms.driving.named_rules import is_rule
@@ -111,7 +106,7 @@ def play(options: Namespace) -> int:
     from mo_deepdrive.drawing.quiet_pygame import pygame
     from mo_deepdrive.play import HumanPlayEnv, describe_controls, open_display, play_in_window
 
-    for name, low, high in (("seed", 0, MAX_SEED), ("fps", 1, MAX_FPS)):
+    for name, low, high in (("seed", 0, 2**31 - 1), ("fps", 1, 1000)):
         value = getattr(options, name)
         if value is not None and not low <= value <= high:
             raise ValueError(f"--{name} {value} must be between {low} and {high}")

@@ -37,7 +37,7 @@ def suite_list(_options: Namespace) -> int:
     from rich.table import Table
 
     from algorithms.runs.console import make_console
-    from algorithms.studies.suite_plan import PUBLISHED
+    from algorithms.studies.plan import PUBLISHED
     from algorithms.studies.suite_tables import minutes_per_run
     from mo_deepdrive import suite
 
@@ -61,7 +61,7 @@ def suite_score(options: Namespace) -> int:
     from algorithms.runs.console import make_console, print_line
     from algorithms.runs.progress import compilation_noted
     from algorithms.runs.suite_entries import open_entry
-    from algorithms.studies.suite_plan import selected_tasks
+    from algorithms.studies.plan import selected_tasks
     from mo_deepdrive import suite
     from mo_deepdrive.evaluation.statistics import Estimate
 
@@ -72,10 +72,8 @@ def suite_score(options: Namespace) -> int:
     pairs = [(entry, task_id) for entry in entries for task_id in (wanted or entry.tasks or selected_tasks([ALL]))]
     runs = Counter((task_id, entry.learner, entry.seed) for entry, task_id in pairs)
     if options.output and (twice := [run for run, count in runs.items() if count > 1]):
-        task_id, learner, seed = twice[0]
-        raise ValueError(
-            f"--output {options.output!r}: two policies are {learner!r} with seed {seed} on {task_id}; a file for each"
-        )
+        same = "two policies are {1!r} with seed {2} on {0}".format(*twice[0])
+        raise ValueError(f"--output {options.output!r}: {same}; a file for each")
     console, rows = make_console(), []
     with compilation_noted(lambda text: print_line(console, text)):
         policies = [entry.policy(task_id) for entry, task_id in pairs]
@@ -84,9 +82,9 @@ def suite_score(options: Namespace) -> int:
                 scores = entry.score(policy, task_id, episodes=options.episodes, perturbed=not options.no_perturbations)
             table = [["column", "policy", "value, 95% interval", "normalised"]]
             for row in scores:
-                assert row.value is not None
+                value = "" if row.value is None else Estimate(row.value, row.low, row.high).text()
                 normalised = "" if row.normalised is None else f"{row.normalised:.3f}"
-                table.append([row.column, row.policy, Estimate(row.value, row.low, row.high).text(), normalised])
+                table.append([row.column, row.policy, value, normalised])
             print_rows(console, table, f"{task_id}: {suite.load().task(task_id).title}; {entry.source}", 2)
             rows += scores
             if options.output:
@@ -143,7 +141,7 @@ def suite_verify(options: Namespace) -> int:
 def suite_run(options: Namespace) -> int:
     """Train learners on tasks of the suite, and score them."""
     from algorithms.studies.manifest import short_names
-    from algorithms.studies.suite_plan import plan_of
+    from algorithms.studies.plan import plan_of
 
     overrides = dict(parse_overrides(options.overrides))
     name = "-".join(["suite", *short_names(options.learner).values()]).replace("/", "-")
@@ -158,8 +156,8 @@ def suite_table(options: Namespace) -> int:
     """Print the tables of the suite, and write them if asked to."""
     from algorithms.reporting.tables import FORMATS, markdown, print_rows, write_table
     from algorithms.runs.console import make_console, print_line
+    from algorithms.studies.plan import PUBLISHED
     from algorithms.studies.settings import load_study
-    from algorithms.studies.suite_plan import PUBLISHED
     from algorithms.studies.suite_tables import MEANS_NOTE, NOTE, Scoreboard, read_results
     from mo_deepdrive.support.atomic_io import atomic_write
 
@@ -170,11 +168,9 @@ def suite_table(options: Namespace) -> int:
     results = read_results(options.results or PUBLISHED)
     own = {row.learner for row in results} if options.published else set()
     if options.published:
-        reference = read_results(PUBLISHED)
+        reference, file = read_results(PUBLISHED), str(options.results)
         if both := own & {row.learner for row in reference}:
-            raise ValueError(
-                f"{str(options.results)!r} has the learner {min(both)!r}, as the reference results; rename"
-            )
+            raise ValueError(f"{file!r} has the learner {min(both)!r}, as the reference results; rename")
         results += reference
     console, board = make_console(), Scoreboard(results)
     tables = [*board.track_tables(options.against), ("Tasks", board.task_table())]

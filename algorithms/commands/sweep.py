@@ -42,7 +42,6 @@ ENVIRONMENT = {
     "RAY_NUM_REDIS_GET_RETRIES": "1",  # report an unreachable cluster within a minute
     "RAY_AIR_NEW_OUTPUT": "0",  # this command prints the progress, for all backends
 }
-REQUIRED_MODULES = {"ray": "ray", "slurm": "submitit"}
 BACKENDS_OF_OPTIONS = {
     "workers": ("local", "ray"),
     "address": ("ray",),
@@ -87,7 +86,7 @@ def check_options(options: Namespace) -> None:
     for name, backends in BACKENDS_OF_OPTIONS.items():
         if getattr(options, name) and options.on not in backends:
             raise ValueError(f"--{name.replace('_', '-')} is for --on {' and '.join(backends)}, not {options.on}")
-    module = REQUIRED_MODULES.get(options.on)
+    module = {"ray": "ray", "slurm": "submitit"}.get(options.on)
     if module is not None and find_spec(module) is None:
         raise ValueError(f"--on {options.on} needs {module}: pip install 'mo-deepdrive[sweep]'")
 
@@ -105,10 +104,7 @@ def run_command(
     make_plan: Callable[[], P],
     finish: Callable[[P, Runner, Path, Console], None] | None = None,
 ) -> int:
-    """Do what the options of :func:`run_options` say; returns the exit code.
-
-    ``finish`` is what follows after training, and instead of it with --tables.
-    """
+    """Do what the options of :func:`run_options` say, then (with --tables alone) ``finish``; returns the exit code."""
     from algorithms.runs.console import make_console, print_line
     from algorithms.studies.execution import Backend, Runner, progress, verify
 

@@ -43,8 +43,7 @@ def open_runs(options: Namespace) -> tuple[list[Run], Any]:
         return cli.new_runs(options, experiments), trainee
     longer = dict(parse_overrides(options.overrides))
     total_timesteps = longer.pop("training.total_timesteps", None)
-    if longer or options.output:
-        given = [*(f"--{key}" for key in longer), *(["--output"] if options.output else [])]
+    if given := [*(f"--{key}" for key in longer), *(["--output"] if options.output else [])]:
         raise ValueError(
             "--resume continues the run with its own settings, apart from --training.total_timesteps; "
             f"it cannot take {' '.join(given)}"

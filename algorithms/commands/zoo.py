@@ -15,15 +15,7 @@ from algorithms.reporting.run_records import ExperimentRecord
 from algorithms.runs import cli
 from algorithms.runs.config import find_environment
 from algorithms.zoo import ABOUT, CONFIG, find, names
-from mo_deepdrive.evaluation.metrics import (
-    CARDINALITY,
-    FRONT,
-    GREEDY,
-    STOCHASTIC,
-    SUCCESS,
-    TOTAL_UTILITY_ESR,
-    UTILITY_ESR,
-)
+from mo_deepdrive.evaluation.metrics import CARDINALITY, FRONT, POLICIES, SUCCESS, TOTAL_UTILITY_ESR, UTILITY_ESR
 from mo_deepdrive.support.yaml import read_mapping
 from mo_deepdrive.world.config import parse
 
@@ -49,13 +41,9 @@ def list_zoo(_options: Namespace) -> int:
     from algorithms.runs.console import make_console
 
     known = names()
-    endings = [
-        f"in {ending} {what}" for ending, what in ENDINGS.items() if any(name.endswith(ending) for name in known)
-    ]
-    caption = CAPTION + (f" Names end {', '.join(endings)}." if endings else "")
-    table = Table(
-        title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD, caption=caption
-    )
+    endings = [f"in {end} {what}" for end, what in ENDINGS.items() if any(name.endswith(end) for name in known)]
+    table = Table(title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    table.caption = CAPTION + (f" Names end {', '.join(endings)}." if endings else "")
     table.caption_justify = "left"
     table.add_column("name", no_wrap=True)
     for column in ("task", "arrivals (%)", "utility (ESR)"):
@@ -86,7 +74,7 @@ def _score_columns(path: Path) -> list[str]:
             return ["", f"{scores[FRONT][CARDINALITY]:.0f} policies"]
         columns = [
             [100.0 * scores[policy][SUCCESS], scores[policy].get(TOTAL_UTILITY_ESR, scores[policy].get(UTILITY_ESR))]
-            for policy in (GREEDY, STOCHASTIC)
+            for policy in POLICIES
             if policy in scores
         ]
         return [" / ".join(f"{value:.3g}" for value in values) for values in zip(*columns, strict=True)] or ["", ""]

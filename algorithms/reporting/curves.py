@@ -6,7 +6,7 @@ Everything has the colour of its algorithm. Curves are means over the runs that 
 
 from __future__ import annotations
 
-from itertools import product, zip_longest
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -116,17 +116,17 @@ class CurveGroup(NamedTuple):
     runs: tuple[Columns, ...]
 
 
-def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] | None = None) -> list[CurveGroup]:
+def refuse(problem: str) -> None:
+    """Raise what is said of a run, instead of leaving the run out."""
+    raise ValueError(problem.removeprefix(LEFT_OUT))
+
+
+def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] = refuse) -> list[CurveGroup]:
     """Read runs and group those that differ in their seed alone.
 
     Groups are in the order of their algorithms, those of one algorithm in the order given. ``warn`` is called
     with a line about every run that cannot be read or has no metrics yet; without it such runs are refused.
     """
-
-    def refuse(problem: str) -> None:
-        raise ValueError(problem.removeprefix(LEFT_OUT))
-
-    warn = warn or refuse
     runs = read_runs(map(Path, directories), warn, metrics=True)
     for run in runs:
         if not len(run.metrics[STEP]):
@@ -147,23 +147,18 @@ def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] |
 def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]] | None:
     """The mean over runs of a metric, at the steps of the first run up to the last step that all of them have reached.
 
-    Runs without the metric are ignored, as are values above 1e100.
-
-    Returns:
-        Steps, mean, and lower and upper end of the interval (NaN for fewer than three runs), each (points,); None if no
-        run has the metric.
+    Returns steps, mean, and the ends of the interval (NaN for fewer than three runs), each (points,); None if no run
+    has the metric. Runs without the metric are ignored, as are values above 1e100.
     """
     series = []
-    for columns in runs:
-        if name in columns:
-            known = np.abs(columns[name]) <= LARGEST  # neither NaN nor what an axis cannot show
-            if known.any():
-                series.append((columns[STEP][known], columns[name][known]))
+    for columns in (columns for columns in runs if name in columns):
+        known = np.abs(columns[name]) <= LARGEST  # neither NaN nor what an axis cannot show
+        if known.any():
+            series.append((columns[STEP][known], columns[name][known]))
     if not series:
         return None
-    first = max(steps[0] for steps, _ in series)
-    last = min(steps[-1] for steps, _ in series)
     grid = series[0][0]
+    first, last = max(steps[0] for steps, _ in series), min(steps[-1] for steps, _ in series)
     grid = grid[(grid >= first) & (grid <= last)]
     if not len(grid):
         return None
@@ -177,10 +172,7 @@ def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any
 
 
 def plot(groups: Sequence[CurveGroup], path: str | Path, remark: str = "") -> None:
-    """Draw utility, arrival rate and the return of every objective against environment steps, into an image file.
-
-    There is one curve per group; the remark is an additional line below the title.
-    """
+    """Draw utility, arrival rate and the return of every objective against environment steps, a curve per group."""
     panels = curve_panels(groups)
     if not panels:
         raise ValueError("the runs have no metrics to draw yet")
@@ -188,13 +180,12 @@ def plot(groups: Sequence[CurveGroup], path: str | Path, remark: str = "") -> No
     with figure_style():
         figure = Figure(figsize=(4.1 * columns, 2.75 * rows + 1.0))  # without pyplot, which may need a display
         axes = figure.subplots(rows, columns, squeeze=False)
-        for i, axis in enumerate(axes.flat):
-            if i >= len(panels):
-                axis.set_visible(False)
-                continue
-            _draw_panel(axis, groups, panels[i])
-            if i + columns >= len(panels):
-                axis.set_xlabel("environment steps")
+        for axis in axes.flat[len(panels) :]:
+            axis.set_visible(False)
+        for axis, panel in zip(axes.flat, panels, strict=False):
+            _draw_panel(axis, groups, panel)
+        for axis in axes.flat[max(len(panels) - columns, 0) : len(panels)]:
+            axis.set_xlabel("environment steps")
         _frame(figure, groups, remark)
         save_figure(figure, path)
 
@@ -213,10 +204,7 @@ class CurvePanel(NamedTuple):
 
 
 def curve_panels(groups: Sequence[CurveGroup]) -> list[CurvePanel]:
-    """The panels that have a curve; scores that cannot be compared get separate panels.
-
-    So do runs with one vehicle, which their metrics do not name, and runs with several.
-    """
+    """The panels that have a curve; scores that cannot be compared, and runs of one vehicle, get their own."""
     present = [{name for columns in group.runs for name in columns} for group in groups]
     several = [any(split_name(name).vehicle for name in names) for names in present]
     panels: list[CurvePanel] = []
@@ -235,11 +223,9 @@ def curve_panels(groups: Sequence[CurveGroup]) -> list[CurvePanel]:
 
 
 def _quantities(present: set[str], experiments: Sequence[ExperimentRecord]) -> list[tuple[str, tuple[str, ...], bool]]:
-    """What is drawn of the metrics that are ``present``.
+    """Title and metric of each of KINDS of what is drawn of the metrics that are ``present``.
 
-    Returns:
-        Title, the metric of each of KINDS, and whether it is a score, which is comparable only within the same
-        environment and utility.
+    Each with whether it is a score, which is comparable only within the same environment and utility.
     """
     ours = any("mo-deepdrive" in experiment.environment.id for experiment in experiments)
     parts = [split_name(name) for name in sorted(present)]
@@ -250,13 +236,11 @@ def _quantities(present: set[str], experiments: Sequence[ExperimentRecord]) -> l
     for vehicle in vehicles:
         inner = f"{vehicle}/" if vehicle else ""
         prefix = f"{vehicle.replace('_', ' ')}: " if vehicle else ""
-        wanted = [((name,) * len(KINDS), True) for name in INDICATORS]
-        wanted.append((tuple(kind.utility for kind in KINDS), True))
-        if ours:
-            wanted.append(((SUCCESS,) * len(KINDS), False))
+        scores = [*((name,) * len(KINDS) for name in INDICATORS), tuple(kind.utility for kind in KINDS)]
         # Our return of the destination is the arrival rate again.
-        wanted += [((return_of(name),) * len(KINDS), False) for name in ordered if not (ours and name == "destination")]
-        for names, is_score in wanted:
+        returns = [return_of(name) for name in ordered if not (ours and name == "destination")]
+        rest = [(name,) * len(KINDS) for name in [*([SUCCESS] if ours else []), *returns]]
+        for names, is_score in [*((names, True) for names in scores), *((names, False) for names in rest)]:
             metrics = tuple(f"{kind.prefix}{inner}{name}" for kind, name in zip(KINDS, names, strict=True))
             if present & set(metrics):
                 text = prefix + title_of(names[0])
@@ -270,7 +254,7 @@ def _quantities(present: set[str], experiments: Sequence[ExperimentRecord]) -> l
 def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> None:
     alone = len(groups) == 1
     faint = min(1.0, 4 / len(groups))  # or many bands would hide each other
-    styles = _styles(groups)
+    styles = curve_styles([group.experiment.algorithm.name for group in groups])
     drawn: list[tuple[NDArray[Any], ...]] = []
     for g, (k, (kind, name)) in product(panel.groups, enumerate(zip(KINDS, panel.names, strict=True))):
         found = curve(groups[g].runs, name) if alone or k > 0 else None  # several without training, to avoid clutter
@@ -307,21 +291,11 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
 
 def _limits(name: str, values: NDArray[Any], pad: float) -> tuple[float, float]:
     """Limits of an axis around values of a metric, which do not magnify noise."""
-    low, high = widened(np.nanmin(values), np.nanmax(values), quantity_scale(name, values))
-    pad *= high - low or 2.0
-    return low - pad, high + pad
-
-
-def quantity_scale(name: str, values: NDArray[Any]) -> float:
-    """The magnitude of a metric: the largest of its ``values``; of a return at least the objective's nominal scale."""
     objective = split_name(name).metric.removeprefix(RETURN)
     nominal = OBJECTIVES[INDEX[objective]].scale if objective in INDEX else 0.0
-    return max(float(np.nanmax(np.abs(values))), nominal)
-
-
-def _styles(groups: Sequence[CurveGroup]) -> list[tuple[str, str]]:
-    """Colour and marker of each group."""
-    return curve_styles([group.experiment.algorithm.name for group in groups])
+    low, high = widened(np.nanmin(values), np.nanmax(values), max(float(np.nanmax(np.abs(values))), nominal))
+    pad *= high - low or 2.0
+    return low - pad, high + pad
 
 
 def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
@@ -333,16 +307,14 @@ def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
     seeds = sorted({len(group.runs) for group in groups})
     maximised = experiment.environment.arguments.get("cost_sign", "maximise") == "maximise"
     note = (f"utility {utilities}; " if utilities else "") + "undiscounted returns per episode"
-    note += (
-        ", costs negative" if maximised else ""
-    ) + f"; {' to '.join(dict.fromkeys(map(str, (seeds[0], seeds[-1]))))}"
-    note += f" seed{'' if seeds == [1] else 's'}"
+    note += ", costs negative" if maximised else ""
+    note += f"; {' to '.join(dict.fromkeys(map(str, (seeds[0], seeds[-1]))))} seed{'' if seeds == [1] else 's'}"
     if seeds[-1] >= MIN_SAMPLES:
         note += f", bands: 95% bootstrap interval of the mean{of_three(seeds)}"
     elif seeds[-1] > 1:
         note += f", too few for an interval (n = {seeds[-1]})"
     handles = []
-    styles = _styles(groups)
+    styles = curve_styles([group.experiment.algorithm.name for group in groups])
     for group, (colour, marker) in zip(groups, styles, strict=True) if not alone else ():
         label = f"{group.label} (n = {len(group.runs)})" if len(group.runs) < MIN_SAMPLES else group.label
         handles.append(Line2D([], [], color=colour, marker=marker, markersize=4.5, linewidth=2.4, label=label))
@@ -368,10 +340,7 @@ class VariedScores(NamedTuple):
 
 
 def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, remark: str = "") -> None:
-    """Draw final scores against every key that varies: a panel per key, a dot per run, the mean per value.
-
-    Scores that cannot be compared, of which each has at least one key, are drawn in separate rows.
-    """
+    """Draw final scores against every key that varies: a row of panels per comparable scores, a dot per run."""
     notes = [
         "dots: runs; circles: means of the runs that share a value, or have neighbouring ones, with 95% intervals of "
         f"{MIN_SAMPLES} runs or more{of_three([MIN_SAMPLES], 'runs')}",
@@ -393,18 +362,15 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
             beyond = f"; scores of {outside} of {len(comparable.values)} runs are beyond the axes" if outside else ""
             part.suptitle(comparable.title + beyond, x=0.01, ha="left", fontsize=11, fontweight="bold")
             axes = part.subplots(1, columns, squeeze=False, sharey=True)[0]
-            for axis, key in zip_longest(axes, keys):
-                if key is None:
-                    axis.set_visible(False)
-                    continue
-                dots = [colours[name] for name in comparable.algorithms]
+            dots = [colours[name] for name in comparable.algorithms]
+            for axis, key in zip(axes, keys, strict=False):
                 _draw_effect(axis, comparable.keys[key], comparable.values, dots)
                 axis.set_title(key)
+            for axis in axes[len(keys) :]:
+                axis.set_visible(False)
             axes[0].set_ylim(low, high)
             axes[0].set_ylabel(comparable.score)
-        handles = [
-            Line2D([], [], color=colour, marker="o", linestyle="", label=name) for name, colour in colours.items()
-        ]
+        handles = [Line2D([], [], color=c, marker="o", linestyle="", label=name) for name, c in colours.items()]
         surround(figure, title, notes, handles if len(handles) > 1 else ())
         save_figure(figure, path)
 
@@ -441,13 +407,10 @@ def _draw_effect(
 def parts_of_key(
     values: NDArray[np.float64] | list[str],
 ) -> tuple[list[str], NDArray[np.float64], list[NDArray[np.intp]]]:
-    """Where runs are on the axis of a key, and which share a mean.
+    """Labels of places on the axis of a key, the positions (runs,) of runs, and the indices of the runs of each mean.
 
-    Words, and a few numbers, have a place and a mean each, side by side; many numbers are where they are, and
-    neighbours share a mean.
-
-    Returns:
-        Labels of the places, none for many numbers; positions (runs,); and the indices of the runs of each mean.
+    Words, and a few numbers, have a place and a mean each, side by side; many numbers are where they are, without
+    labels, and neighbours share a mean.
     """
     distinct = list(dict.fromkeys(values)) if isinstance(values, list) else np.unique(values).tolist()
     if not isinstance(values, list) and len(distinct) > MAX_VALUES:

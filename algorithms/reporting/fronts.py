@@ -9,7 +9,7 @@ from rich.console import Group
 from rich.text import Text
 
 from algorithms.reporting.tables import fitted_tables
-from algorithms.reporting.training_log import MetricsFile, format_number
+from algorithms.reporting.training_log import MetricsFile
 from mo_deepdrive.evaluation.metrics import STEP, discounted_return_of, name_and_unit
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, of_three
@@ -32,12 +32,8 @@ class FrontsFile(MetricsFile):
     def write_front(self, step: int, front: Front) -> None:
         """Append a front."""
         names = [discounted_return_of(name) for name in front.objectives]
-        self._append(
-            [
-                {STEP: str(step), "policy": str(k), **dict(zip(names, map(format_number, returns), strict=True))}
-                for k, returns in enumerate(front.discounted)
-            ]
-        )
+        returns = [dict(zip(names, map(repr, values), strict=True)) for values in front.discounted.tolist()]
+        self._append([{STEP: str(step), "policy": str(k), **cells} for k, cells in enumerate(returns)])
 
 
 def covering_policies(front: Front, count: int) -> NDArray[np.intp]:
@@ -58,12 +54,10 @@ def front_table(front: Front, measured: Mapping[str, float], title: str, width: 
     rows = [["policy", *(front.objectives[i] for i in shown), *(["arrivals"] if arrivals else []), "decisions"]]
     chosen = covering_policies(front, TABLE_ROWS).tolist()
     for k in chosen:
-        cells = [
-            Estimate(*(float(array[k, i]) for array in (front.returns, front.low, front.high))).text()
-            if front.episodes >= MIN_SAMPLES
-            else f"{front.returns[k, i]:.4g}"
-            for i in shown
-        ]
+        cells = [f"{front.returns[k, i]:.4g}" for i in shown]
+        if front.episodes >= MIN_SAMPLES:
+            ends = [front.returns[k], front.low[k], front.high[k]]
+            cells = [Estimate(*(float(values[i]) for values in ends)).text() for i in shown]
         share = [f"{front.success[k]:.0%}"] if arrivals else []
         rows.append([str(k), *cells, *share, f"{front.length[k]:.0f}"])
     how = f"{front.episodes} episode{'' if front.episodes == 1 else 's'} each"

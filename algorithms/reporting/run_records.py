@@ -120,9 +120,8 @@ class ExperimentRecord(Recorded):
 
         Final scores are comparable if they are also of the same split; evaluations during training are all of one.
         """
-        return self.model_dump(
-            include={"environment": True, "utility": True, "evaluation": {"gamma", "reference_point"}}
-        )
+        shared: Any = {"environment": True, "utility": True, "evaluation": {"gamma", "reference_point"}}
+        return self.model_dump(include=shared)
 
     @property
     def task_key(self) -> str:
@@ -149,16 +148,12 @@ class EstimateRecord(Recorded):
 
 
 class FinalEvaluation(Recorded):
-    """What an evaluation.json says.
+    """What an evaluation.json says."""
 
-    It has the estimates by policy and metric, the episodes from the first seed on, and the version of the suite by
-    which the policy was scored.
-    """
-
-    policies: dict[str, dict[str, EstimateRecord]]
+    policies: dict[str, dict[str, EstimateRecord]]  # the estimates by metric
     episodes: int | None = None
-    seed: int | None = None
-    suite_version: int | None = None
+    seed: int | None = None  # of the first of these episodes
+    suite_version: int | None = None  # by which the policy was scored
 
     @property
     def scores(self) -> dict[str, Estimate]:
@@ -172,22 +167,16 @@ class FinalEvaluation(Recorded):
 
 @dataclass(frozen=True)
 class RunRecord:
-    """A run, as read from its directory: its config.yaml, and what was asked for of its results.
-
-    These are the scores of the final evaluation by metric, and the columns of metrics.csv.
-    """
+    """A run, as read from its directory: its config.yaml, and what was asked for of its results."""
 
     path: Path
     experiment: ExperimentRecord
-    scores: dict[str, Estimate]
-    metrics: Columns
+    scores: dict[str, Estimate]  # of the final evaluation, by metric
+    metrics: Columns  # of metrics.csv
 
 
 def find_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
-    """The run directories among and below ``paths``, each once; links to runs and folders are followed.
-
-    A folder that holds none is refused; if another one does, ``warn`` is called with a line about it.
-    """
+    """The run directories among and below ``paths``, each once; with a warning about folders without any."""
     runs: dict[Path, Path] = {}
     without: list[str] = []
     for path in paths:
@@ -195,10 +184,8 @@ def find_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
         for run in below:
             runs.setdefault(run.resolve(), run)
         if not below:
-            without.append(
-                f"{str(path)!r} holds no run: there is no config.yaml in it or below it; nor is it a sweep, which has "
-                "a manifest.jsonl"
-            )
+            problem = "there is no config.yaml in it or below it; nor is it a sweep, which has a manifest.jsonl"
+            without.append(f"{str(path)!r} holds no run: {problem}")
             if not path.is_dir():
                 raise ValueError(without[-1])
     if without and not runs:
@@ -224,19 +211,14 @@ def _runs_below(path: Path) -> Iterator[Path]:
 def read_runs(
     paths: Iterable[Path], warn: Callable[[str], None], *, scores: bool = False, metrics: bool = False
 ) -> list[RunRecord]:
-    """Read runs, with their final evaluations and their metrics if asked to.
-
-    Those that cannot be read are left out: ``warn`` is called with a line that names the file and the fault.
-    """
+    """Read runs, with what is asked for; those that cannot be read are left out with a warning."""
     records = []
     for path in paths:
         file = path / "config.yaml"
         try:
             if not file.is_file():
-                raise ValueError(
-                    f"{str(path)!r} is not a run directory, which has a config.yaml, nor a sweep, which has a "
-                    "manifest.jsonl"
-                )
+                other = "a run directory, which has a config.yaml, nor a sweep, which has a manifest.jsonl"
+                raise ValueError(f"{str(path)!r} is not {other}")
             experiment = experiment_record(read_mapping(file), f"config file {str(file)!r}")
             columns = read_metrics(path / "metrics.csv") if metrics else {}
             records.append(RunRecord(path, experiment, final_scores(path) if scores else {}, columns))
@@ -258,10 +240,7 @@ def read_evaluation(run: Path) -> FinalEvaluation | None:
 
 
 def final_scores(run: Path) -> dict[str, Estimate]:
-    """The final evaluation of a run by metric, as ``greedy/utility_esr``; empty if there is none yet.
-
-    The intervals are those over evaluation episodes.
-    """
+    """The final evaluation of a run by metric, with intervals over its episodes; empty if there is none yet."""
     evaluation = read_evaluation(run)
     return {} if evaluation is None else evaluation.scores
 
@@ -314,8 +293,6 @@ def group_by_experiment(runs: Sequence[RunRecord]) -> list[list[RunRecord]]:
         seed = run.experiment.training.seed
         other = groups.setdefault(key, {}).setdefault(seed, run)
         if other is not run:
-            raise ValueError(
-                f"runs {str(other.path)!r} and {str(run.path)!r} are the same experiment with the same seed, {seed}; "
-                "give one of them"
-            )
+            names = f"runs {str(other.path)!r} and {str(run.path)!r}"
+            raise ValueError(f"{names} are the same experiment with the same seed, {seed}; give one of them")
     return [list(members.values()) for members in groups.values()]

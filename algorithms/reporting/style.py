@@ -82,11 +82,6 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> None:
     atomic_write(path, buffer.getvalue())
 
 
-def objective_colour(place: int) -> str:
-    """The colour of an objective in every figure, by its place among those of its environment."""
-    return COLOURS[place % len(COLOURS)]
-
-
 def algorithm_order(name: str) -> tuple[int, str]:
     """A sort key: the algorithms of ALGORITHM_COLOURS in its order, then the others by name."""
     known = list(ALGORITHM_COLOURS)
@@ -119,10 +114,7 @@ def algorithm_colours(names: Iterable[str]) -> dict[str, str]:
 
 
 def curve_styles(algorithms: Sequence[str]) -> list[tuple[str, str]]:
-    """The colour and the marker of one curve per entry of ``algorithms``.
-
-    The first curve of an algorithm has its colour; further ones have lighter shades of it and other markers.
-    """
+    """Colour and marker of a curve per entry: further ones of an algorithm have lighter shades and other markers."""
     from matplotlib.colors import to_hex, to_rgb  # as in figure_style
 
     colours = algorithm_colours(algorithms)
@@ -136,10 +128,7 @@ def curve_styles(algorithms: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def widened(low: float, high: float, scale: float) -> tuple[float, float]:
-    """Limits of an axis around the values from ``low`` to ``high`` that span at least MINIMUM_SPAN of ``scale``.
-
-    The scale is the magnitude of the quantity, such as the largest value or the nominal scale of a return.
-    """
+    """Limits of an axis around values that span at least MINIMUM_SPAN of ``scale``, the magnitude of the quantity."""
     missing = max(MINIMUM_SPAN * scale - (high - low), 0.0)
     return low - missing / 2, high + missing / 2
 

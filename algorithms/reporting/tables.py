@@ -389,10 +389,7 @@ def _by_task(rows: Rows, task: Iterable[str]) -> dict[str, Rows]:
 
 
 def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
-    """A table with a row per metric and a column per policy, with intervals over the episodes.
-
-    Ends that no episode had are left out; the files have all.
-    """
+    """A row per metric, a column per policy, with intervals over the episodes; without ends that no episode had."""
     columns = {policy: evaluation.estimates() for policy, evaluation in evaluations.items()}
     names = list(dict.fromkeys(name for estimates in columns.values() for name in estimates))
     ends = [name for name in names if split_name(name).metric.startswith(END)]
@@ -410,11 +407,10 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
             continue
         cells = []
         for policy, estimates in columns.items():
-            if name in ends and name not in estimates and any(end in estimates for end in ends):
-                never = np.zeros(len(evaluations[policy].returns), dtype=np.bool_)
-                cells.append(rate(never).text())
-            else:
-                cells.append(estimates[name].text() if name in estimates else "")
+            estimate = estimates.get(name)
+            if estimate is None and name in ends and any(end in estimates for end in ends):  # this end never happened
+                estimate = rate(np.zeros(len(evaluations[policy].returns), dtype=np.bool_))
+            cells.append("" if estimate is None else estimate.text())
         table.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
     return table
 
@@ -500,22 +496,15 @@ def write_tables(
     with names as people write them.
     """
     note, tidy = interval_note(scores), path.suffix.lower() == ".csv"
-    tables: dict[str, tuple[Cells, str]]
-    if tidy:
-        tables = {"": (tidy_scores(scores, columns), ""), DIFFERENCES: (tidy_comparisons(compared), "")}
-    else:
-        differences = f"Differences of the algorithms. {note}"
-        tables = {
-            "": (scores_table(scores, columns or TABLE_COLUMNS), note),
-            DIFFERENCES: (comparison_table(compared), differences),
-        }
-    written = []
-    for ending, (rows, text) in tables.items():
-        if len(rows) > 1:
-            written.append(path.with_name(f"{path.stem}{ending}{path.suffix}"))
-            labels = rows[0].index("mean") if ending else rows[0].index("seeds") + 1
-            write_table(written[-1], rows if tidy else _in_words(rows, labels), labels, text)
-    return written
+    table = tidy_scores(scores, columns) if tidy else scores_table(scores, columns or TABLE_COLUMNS)
+    differences = tidy_comparisons(compared) if tidy else comparison_table(compared)
+    tables = [(path, table, table[0].index("seeds") + 1, note)]
+    if len(differences) > 1:
+        other, text = path.with_stem(path.stem + DIFFERENCES), f"Differences of the algorithms. {note}"
+        tables.append((other, differences, differences[0].index("mean"), text))
+    for file, rows, labels, text in tables:
+        write_table(file, rows if tidy else _in_words(rows, labels), labels, text)
+    return [file for file, *_ in tables]
 
 
 def _in_words(rows: Rows, labels: int) -> Rows:
@@ -536,10 +525,7 @@ def _title(metric: str) -> str:
 
 
 def write_table(path: Path, rows: Cells, labels: int, note: str) -> None:
-    """Write one table in the format that the ending of its path names, one of :data:`FORMATS`.
-
-    The first ``labels`` columns say what a row is; the note is below the table, but not in a CSV.
-    """
+    """Write one table in the format of the ending of its path, with the note below it, but not in a CSV."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
         atomic_write(path, csv_bytes(rows))

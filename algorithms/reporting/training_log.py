@@ -80,7 +80,7 @@ class MetricsFile:
 
     def write(self, step: int, metrics: Mapping[str, float]) -> None:
         """Append a row."""
-        self._append([{STEP: str(step), **{name: format_number(value) for name, value in metrics.items()}}])
+        self._append([{STEP: str(step), **{name: repr(float(value)) for name, value in metrics.items()}}])
 
     def _append(self, rows: Sequence[Mapping[str, str]]) -> None:
         """Append rows of cells by the names of their columns."""
@@ -103,8 +103,3 @@ class MetricsFile:
         """Make every row reach the disk."""
         with self.path.open("r+b") as file:
             flush_to_disk(file)
-
-
-def format_number(value: float) -> str:
-    """``value`` as text that reads back equal."""
-    return repr(float(value))

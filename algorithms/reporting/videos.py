@@ -86,9 +86,8 @@ def check_renderable(env_id: str, env_arguments: Mapping[str, Any] | None = None
     modes = list(env.unwrapped.metadata.get("render_modes", []))
     env.close()
     if "rgb_array" not in modes:
-        raise ValueError(
-            f"environment {env_id!r} cannot be rendered: metadata['render_modes'] = {modes} lacks 'rgb_array'"
-        )
+        problem = f"metadata['render_modes'] = {modes} lacks 'rgb_array'"
+        raise ValueError(f"environment {env_id!r} cannot be rendered: {problem}")
 
 
 def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -> Iterator[Frame]:
@@ -110,11 +109,11 @@ def _rendered(env: VectorEnv) -> Frame:
 
 def _held(frames: Iterable[Frame], seconds: float, fps: int) -> Iterator[Frame]:
     """The frames, the last of which is repeated for a moment."""
-    frame: Frame | None = None
+    last: list[Frame] = []
     for frame in frames:
         yield frame
-    if frame is not None:
-        yield from [frame] * round(seconds * fps)
+        last = [frame]
+    yield from last * round(seconds * fps)
 
 
 def cut_off(frames: Iterable[Frame], count: int, fps: int) -> Iterator[Frame]:
@@ -138,9 +137,8 @@ def caption_strip(text: str, width: int) -> Frame:
     fonts = [ImageFont.truetype(f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf", size) for size in FONT_SIZES]
     font = next((font for font in fonts if font.getlength(line) <= room), fonts[-1])
     if font.getlength(line) > room:
-        line = next(
-            (f"{line[:end]}…" for end in range(len(line), 0, -1) if font.getlength(f"{line[:end]}…") <= room), ""
-        )
+        shorter = (f"{line[:end]}…" for end in range(len(line), 0, -1))
+        line = next((text for text in shorter if font.getlength(text) <= room), "")
     strip = Image.new("RGB", (width, CAPTION_PIXELS), BACKGROUND)
     ImageDraw.Draw(strip).text((10, CAPTION_PIXELS / 2), line, INK, font, anchor="lm")
     return np.asarray(strip)
@@ -192,16 +190,17 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]
 
 def _write_video(frames: Iterable[Frame], path: str | Path, fps: int) -> int:
     """Write an MP4, or a GIF; returns the number of frames."""
-    count = 0
     if str(path).lower().endswith(".gif"):
         if fps < 1 or 100 % fps:
             raise ValueError(f"fps = {fps} must divide 100, because a GIF counts hundredths of a second")
         shown = list(frames)
         atomic_write(path, _encode_gif(shown, 1000 // fps))
         return len(shown)
+    count = 0
     with video_writer(path, fps) as write:
-        for count, frame in enumerate(frames, 1):  # noqa: B007  (returned below)
+        for frame in frames:
             write(frame)
+            count += 1
     return count
 
 
@@ -217,10 +216,7 @@ def write_video_grid(tracks: Sequence[Track], path: str | Path, fps: int, *, hol
 
     Up to three tracks, and all of a GIF, are side by side, more in a grid that is as square as possible. A track that
     ends early keeps its last frame. All frames (height, width, 3) have the same size, and the last one is shown for
-    ``hold`` seconds. The file, whose ending is the format, appears when it is complete.
-
-    Returns:
-        The number of frames.
+    ``hold`` seconds. The file, whose ending is the format, appears when it is complete. Returns the number of frames.
     """
     gif = str(path).lower().endswith(".gif")
     columns = len(tracks) if gif or len(tracks) <= 3 else math.ceil(math.sqrt(len(tracks)))
@@ -264,13 +260,9 @@ def resized(frame: Frame, width: int, height: int) -> Frame:
 
 
 def video_as_gif(path: str | Path, *, max_width: int = 480, max_frames: int = 150) -> tuple[bytes, int, int]:
-    """A video file as a looping GIF of the same length, of which at most ``max_frames`` are taken at equal distances.
+    """A video file as a looping GIF of the same length, its height and its width.
 
-    Returns:
-        The GIF, its height and its width, at most ``max_width`` pixels.
-
-    Raises:
-        OSError: if the video cannot be read.
+    At most ``max_frames`` are taken, at equal distances. A video that cannot be read is an OSError.
     """
     reader: Any = imageio.get_reader(path, format="FFMPEG")
     with reader:
@@ -279,8 +271,7 @@ def video_as_gif(path: str | Path, *, max_width: int = 480, max_frames: int = 15
         width, height = about["size"]
         scale = min(1.0, max_width / width)
         width, height = round(scale * width), round(scale * height)
-        shown = itertools.islice(reader, 0, None, stride)
-        frames = [resized(frame, width, height) for frame in shown]
+        frames = [resized(frame, width, height) for frame in itertools.islice(reader, 0, None, stride)]
     return _encode_gif(frames, 1000 * stride / about["fps"]), height, width
 
 

@@ -31,7 +31,7 @@ import polars as pl
 from algorithms.reporting.run_records import ExperimentRecord, experiment_record, final_scores
 from algorithms.reporting.training_log import read_rows
 from algorithms.runs.run_directory import METRICS_FILE, changed_files, read_status
-from algorithms.studies.manifest import ManifestRow, label, read_manifest
+from algorithms.studies.manifest import ManifestRow, first_of, label, read_manifest
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP, MetricName, split_name
 from mo_deepdrive.support.atomic_io import atomic_write, own_path
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from algorithms.reporting.training_log import Columns
 
 FOLDER = "collected"
-ROW_GROUP_SIZE = 10_000  # rows; a reader skips row groups without the runs that it needs
 MAX_NAMED = 3  # runs that a message lists by name
 SCORE_KEYS = MetricName._fields  # columns that identify a score of a run
 SCORE_TYPES = {
@@ -80,10 +79,8 @@ class Collection:
     def metrics(self) -> pl.DataFrame:
         """The metrics of all runs."""
         if self.logged.is_empty():
-            raise ValueError(
-                f"no run of sweep {str(self.sweep)!r} has any metrics yet: "
-                f"mo-deepdrive sweep with --output {self.sweep} trains the runs"
-            )
+            hint = f"mo-deepdrive sweep with --output {self.sweep} trains the runs"
+            raise ValueError(f"no run of sweep {str(self.sweep)!r} has any metrics yet: {hint}")
         return self.logged
 
     @cached_property
@@ -120,9 +117,8 @@ def collect(sweep: Path, warn: Callable[[str], None]) -> Collection:
     """Collect the results of all runs, and write ``SWEEP/collected/``; ``warn`` is told what is left out."""
     rows = tuple(read_manifest(sweep))
     if not rows:
-        raise ValueError(
-            f"sweep {str(sweep)!r} is empty: its manifest has no runs; mo-deepdrive sweep writes the manifest"
-        )
+        hint = "its manifest has no runs; mo-deepdrive sweep writes the manifest"
+        raise ValueError(f"sweep {str(sweep)!r} is empty: {hint}")
     files = {name: own_path(sweep, f"{FOLDER}/{name}.parquet") for name in ("metrics", "runs", "scores")}
     statuses = {row.id: read_status(sweep / row.directory) for row in rows}
     metrics, unreadable = _metrics_frame(rows, sweep)
@@ -140,7 +136,8 @@ def collect(sweep: Path, warn: Callable[[str], None]) -> Collection:
     try:
         for name, frame in (("metrics", metrics), ("runs", runs), ("scores", scores)):
             buffer = io.BytesIO()
-            frame.write_parquet(buffer, compression_level=1, row_group_size=ROW_GROUP_SIZE)
+            # A reader skips row groups without the runs that it needs.
+            frame.write_parquet(buffer, compression_level=1, row_group_size=10_000)
             files[name].parent.mkdir(exist_ok=True)
             atomic_write(files[name], buffer.getvalue())
     except OSError as error:
@@ -214,6 +211,4 @@ def as_json(value: Any) -> str:
 
 
 def _shortened(names: Sequence[str]) -> str:
-    """The first few names, and the number of the others."""
-    more = len(names) - MAX_NAMED
-    return ", ".join([*names[:MAX_NAMED], *([f"and {more} more"] if more > 0 else [])])
+    return ", ".join(first_of(names, MAX_NAMED))

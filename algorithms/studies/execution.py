@@ -10,6 +10,7 @@ import math
 import shutil
 import sys
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,16 +44,12 @@ WORKER_MEMORY = GIB / 4  # bytes of a process that trains, without its rollouts
 
 @dataclass(frozen=True)
 class Backend:
-    """What trains runs: one of :data:`algorithms.studies.BACKENDS`, "manifest" only to list them.
+    """What trains runs."""
 
-    Locally and on Ray, at most ``workers`` runs are concurrent, None for as many as there are resources for. A running
-    Ray cluster has an ``address``; with Slurm, ``wait`` says whether to wait for the jobs that are submitted.
-    """
-
-    name: str = "local"
-    workers: int | None = None
-    address: str | None = None
-    wait: bool = True
+    name: str = "local"  # one of algorithms.studies.BACKENDS, "manifest" only to list them
+    workers: int | None = None  # that are concurrent, locally and on Ray; None for as many as there are resources for
+    address: str | None = None  # of a running Ray cluster
+    wait: bool = True  # for the jobs that are submitted to Slurm
 
     def train(
         self,
@@ -116,6 +113,7 @@ class Runner(Scores):
     def __init__(self, plan: Plan, directory: Path, backend: Backend, console: Console):
         self._plan, self._directory = plan, directory
         self._backend, self._console = backend, console
+        self._say = partial(print_line, console)
         self._failed: dict[Job, str] = {}
         self._listed = read_manifest(directory) if is_sweep(directory) else []
 
@@ -195,19 +193,17 @@ class Runner(Scores):
             raise ValueError(f"{str(self._directory)!r} is the directory of a run; choose another directory")
         before = {row.id: row.name for row in self._listed}
         if before and before.keys().isdisjoint(row.id for row in self._plan.rows(Scores())):
-            raise ValueError(
-                f"{str(self._directory)!r} has another sweep: none of its {len(before)} runs, such as "
-                f"{next(iter(before.values()))}, is in this one; choose another directory, or delete that sweep"
-            )
+            runs = f"none of its {len(before)} runs, such as {next(iter(before.values()))}, is in this one"
+            hint = "choose another directory, or delete that sweep"
+            raise ValueError(f"{str(self._directory)!r} has another sweep: {runs}; {hint}")
 
     def _train(self, stop: Callable[[], bool]) -> list[Job]:
         """Train the runs, batch after batch; returns all of them, whether they succeeded or not."""
         rows = self._begin()
         while True:
             if removed := len({row.id for row in self._listed} - {row.id for row in rows}):
-                self._say(
-                    f"{removed} runs of the previous manifest are no longer in the sweep; their directories are kept"
-                )
+                kept = "are no longer in the sweep; their directories are kept"
+                self._say(f"{removed} runs of the previous manifest {kept}")
             write_manifest(self._directory, rows)
             self._listed = rows
             jobs = [row.job(self._directory) for row in rows if self._plan.wanted(row)]
@@ -223,9 +219,6 @@ class Runner(Scores):
             if stop() or not self._plan.settings.adaptive or not (self._backend.wait or failed):
                 return jobs
             rows = self._expand()
-
-    def _say(self, text: str) -> None:
-        print_line(self._console, text)
 
 
 def read_score(run: Path, metric: str) -> float | None:
@@ -248,10 +241,7 @@ def read_score(run: Path, metric: str) -> float | None:
 
 
 def verify(sweep: Path, say: Callable[[str], None]) -> list[tuple[ManifestRow, list[str]]]:
-    """Compare the files of the finished runs with their recorded sizes and hashes; returns what is broken, by run.
-
-    ``say`` is called with a line about each run that is broken, and with a summary.
-    """
+    """Compare the files of the finished runs with their recorded hashes; says and returns what is broken, by run."""
     finished = [row for row in read_manifest(sweep) if read_status(sweep / row.directory).get("state") == "finished"]
     broken = [(row, problems) for row in finished if (problems := changed_files(sweep / row.directory))]
     for row, problems in broken:

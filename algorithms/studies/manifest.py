@@ -33,30 +33,20 @@ if TYPE_CHECKING:
 
 FILE = "manifest.jsonl"
 RUNS = "runs"
-ID_DIGITS = 12
 
 
 @dataclass(frozen=True)
 class ManifestRow:
-    """A line of the manifest: one run.
-
-    Attributes:
-        id: a hexadecimal hash of everything in ``config`` that affects the result of the run.
-        directory: of the run, relative to the sweep's; its name has the algorithm, the seed and the id.
-        cell: what the run differs in from those of other cells, by key; the runs of a cell differ in their seed alone.
-        seed: of the run.
-        trial: number of the settings that are tried, in a search or a tuning; None for a run that tries none.
-        config: the resolved experiment.
-    """
+    """A line of the manifest: one run."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True)
 
-    id: str
-    directory: Annotated[str, Field(pattern=rf"^{RUNS}/[^/.][^/]*$")]
-    cell: dict[str, Any]
+    id: str  # a hexadecimal hash of everything in ``config`` that affects the result
+    directory: Annotated[str, Field(pattern=rf"^{RUNS}/[^/.][^/]*$")]  # relative to the sweep's
+    cell: dict[str, Any]  # what differs from other cells, by key; the runs of a cell differ in their seed alone
     seed: int
-    trial: int | None
-    config: dict[str, Any]
+    trial: int | None  # number of the settings that are tried, in a search or a tuning
+    config: dict[str, Any]  # the resolved experiment
 
     @property
     def name(self) -> str:
@@ -123,7 +113,7 @@ def run_id(config: Mapping[str, Any]) -> str:
             place[section] = place = dict(place[section])
         place.pop(last, None)
     text = json.dumps(hashed, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:ID_DIGITS]
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def cell_rows(
@@ -198,6 +188,12 @@ def short_names(paths: Sequence[str]) -> dict[str, str]:
     """Short names of config files and paths of classes: stems and classes, or all as given if two of them are equal."""
     stems = [Path(directory_name(path)).stem for path in paths]
     return dict(zip(paths, stems if len(set(stems)) == len(stems) else paths, strict=True))
+
+
+def first_of(texts: Sequence[str], count: int) -> list[str]:
+    """The first texts of a message, and the number of the others."""
+    more = len(texts) - count
+    return [*texts[:count], *([f"and {more} more"] if more > 0 else [])]
 
 
 def refuse_duplicates(rows: Sequence[ManifestRow]) -> None:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -19,9 +20,8 @@ from algorithms.studies import FIGURES
 from algorithms.studies.collection import collect
 from algorithms.studies.execution import Backend, Runner
 from algorithms.studies.manifest import overridden
-from algorithms.studies.paper_claims import CLAIMS
+from algorithms.studies.paper_claims import CLAIMS, FRONT_LEARNER, FRONT_TASK, PaperResults
 from algorithms.studies.paper_report import QUICK, print_verdicts, write_report
-from algorithms.studies.paper_results import FRONT_LEARNER, FRONT_TASK, PaperResults
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.results import results_of
 from algorithms.studies.settings import load_study
@@ -186,12 +186,10 @@ class Reproduction:
         return tasks, [self.figure] if self.figure else [*claims[0].figures]
 
     def run(self, console: Console) -> int:
-        """Train the runs that are missing, then write report and figures.
+        """Train the runs that are missing, then write report and figures; returns the exit code.
 
-        A reproduction of everything with the study's settings, in a checkout, also updates the zoo.
-
-        Returns:
-            The exit code: 0, 1 if runs failed, or 128 plus the number of the signal that interrupted the training.
+        It is 0, 1 if runs failed, or 128 plus the number of the signal that interrupted the training. A reproduction of
+        everything with the study's settings, in a checkout, also updates the zoo.
         """
         tasks, figures = self.selection()
         if self.redraw:
@@ -269,11 +267,10 @@ def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: P
             wanted.append((f"{name}-solved", success, f"median {metric} of the {seeds}"))
         shown = (HYPERVOLUME, CARDINALITY) if reached.is_front else (SUCCESS, metric)
         for zoo_name, seed, why in wanted:
-            main_scores: dict[str, dict[str, Any]] = {}
-            for kind in POLICIES:
-                by_metric = {metric: reached.by_seed(learner, metric, kind).get(seed) for metric in shown}
-                if known := {metric: score for metric, score in by_metric.items() if score is not None}:
-                    main_scores[kind] = known
+            main_scores: dict[str, dict[str, float]] = {}
+            for kind, metric in product(POLICIES, shown):
+                if (score := reached.by_seed(learner, metric, kind).get(seed)) is not None:
+                    main_scores.setdefault(kind, {})[metric] = score
             export(rows[seed].job(directory).open(), zoo_name, about={"chosen": why, "scores": main_scores})
             exported.append(zoo_name)
     return exported

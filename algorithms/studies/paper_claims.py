@@ -1,7 +1,8 @@
-"""Whether results reproduce the paper's claims, which are in ``paper_claims.yaml`` with the criteria that decide them.
+"""The results of the reproduction, and whether they reproduce the paper's claims.
 
-The claims were fixed before the runs were trained; the one exception is the rule that learning curves must be flat,
-which was added afterwards (docs/reproduction.md).
+The claims, and the criteria that decide them, are in ``paper_claims.yaml``. They were fixed before the runs were
+trained; the one exception is the rule that learning curves must be flat, which was added afterwards
+(docs/reproduction.md).
 
 A criterion is decided by a 95% bootstrap interval over seeds: it passes, fails, or is inconclusive if the interval
 contains the limit. If training stopped before the learning curves were flat (:func:`is_settled`), it is inconclusive
@@ -13,15 +14,29 @@ is the policy that actor-critics optimise.
 
 from __future__ import annotations
 
+import gzip
+from dataclasses import dataclass
+from functools import cached_property
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+import polars as pl
 import yaml
 
-from algorithms.studies.paper_results import BASELINE, FRONT_LEARNER, LABELS, MULTI_OBJECTIVE
-from mo_deepdrive.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS, return_of
+from algorithms.studies.results import frame_of
+from mo_deepdrive.evaluation.metrics import (
+    CARDINALITY,
+    FRONT,
+    HYPERVOLUME,
+    STEP,
+    STOCHASTIC,
+    SUCCESS,
+    TOTAL_UTILITY_ESR,
+    UTILITY_ESR,
+    return_of,
+)
 from mo_deepdrive.evaluation.statistics import (
     Estimate,
     iqm,
@@ -31,31 +46,171 @@ from mo_deepdrive.evaluation.statistics import (
     spread_ratio,
     spread_ratio_power,
 )
+from mo_deepdrive.suite import read_rows, write_rows
+from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from algorithms.studies.paper_results import PaperResults, TaskResults
+    from algorithms.reporting.training_log import Columns
+    from algorithms.studies.settings import Study
+    from mo_deepdrive.suite import Row
 
+SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.gz"
+CURVE_KEYS = {"task": pl.String, "learner": pl.String, "seed": pl.Int64, STEP: pl.Int64}
+# The two algorithms that are compared, by their keys in the study.
+BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
+LABELS = {BASELINE: "A2C", MULTI_OBJECTIVE: "MO-A2C"}
+# The task with an unknown utility, and the learner of its front.
+FRONT_TASK, FRONT_LEARNER = "one_waypoint_front", "pcn"
 SIMILAR = 0.05  # relative to the baseline's utility
 FLAT = 0.05  # gain at the end of training, relative to the score that is reached
 RATIOS = (0.5, 0.25)  # true ratios of deviations, for which the power of the test is reported
 MIN_EVALUATIONS = 5  # of a learning curve, to tell whether it is flat
 
 
-class Check(NamedTuple):
-    """A criterion applied to results; ``passed`` is None if it is inconclusive.
+# ------------------------------------------------------------------------------------------------------------- results
 
-    ``stopped_at`` is the step at which training stopped too early for an answer; None if that is not the reason.
-    """
+
+@dataclass(frozen=True)
+class TaskResults:
+    """The results of a task under one protocol; its scores and curves are those rows of :class:`PaperResults`."""
+
+    study: Study
+    key: str  # TASK/PROTOCOL
+    scores: pl.DataFrame
+    curves: pl.DataFrame
+
+    @property
+    def task(self) -> str:
+        """The name of the task."""
+        return self.key.partition("/")[0]
+
+    @property
+    def is_front(self) -> bool:
+        """Whether the utility is unknown."""
+        return self.task == FRONT_TASK
+
+    @property
+    def vehicles(self) -> int:
+        """The number of learning vehicles."""
+        return 2 if self.task.startswith("intersection") else 1
+
+    @property
+    def utility(self) -> str:
+        """The metric for an episode's utility; with two vehicles it is the sum of their utilities."""
+        return TOTAL_UTILITY_ESR if self.vehicles > 1 else UTILITY_ESR
+
+    @property
+    def utility_kind(self) -> str:
+        """Either "linear" or "non-linear"."""
+        return "non-linear" if self.task.endswith("nonlinear") else "linear"
+
+    @property
+    def titles(self) -> tuple[str, str]:
+        """The titles of the task and of the protocol."""
+        title, _, conditions = (self.study.tasks[self.key].title or "").partition(": ")
+        return title, conditions
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """The labels of the learners with scores, by name."""
+        scored = {*self.scores["learner"]}
+        learners = self.study.learners_of(self.key)
+        return {name: learner.label or name for name, learner in learners.items() if name in scored}
+
+    @property
+    def is_ablation(self) -> bool:
+        """Whether it is neither a comparison of A2C and MO-A2C nor a run of PCN."""
+        return set(self.study.learners_of(self.key)) not in ({*LABELS}, {FRONT_LEARNER})
+
+    @property
+    def steps(self) -> int:
+        """The number of environment steps of a run."""
+        return self.scores["steps"].cast(pl.Int64).max() or 0  # type: ignore[return-value]
+
+    def by_seed(self, learner: str, metric: str, policy: str = STOCHASTIC) -> dict[int, float]:
+        """The metric of every run of a learner, by its seed."""
+        chosen = self.scores.filter(learner=learner, column=metric, policy=policy)
+        return dict(chosen.select("seed", "value").iter_rows())
+
+    def values(self, learner: str, metric: str, policy: str = STOCHASTIC) -> NDArray[np.float64]:
+        """Values (seeds,) of a metric, one per run, in the order of seeds; KeyError if there are none."""
+        by_seed = self.by_seed(learner, metric, policy)
+        if not by_seed:
+            raise KeyError(f"no run of {self.key}/{learner} has {metric!r} of the {policy} policy")
+        return np.array([*by_seed.values()], dtype=np.float64)
+
+    def learning_curves(self, learner: str) -> list[Columns]:
+        """Learning curves of all runs of a learner, in the order of seeds."""
+        runs = self.curves.filter(learner=learner).sort("seed", STEP).partition_by("seed", maintain_order=True)
+        return [
+            {
+                name: column.to_numpy().astype(np.float64)
+                for name, column in run.drop("task", "learner", "seed").to_dict().items()
+                if column.null_count() < len(column)
+            }
+            for run in runs
+        ]
+
+
+@dataclass(frozen=True)
+class PaperResults:
+    """Scores and learning curves of all runs of the paper's study."""
+
+    study: Study
+    rows: Sequence[Row]
+    # A row per run and evaluation during training: CURVE_KEYS, then metrics whose names start with the policy.
+    curves: pl.DataFrame
+
+    @cached_property
+    def scores(self) -> pl.DataFrame:
+        """The rows with a value, in the order of seeds."""
+        return frame_of(self.rows).filter(pl.col("value").is_not_null()).sort("seed", maintain_order=True)
+
+    @cached_property
+    def tasks(self) -> dict[str, dict[str, TaskResults]]:
+        """What has scores, by task and protocol, in the order of the study."""
+        scored = self.scores.partition_by("task", as_dict=True)
+        tasks: dict[str, dict[str, TaskResults]] = {}
+        for key in (key for key in self.study.tasks if (key,) in scored):
+            task, _, protocol = key.partition("/")
+            results = TaskResults(self.study, key, scored[key,], self.curves.filter(task=key))
+            tasks.setdefault(task, {})[protocol] = results
+        return tasks
+
+    def write(self, directory: Path) -> None:
+        """Write both tables."""
+        write_rows(directory / SCORES_FILE, self.rows)
+        # Without name and time in the header, equal curves give equal bytes.
+        atomic_write(directory / CURVES_FILE, gzip.compress(self.curves.write_csv().encode(), mtime=0))
+
+    @classmethod
+    def read(cls, study: Study, directory: Path) -> PaperResults:
+        """Read both tables from the directory that :meth:`write` wrote to."""
+        try:
+            table = gzip.decompress((directory / CURVES_FILE).read_bytes())
+            curves = pl.read_csv(table, infer_schema=False)
+            metrics = pl.exclude(*CURVE_KEYS).cast(pl.Float64)
+            curves = curves.with_columns(pl.col(name).cast(kind) for name, kind in CURVE_KEYS.items())
+            return cls(study, read_rows(directory / SCORES_FILE), curves.with_columns(metrics))
+        except (OSError, EOFError, ValueError, pl.exceptions.PolarsError) as error:
+            raise ValueError(f"no results of a reproduction in {str(directory)!r}: {error}") from None
+
+
+# -------------------------------------------------------------------------------------------------------------- claims
+
+
+class Check(NamedTuple):
+    """A criterion applied to results."""
 
     criterion: str
     measured: str
-    passed: bool | None
-    stopped_at: int | None = None
+    passed: bool | None  # None if it is inconclusive
+    stopped_at: int | None = None  # the step at which training stopped too early for an answer, if that is the reason
 
 
 class Verdict(NamedTuple):
@@ -85,11 +240,33 @@ class Criterion(Settings):
 
     def check(self, results: TaskResults) -> Check:
         """Apply it to results of its task; KeyError if some are missing."""
-        estimate, measured, unit = MEASURES[self.measure](results, self.of)
+        estimate, measured, unit = self.measured(results)
         passed = is_between(estimate, unit * self.above, unit * self.below)
         if passed is None or passed is self.lasting or is_settled(results):
             return Check(self.text, measured, passed)
         return Check(self.text, measured, None, results.steps)
+
+    def measured(self, results: TaskResults) -> tuple[Estimate, str, float]:
+        """What is measured, its text, and the unit of the limits that it is compared with."""
+        if self.measure == "front":
+            score = iqm(results.values(FRONT_LEARNER, self.of, FRONT))
+            return score, shown(score) + ("" if self.of == CARDINALITY else " m"), 1.0
+        if self.measure == "success":
+            rate = iqm(results.values(self.of, SUCCESS))
+            return rate, f"success rate {percent(rate)}", 1.0
+        if self.measure == "progress":
+            progress = iqm(results.values(self.of, return_of("distance")))
+            return progress, f"progress {shown(progress)} m", 1.0
+        if self.measure == "deviations":
+            first, second = (results.values(learner, results.utility) for learner in (MULTI_OBJECTIVE, BASELINE))
+            ratio, runs = spread_ratio(first, second), min(len(first), len(second))
+            powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
+            return ratio, f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}", 1.0
+        baseline, _, difference, _ = compare(results)
+        text, unit = f"difference {shown(difference)}", abs(baseline.value)
+        if self.measure == "difference":
+            return difference, text, 1.0
+        return difference, f"{text}, {SIMILAR:.0%} is {SIMILAR * unit:.2g}", unit
 
 
 class Claim(Settings):
@@ -112,9 +289,9 @@ class Claim(Settings):
         except KeyError:
             return None
         passed = {check.passed for check in checks}
-        return Verdict(
-            "not reproduced" if False in passed else "inconclusive" if None in passed else "reproduced", checks
-        )
+        if False in passed:
+            return Verdict("not reproduced", checks)
+        return Verdict("inconclusive" if None in passed else "reproduced", checks)
 
     def verdicts(self, results: PaperResults) -> dict[str, Verdict]:
         """The verdicts by protocol; only protocols with results for all tasks."""
@@ -173,52 +350,3 @@ def percent(estimate: Estimate) -> str:
     """A fraction in percent, with its interval."""
     bounds = [None if bound is None else 100.0 * bound for bound in (estimate.low, estimate.high)]
     return f"{shown(Estimate(100.0 * estimate.value, *bounds))}%"
-
-
-# ------------------------------------------------------------------------------------------------------------ measures
-# Each gives an estimate, its text, and the unit of the limits that it is compared with.
-
-Measured = tuple[Estimate, str, float]
-
-
-def _success(results: TaskResults, learner: str) -> Measured:
-    rate = iqm(results.values(learner, SUCCESS))
-    return rate, f"success rate {percent(rate)}", 1.0
-
-
-def _progress(results: TaskResults, learner: str) -> Measured:
-    progress = iqm(results.values(learner, return_of("distance")))
-    return progress, f"progress {shown(progress)} m", 1.0
-
-
-def _difference(results: TaskResults, _: str) -> Measured:
-    difference = compare(results)[2]
-    return difference, f"difference {shown(difference)}", 1.0
-
-
-def _relative_difference(results: TaskResults, _: str) -> Measured:
-    baseline, difference = compare(results)[::2]
-    unit = abs(baseline.value)
-    return difference, f"difference {shown(difference)}, {SIMILAR:.0%} is {SIMILAR * unit:.2g}", unit
-
-
-def _deviations(results: TaskResults, _: str) -> Measured:
-    first, second = (results.values(learner, results.utility) for learner in (MULTI_OBJECTIVE, BASELINE))
-    ratio, runs = spread_ratio(first, second), min(len(first), len(second))
-    powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
-    return ratio, f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}", 1.0
-
-
-def _front(results: TaskResults, metric: str) -> Measured:
-    score = iqm(results.values(FRONT_LEARNER, metric, FRONT))
-    return score, shown(score) + ("" if metric == CARDINALITY else " m"), 1.0
-
-
-MEASURES: dict[str, Callable[[TaskResults, str], Measured]] = {
-    "success": _success,
-    "progress": _progress,
-    "difference": _difference,
-    "relative_difference": _relative_difference,
-    "deviations": _deviations,
-    "front": _front,
-}

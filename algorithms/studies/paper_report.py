@@ -16,8 +16,7 @@ from algorithms.reporting.curves import curve
 from algorithms.reporting.explorer.plots import draw_front
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
 from algorithms.reporting.tables import markdown, print_rows
-from algorithms.studies.paper_claims import CLAIMS, Claim, compare, percent, shown
-from algorithms.studies.paper_results import FRONT_LEARNER, LABELS
+from algorithms.studies.paper_claims import CLAIMS, FRONT_LEARNER, LABELS, Claim, compare, percent, shown
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
@@ -46,7 +45,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.reporting.tables import Rows
-    from algorithms.studies.paper_results import PaperResults, TaskResults
+    from algorithms.studies.paper_claims import PaperResults, TaskResults
 
 REPORT_FILE = "reproduction.md"
 QUICK = "A quick reproduction checks the pipeline. It trains too little for verdicts."
@@ -79,10 +78,8 @@ def write_report(
     pictures: dict[int, list[Path]] = {}
     for number in figures:
         path = directory / f"figure_{number:02}.png"
-        if number in FRONT_FIGURES:
-            pictures[number] = _draw_fronts(number, path)
-        else:
-            pictures[number] = [path] if _draw_curves(number, results, path) else []
+        draws_fronts = number in FRONT_FIGURES
+        pictures[number] = _draw_fronts(number, path) if draws_fronts else _draw_curves(number, results, path)
     atomic_write(directory / REPORT_FILE, _document(results, pictures, how, quick).encode())
     return [directory / REPORT_FILE, *(path for paths in pictures.values() for path in paths)]
 
@@ -90,8 +87,8 @@ def write_report(
 # ----------------------------------------------------------------------------------------------------------- figures
 
 
-def _draw_curves(number: int, results: PaperResults, path: Path) -> bool:
-    """Draw a figure of learning curves; returns False, without a file, if there are no results for it."""
+def _draw_curves(number: int, results: PaperResults, path: Path) -> list[Path]:
+    """Draw a figure of learning curves into a path; returns it, or nothing if there are no results."""
     title, scenario, metric = CURVE_FIGURES[number]
     panels = {
         (protocol, task): of_task
@@ -100,7 +97,7 @@ def _draw_curves(number: int, results: PaperResults, path: Path) -> bool:
         if of_task.labels.keys() == LABELS.keys()
     }
     if not panels:
-        return False
+        return []
     protocols, tasks = (list(dict.fromkeys(place[i] for place in panels)) for i in (0, 1))
     with figure_style():
         figure = Figure(figsize=(max(4.7 * len(tasks), MIN_WIDTH), 2.9 * len(protocols)))
@@ -123,7 +120,7 @@ def _draw_curves(number: int, results: PaperResults, path: Path) -> bool:
         handles = [Line2D([], [], color=ALGORITHM_COLOURS[key], linewidth=2.4, label=LABELS[key]) for key in LABELS]
         surround(figure, f"Figure {number}. {title}", [note], handles)
         save_figure(figure, path)
-    return True
+    return [path]
 
 
 def _draw_panel(axis: Axes, results: TaskResults, metric: str) -> None:
@@ -292,8 +289,8 @@ def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how
         f"Written by `{how}`: {len(runs)} runs, {runs['cpu_seconds'].sum() / 3600:.1f} hours on one core, seeds "
         f"{min(runs['seed'])} to {max(runs['seed'])}. Background: [reproduction](../reproduction.md).",
         "Scores are interquartile means over seeds of the utility (ESR) of the policy that samples its actions; at the "
-        "intersection, of the sum of both vehicles' utilities. "
-        "The scores of every run, also of greedy policies, are in reproduction_scores.csv.",
+        "intersection, of the sum of both vehicles' utilities. The scores of every run, also of greedy policies, are "
+        "in reproduction_scores.csv.",
         "Intervals (95%, bootstrap) are over seeds. P(MO-A2C higher) is the probability that a run of MO-A2C scores "
         "higher than one of A2C. A run of PCN has collapsed if its hypervolume is below "
         f"{COLLAPSED:.0%} of the median.",

@@ -15,9 +15,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.runs.config import find_algorithm, find_config
-from algorithms.studies.manifest import ManifestRow, Scores, cell_rows, overridden, refuse_duplicates, short_names
-from algorithms.studies.settings import ELSEWHERE, SEED_KEYS, learners_in, replaced_keys
+from algorithms.runs.config import CONFIGS, find_algorithm, find_config
+from algorithms.studies import ALL, CORE, REFERENCE
+from algorithms.studies.manifest import (
+    ManifestRow,
+    Scores,
+    cell_rows,
+    first_of,
+    overridden,
+    refuse_duplicates,
+    short_names,
+)
+from algorithms.studies.settings import (
+    ELSEWHERE,
+    SEED_KEYS,
+    Learner,
+    StudyTask,
+    key_problems,
+    keys_in,
+    learners_in,
+    load_study,
+    problems_of,
+    replaced_keys,
+)
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import SUITE_SCORE, lower_is_better
 from mo_deepdrive.support.extras import needed_for
@@ -30,15 +50,7 @@ if TYPE_CHECKING:
     import optuna
 
     from algorithms.runs.config import AlgorithmEntry
-    from algorithms.studies.settings import (
-        Learner,
-        PlanSettings,
-        SearchRange,
-        SearchSettings,
-        Study,
-        StudyTask,
-        SweepSettings,
-    )
+    from algorithms.studies.settings import PlanSettings, SearchRange, SearchSettings, Study, SweepSettings
 
 TASK, LEARNER = "task", "learner"  # keys of every cell of a study
 MAX_PROBLEMS = 5  # invalid cells that an error message lists
@@ -64,18 +76,11 @@ class Plan(ABC):
         del row
         return True
 
-    def _cell(
-        self,
-        cell: dict[str, Any],
-        values: Mapping[str, Any],
-        seeds: Sequence[int],
-        trial: int | None = None,
-        **checks: Any,
-    ) -> list[ManifestRow]:
+    def _cell(self, cell: dict[str, Any], trial: int | None, **arguments: Any) -> list[ManifestRow]:
         """The rows of a cell, which is checked and built once; the arguments are those of ``cell_rows``."""
         key = repr((cell, trial))
         if key not in self._cells:
-            self._cells[key] = cell_rows(cell, values, seeds, trial, **checks)
+            self._cells[key] = cell_rows(cell, trial=trial, **arguments)
         return self._cells[key]
 
 
@@ -109,15 +114,14 @@ class SweepPlan(Plan):
             try:
                 sections = overridden(bases[path], {**settings.overrides, **grid}, cell)
                 if settings.search is None:
-                    rows += self._cell(cell, sections, settings.seeds, metric=metric)
+                    rows += self._cell(cell, None, values=sections, seeds=settings.seeds, metric=metric)
                 else:
                     rows += self._search_rows(settings.search, cell, sections, scores)
             except ValueError as error:
                 problems.append(str(error))
         if problems:
-            more = len(problems) - MAX_PROBLEMS
-            shown = [*problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
-            raise ValueError(f"{len(problems)} of {len(combinations)} cells are invalid:\n  " + "\n  ".join(shown))
+            shown = "\n  ".join(first_of(problems, MAX_PROBLEMS))
+            raise ValueError(f"{len(problems)} of {len(combinations)} cells are invalid:\n  {shown}")
         refuse_duplicates(rows)
         return rows
 
@@ -146,7 +150,7 @@ class SweepPlan(Plan):
             for trial, point in enumerate(points, len(by_point)):
                 keys = {**cell, **point}
                 sections, metric = overridden(values, point, keys), None if trial else search.metric
-                batch.append(self._cell(keys, sections, self.settings.seeds, trial, metric=metric))
+                batch.append(self._cell(keys, trial, values=sections, seeds=self.settings.seeds, metric=metric))
             earlier, later = ([row for rows in part for row in rows] for part in (by_point[first:], batch))
             if not scores.settle(earlier, later):
                 break
@@ -159,22 +163,17 @@ class SweepPlan(Plan):
 
 
 def propose_points(search: SearchSettings, scores: Sequence[float | None]) -> list[dict[str, Any]]:
-    """The points of a search, values by key, up to the end of the first batch whose scores are not all there.
-
-    The search is replayed from its seed, so that the same scores give the same points. A point without a score, None,
-    has failed.
-    """
+    """The points of a search, replayed from its seed, up to the first batch whose scores are not all there."""
     with needed_for("a search"):
         import optuna
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    if search.sampler == "random":
-        sampler: optuna.samplers.BaseSampler = optuna.samplers.RandomSampler(seed=search.seed)
-    else:
+    sampler: optuna.samplers.BaseSampler = optuna.samplers.RandomSampler(seed=search.seed)
+    size = search.trials
+    if search.sampler == "tpe":
         # Without constant_liar the points of a batch, which have no scores yet, would be close to each other.
-        sampler = optuna.samplers.TPESampler(seed=search.seed, constant_liar=True)
+        sampler, size = optuna.samplers.TPESampler(seed=search.seed, constant_liar=True), search.batch
     study = optuna.create_study(sampler=sampler, direction=search.direction)
     space = {key: _distribution(key, values) for key, values in search.space.items()}
-    size = search.batch if search.sampler == "tpe" else search.trials
     points: list[dict[str, Any]] = []
     for first in range(0, search.trials, size):
         trials = [study.ask(space) for _ in range(min(size, search.trials - first))]
@@ -206,17 +205,14 @@ def _distribution(key: str, values: SearchRange) -> optuna.distributions.BaseDis
 
 @dataclass(frozen=True)
 class Arm:
-    """A learner on a task: the sections of its experiment, and the points, values by key, that are tried for it.
-
-    Settings are chosen and learners are compared by ``metric``, of the final evaluation.
-    """
+    """A learner on a task."""
 
     task: str
     learner: str
     label: str
-    metric: str
-    values: dict[str, Any]
-    points: tuple[dict[str, Any], ...]
+    metric: str  # of the final evaluation, by which settings are chosen and learners are compared
+    values: dict[str, Any]  # the sections of its experiment
+    points: tuple[dict[str, Any], ...]  # values by key that are tried for it
     tuning_share: float
     seeds: tuple[int, ...]
 
@@ -228,17 +224,12 @@ class Arm:
 
 @dataclass(frozen=True)
 class ArmRuns:
-    """The runs of an arm that are known by now: those of every point of its tuning, and the final ones, which count.
-
-    Attributes:
-        scores: the mean of every point; None if a run of it failed, NaN if one has not ended.
-        chosen: index of the best point; None while it is not known, or if the study does not tune.
-    """
+    """The runs of an arm that are known by now: those of every point of its tuning, and the final ones, which count."""
 
     arm: Arm
     tuning: tuple[list[ManifestRow], ...]
-    scores: tuple[float | None, ...]
-    chosen: int | None
+    scores: tuple[float | None, ...]  # the mean of every point; None if a run of it failed, NaN if one has not ended
+    chosen: int | None  # index of the best point; None while it is not known, or if the study does not tune
     final: list[ManifestRow]
 
     @property
@@ -253,16 +244,10 @@ class ArmRuns:
 
 
 class StudyPlan(Plan):
-    """The arms of a study, all or those of some tasks and learners.
+    """The arms of a study; those of some tasks and learners are ``selected``, to be trained now.
 
-    Args:
-        overrides: values of experiment keys for every learner that has them, which count for more than those of the
-            study and of the learners.
-
-    Attributes:
-        arms: learners on tasks.
-        selected: task and learner of those that are to be trained now.
-        idle: what has no effect, one line each: a learner that fits no task, a setting that no learner has.
+    ``overrides`` are values of experiment keys for every learner that has them, which count for more than those of the
+    study and of the learners. ``idle`` has lines about learners that fit no task and settings that no learner has.
     """
 
     def __init__(
@@ -275,12 +260,11 @@ class StudyPlan(Plan):
         super().__init__(study)
         self.study = study
         self.arms, self.idle = _arms(study, overrides or {})
+        missing = "no learner of the study is trained on it", "the study has no such learner"
         for option, given, i in (("--tasks", tasks, 0), ("--learners", learners, 1)):
             known = dict.fromkeys(arm.key[i] for arm in self.arms)
-            for name in given or ():
-                if name not in known:
-                    missing = "no learner of the study is trained on it", "the study has no such learner"
-                    raise ValueError(f"{option} {name}: {missing[i]}; {nearest(name, known)}")
+            for name in (name for name in given or () if name not in known):
+                raise ValueError(f"{option} {name}: {missing[i]}; {nearest(name, known)}")
         on_tasks = [arm.key for arm in self.arms if tasks is None or arm.task in tasks]
         self.selected = {key for key in on_tasks if learners is None or key[1] in learners}
         for name in learners or ():
@@ -312,8 +296,8 @@ class StudyPlan(Plan):
         counted = sum(len(arm.seeds) for arm in arms)
         learners, tasks = (", ".join(dict.fromkeys(arm.key[i] for arm in arms)) for i in (1, 0))
         runs = f"{tried} runs of tuning, then {counted}" if tried else f"{counted} runs, without tuning,"
-        lines = replaced_keys((learner.config for _, learner in learners_in(self.study)), ELSEWHERE)
-        return [*lines, f"{runs} that count: {learners} on {tasks}"]
+        replaced = replaced_keys((learner.config for _, learner in learners_in(self.study)), ELSEWHERE)
+        return [*replaced, f"{runs} that count: {learners} on {tasks}"]
 
     def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
         """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
@@ -354,7 +338,7 @@ class StudyPlan(Plan):
             if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
                 values["training"]["total_timesteps"] = max(1, round(arm.tuning_share * steps))
         build_once = arm.key in self.selected  # others may need what is not installed here
-        return self._cell(cell, values, seeds, trial, metric=arm.metric, build_once=build_once)
+        return self._cell(cell, trial, values=values, seeds=seeds, metric=arm.metric, build_once=build_once)
 
 
 def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str]]:
@@ -385,10 +369,8 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
             points, seeds = tuple(study.points(learner)), tuple(task.seeds or study.seeds)
             for tried in points[0] if points else ():
                 if not _has(entry, tried):
-                    raise ValueError(
-                        f"{where}: the study tunes {tried!r}, a setting that it does not have; give it values of its "
-                        "own that are tried, or train it without learners that are tuned"
-                    )
+                    hint = "give it values of its own that are tried, or train it without learners that are tuned"
+                    raise ValueError(f"{where}: the study tunes {tried!r}, a setting that it does not have; {hint}")
                 if tried in given:
                     raise ValueError(f"{tried} = {given[tried]!r}: the study tunes it for {where}")
             share = learner.tuning_share or (study.tuning.share if study.tuning else 1.0)
@@ -440,8 +422,58 @@ def _has(entry: AlgorithmEntry, key: str) -> bool:
 def _metric(study: Study, name: str) -> str:
     """The metric of a task."""
     task = study.tasks[name]
-    default = study.metric if task.task is None else f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
-    metric = task.metric or default
-    if metric is None:
+    of_suite = task.task and f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
+    if (metric := task.metric or of_suite or study.metric) is None:
         raise ValueError(f"task {name!r} has no metric; give one to it or to the study")
     return metric
+
+
+# ------------------------------------------------------------------------------------------------ a study of the suite
+
+# The reference results of the suite, in a checkout and in an installed package.
+PUBLISHED = CONFIGS.parent / "docs" / "results" / "suite.csv"
+if not PUBLISHED.is_file():
+    PUBLISHED = CONFIGS / "suite" / "published.csv"
+
+
+def selected_tasks(names: Sequence[str]) -> list[str]:
+    """The tasks of ids, of "core" and of "all" that count; each of them once."""
+    tasks = suite.load().tasks
+    groups = {CORE: [key for key in tasks if tasks[key].core], ALL: [key for key in tasks if tasks[key].counted]}
+    selected = dict.fromkeys(key for name in names for key in groups.get(name, [name]))
+    for key in selected:
+        suite.load().task(key)
+    return list(selected)
+
+
+def plan_of(
+    learners: list[str], tasks: Sequence[str], seeds: int, overrides: Mapping[str, Any] | None = None
+) -> StudyPlan:
+    """The study of learners on tasks of the suite (ids, "core" or "all"), with the help of the reference study.
+
+    The learners are some of the reference study, configs and paths of classes. If one of them is of the reference
+    study, all are tuned by its rule; else none is.
+    """
+    if seeds < 1:
+        raise ValueError(f"--seeds {seeds} must be at least 1")
+    wanted = selected_tasks(tasks)
+    reference, names = load_study(REFERENCE), short_names(learners)
+    planned = {key for task in reference.tasks for key in reference.learners_of(task)} & {*learners}
+    trained = {name: learner for name, learner in reference.learners.items() if name in planned}
+    for name in (name for name in learners if name not in planned):
+        trained[names[name]] = Learner(overrides={"algorithm.name": name}) if ":" in name else Learner(config=name)
+    study_tasks = {}
+    for key, task in suite.load().tasks.items():
+        given = reference.tasks.get(key, StudyTask(task=key))
+        changed = {name: learner for name, learner in given.learners.items() if name in planned}
+        study_tasks[key] = given.model_copy(update={"learners": changed, "title": task.title})
+    tuning = reference.tuning if planned else None
+    changes = {"seeds": list(range(seeds)), "tasks": study_tasks, "learners": trained, "tuning": tuning}
+    study = reference.model_copy(update=changes)
+    problems = [f"--learner {name} is given twice" for name in names if learners.count(name) > 1]
+    problems += key_problems({"the options": keys_in(overrides or {})}, ELSEWHERE)
+    asked = {key: study_tasks[key] for key in wanted if study.learners_of(key)}
+    problems += problems_of(study.model_copy(update={"tasks": asked}))
+    if problems:
+        raise ValueError("; ".join(problems))
+    return StudyPlan(study, wanted, [*names.values()], overrides)

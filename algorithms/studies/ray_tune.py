@@ -85,8 +85,8 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
 
         try:
             job = Job.unpack(packed)
-            for step, metrics in _logged_evaluations(job):
-                watch(step, metrics)
+            for logged in _logged_evaluations(job):
+                watch(*logged)
             while not stop.is_set():
                 try:
                     if perform(job, watch=watch, stop=stop.is_set) == "stopped":
@@ -144,10 +144,7 @@ class _RecordingAsha(ASHAScheduler):  # type: ignore[misc]  # Ray's types are no
 
 
 class _Driver(tune.Callback, tune.Stopper):  # type: ignore[misc]  # Ray's types are not checked
-    """Updates the dashboard, collects errors, and stops all trials once ``stop`` returns True or the disk is full.
-
-    Each trial then saves a checkpoint.
-    """
+    """Updates the dashboard, collects errors, and stops all trials once ``stop`` returns True or the disk is full."""
 
     def __init__(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]):
         self._jobs = {job.id: job for job in jobs}
@@ -219,8 +216,8 @@ def run_on_ray(
                 scheduler=asha,
                 reuse_actors=True,
                 max_concurrent_trials=workers,
-                trial_name_creator=_trial_name,
-                trial_dirname_creator=_trial_name,
+                trial_name_creator=lambda trial: trial.config["run"]["id"],
+                trial_dirname_creator=lambda trial: trial.config["run"]["id"],
             ),
             run_config=tune.RunConfig(
                 name=time.strftime("%Y%m%d-%H%M%S"),
@@ -248,10 +245,6 @@ def run_on_ray(
             run = job.open()
             run.set_status("pruned", run.status.get("step", 0))
     return {job: reason for job, reason in driver.failed.items() if not job.done}
-
-
-def _trial_name(trial: Any) -> str:
-    return str(trial.config["run"]["id"])
 
 
 def _connect(address: str | None, sweep: Path) -> None:

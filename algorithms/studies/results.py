@@ -133,19 +133,12 @@ def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row
             states = Counter(runs_of_arm["state"])
             others = ", ".join(f"{number} {state}" for state, number in sorted(states.items()) if state != FINISHED)
             seconds = runs_of_arm["cpu_seconds"].drop_nulls().to_numpy()
-            samples = [
-                of_arm.filter(policy=policy, column=column)["value"].drop_nulls().to_numpy()
-                for policy, column in columns
-            ]
-            rows.append(
-                [
-                    arm.arm.label,
-                    f"{len(runs_of_arm)}" + (f" ({others})" if others else ""),
-                    f"{seconds.mean() / 60:.1f}" if len(seconds) else "",
-                    *(mean(sample).text() if len(sample) else "" for sample in samples),
-                    "" if arm.chosen is None else label(arm.arm.points[arm.chosen]),
-                ]
-            )
+            scores = [of_arm.filter(policy=policy, column=column)["value"].drop_nulls() for policy, column in columns]
+            count = f"{len(runs_of_arm)}" + (f" ({others})" if others else "")
+            minutes = f"{seconds.mean() / 60:.1f}" if len(seconds) else ""
+            texts = [mean(values.to_numpy()).text() if len(values) else "" for values in scores]
+            chosen = "" if arm.chosen is None else label(arm.arm.points[arm.chosen])
+            rows.append([arm.arm.label, count, minutes, *texts, chosen])
         tables.append(StudyTable(task.title or name, rows, _to_cite(task.task, arms)))
     return tables
 

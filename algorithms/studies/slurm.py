@@ -70,30 +70,22 @@ class TaskExecutor(submitit.SlurmExecutor):
 
 
 def sbatch_options(settings: PlanSettings, name: str) -> dict[str, Any]:
-    """The options of sbatch for each task of the array, under submitit's names.
-
-    A task trains ``slurm.side_by_side`` runs at a time, with ``resources`` for each; ``name`` is that of the job.
-    """
+    """The options of sbatch, under submitit's names, for each task of the array of a job ``name``."""
     slurm, resources = settings.slurm, settings.resources
+    given = {"partition", "account", "qos", "constraint", "array_parallelism", "signal_delay_s", "setup"}
     cpus = max(1, math.ceil(resources.cpus * slurm.side_by_side))
     memory = math.ceil(1024 * (resources.memory_gb or 0.0) * slurm.side_by_side)
     options: dict[str, Any] = {
-        "partition": slurm.partition,
-        "account": slurm.account,
-        "qos": slurm.qos,
-        "constraint": slurm.constraint,
+        **slurm.model_dump(include=given),
         "job_name": name,
         "time": resources.minutes,
         "cpus_per_task": cpus,
         "gpus_per_node": math.ceil(resources.gpus * slurm.side_by_side),
         "mem": f"{memory}MB" if memory else None,
-        "array_parallelism": slurm.array_parallelism,
-        "signal_delay_s": slurm.signal_delay_s,
         "stderr_to_stdout": True,
         # Since Slurm 22.05, srun does not inherit --cpus-per-task from sbatch.
         "srun_args": [f"--cpus-per-task={cpus}"],
         "additional_parameters": {"requeue": True, **slurm.additional},
-        "setup": slurm.setup,
     }
     return {key: value for key, value in options.items() if value}
 
@@ -171,10 +163,7 @@ def _query_states(jobs: Iterable[str]) -> dict[str, str] | None:
 
 
 class SlurmQueue:
-    """The submitted jobs of a sweep, with the ids of their runs: in slurm/jobs.json, so that none is submitted twice.
-
-    ``states`` are those of the jobs as of the last :meth:`refresh`.
-    """
+    """The submitted jobs of a sweep with the ids of their runs, in slurm/jobs.json, so that none is submitted twice."""
 
     def __init__(self, sweep: Path):
         self._sweep = sweep
@@ -205,17 +194,12 @@ class SlurmQueue:
         """Query the states of the jobs; returns whether Slurm answered."""
         arrays = {job.partition("_")[0] for job in self.jobs}
         states = _query_states(arrays) if arrays else {}
-        if states is not None:
-            self.states = states
+        self.states = self.states if states is None else states
         return states is not None
 
     def active_jobs(self) -> list[str]:
         """The jobs that are queued or running."""
         return [job for job in self.jobs if self.states.get(job, "COMPLETED") not in FINAL_STATES]
-
-    def active_runs(self) -> set[str]:
-        """Ids of the runs of queued and running jobs."""
-        return {run for job in self.active_jobs() for run in self.jobs[job]}
 
     def last_state(self, run: str) -> tuple[str, str]:
         """The last job to which a run was assigned, and its state.
@@ -267,7 +251,7 @@ def run_on_slurm(
 
     while True:
         if queue.refresh():
-            active = queue.active_runs()
+            active = {run for job in queue.active_jobs() for run in queue.jobs[job]}
             open_jobs = [job for job in jobs if job not in failed and not job.done]
             if not open_jobs:
                 return failed

@@ -96,18 +96,14 @@ class Scores:
 
 
 class Scoreboard:
-    """The normalised scores of a table of results, of tasks of the suite in its version.
-
-    Attributes:
-        tasks: that have results, by id, in the order of the suite.
-        learners: in the order of the results.
-    """
+    """The normalised scores of a table of results, of tasks of the suite in its version."""
 
     def __init__(self, results: Sequence[Row]):
-        self._rows: dict[tuple[str, str], list[Row]] = {}
+        self._rows: dict[tuple[str, str], list[Row]] = defaultdict(list)
         for result in results:
-            self._rows.setdefault((result.task, result.learner), []).append(result)
+            self._rows[result.task, result.learner].append(result)
         scored = {task for task, _ in self._rows}
+        # In the order of the suite, and in that of the results.
         self.tasks: dict[str, Task] = {name: task for name, task in suite.load().tasks.items() if name in scored}
         self.learners = list(dict.fromkeys(result.learner for result in results))
 
@@ -131,10 +127,7 @@ class Scoreboard:
         return learner or (BASELINE if BASELINE in self.learners else self.learners[0])
 
     def task_table(self, *, ranked: bool = True) -> Rows:
-        """Scores by task and learner; with ``ranked`` false, those of the policy that is not ranked.
-
-        The last column names the best learner, if its interval lies above those of all others.
-        """
+        """Scores by task and learner, and who is clearly best, by the policy that is ``ranked`` or by the other one."""
         rows = [["task", "track", "floor", "ceiling", "policy", *self.learners, "clearly best"]]
         for name, task in self.tasks.items():
             policy = task.policy if ranked else {GREEDY: STOCHASTIC, STOCHASTIC: GREEDY}[task.policy]
@@ -146,10 +139,7 @@ class Scoreboard:
         return rows
 
     def track_tables(self, against: str | None = None) -> list[tuple[str, Rows]]:
-        """A table per track with its name: a row per learner, the best first.
-
-        Without ``against`` others are compared with :data:`BASELINE` if it has results on the track, else the first.
-        """
+        """A table per track with its name: a row per learner, the best first, compared with one, else BASELINE."""
         self._reference("--against", against)
         tables: list[tuple[str, Rows]] = []
         for track, by_learner in self._tracks().items():

@@ -19,10 +19,7 @@ MAX_CURVES = 8  # cells, as many as there are markers
 
 
 def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], warn: Callable[[str], None]) -> None:
-    """Draw the curves of the best cells of a sweep, and into ``OUTPUT-cells`` the scores of all runs against each key.
-
-    ``print_line`` is called with every line about what was drawn, ``warn`` with those about what is left out.
-    """
+    """Draw the best cells of a sweep, and into ``OUTPUT-cells`` the scores of all runs against each key that varies."""
     collection = collect(sweep, warn)
     when, scores = collection.latest_scores()
     rankings = rank(collection.cells, scores)

@@ -69,15 +69,12 @@ def print_sweep(
 
     Cells are sorted by ``metric``, None for the utility or the hypervolume; beside it the table has ``columns``, None
     for :data:`algorithms.reporting.tables.TABLE_COLUMNS`. ``warn`` is called with a line about all that is left out.
-
-    Returns:
-        The scores of all cells, and those by which they are compared.
+    Returns the scores of all cells, and those by which they are compared.
     """
     collection = collect(sweep, warn)
     if collection.scores.is_empty():
-        raise ValueError(
-            f"no run of sweep {str(sweep)!r} has a final evaluation yet; mo-deepdrive plot draws what runs have logged"
-        )
+        hint = "mo-deepdrive plot draws what runs have logged"
+        raise ValueError(f"no run of sweep {str(sweep)!r} has a final evaluation yet; {hint}")
     rankings = rank(collection.cells, collection.scores, metric)
     groups_of_rankings = [group_cells(collection, ranking, columns) for ranking in rankings]
     all_groups = [group for groups in groups_of_rankings for group in groups]
@@ -152,23 +149,15 @@ def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], metrics: Sequence
 
 
 class Ranking(NamedTuple):
-    """Cells whose scores are comparable, ranked: same environment, utility, discount and reference point.
-
-    Attributes:
-        policy, vehicle, metric: the score that the cells are ranked by; the vehicle is "" for one vehicle, or all
-            together, and TOTAL for the sum over vehicles. All three are "" if no run has a score.
-        cells: best first, then those without a score.
-        ranked: the means of the former.
-        scores: by run id.
-    """
+    """Cells whose scores are comparable, ranked: same environment, utility, discount and reference point."""
 
     title: str
-    policy: str
-    vehicle: str
+    policy: str  # of the score that the cells are ranked by; this and the next two are "" if no run has a score
+    vehicle: str  # "" for one vehicle, or all together, and TOTAL for the sum over vehicles
     metric: str
-    cells: tuple[Cell, ...]
-    ranked: tuple[float, ...]
-    scores: dict[str, float]
+    cells: tuple[Cell, ...]  # best first, then those without a score
+    ranked: tuple[float, ...]  # the means of the former
+    scores: dict[str, float]  # by run id
 
     @property
     def score_name(self) -> str:
@@ -212,12 +201,8 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
         name = next((name for name in candidates if name in by_name), MetricName("", "", ""))
         chosen = by_name.get(name, of_members.clear())
         descending = not lower_is_better(name.metric)
-        means = (
-            chosen.group_by("cell")
-            .agg(pl.col("value").mean())
-            .sort("cell")
-            .sort("value", descending=descending, maintain_order=True)
-        )
+        means = chosen.group_by("cell").agg(pl.col("value").mean())
+        means = means.sort("value", "cell", descending=[descending, False])
         best = means["cell"].to_list()
         ordered = [cells[i] for i in [*best, *(i for i in members if i not in best)]]
         by_run = dict(chosen.select("run", "value").rows())

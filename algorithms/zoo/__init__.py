@@ -25,11 +25,7 @@ def names() -> list[str]:
 
 
 def find(name: str) -> Path:
-    """The folder of a policy.
-
-    Raises:
-        ValueError: for an unknown name, with the nearest known ones.
-    """
+    """The folder of a policy; an unknown name is a ValueError with the nearest known ones."""
     known = names()
     if name not in known:
         near = f"the zoo has no policy {name!r}; the nearest: {nearest_few(name, known)}; mo-deepdrive zoo lists all"

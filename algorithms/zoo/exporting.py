@@ -21,29 +21,17 @@ FILES = {zoo.CONFIG, zoo.CHECKPOINT, zoo.ABOUT, *OF_FRONTS}
 
 
 def export(run: Run, name: str, directory: str | Path | None = None, about: Mapping[str, Any] | None = None) -> Path:
-    """Write the policy in a run's checkpoint to a folder, replacing an existing policy with the same name.
+    """Write the policy in a run's checkpoint to a folder, replacing one with the same name; returns the folder.
 
-    Args:
-        run: a trained run; if the algorithm learns a front, a finished one.
-        name: of the policy: lower-case letters, digits, "_" and "-".
-        directory: parent of the folder; None for the zoo.
-        about: additional content of about.json, such as how the run was chosen.
-
-    Returns:
-        The folder.
-
-    Raises:
-        ValueError: for an invalid name, a checkpoint or front that is missing or broken, or a folder that is not a
-            policy.
-        OSError: if the policy cannot be written; an existing policy is then unchanged.
+    A run that learns a front must be finished. ``directory`` is the parent of the folder, None for the zoo; ``about``
+    is further content of about.json. If the policy cannot be written (OSError), an existing one is unchanged.
     """
     if not zoo.NAME.fullmatch(name):
         raise ValueError(f"name {name!r} must be lower-case letters, digits, '_' and '-'")
     target = (zoo.ZOO if directory is None else Path(directory)) / name
     if target.exists() and not (target.is_dir() and {path.name for path in target.iterdir()} <= FILES):
         raise ValueError(f"{str(target)!r} is not a policy; choose another name")
-    # On every machine there is a CPU.
-    training = run.experiment.training.model_copy(update={"device": "cpu"})
+    training = run.experiment.training.model_copy(update={"device": "cpu"})  # which is on every machine
     experiment, agent = run.experiment.model_copy(update={"training": training}), load_policy(run)
     if not experiment.known_utility:
         Front.read(run.path)

@@ -94,9 +94,8 @@ class ExplorableFront:
             "command": self.command,
             "numbers": list(self.numbers or range(len(self.success))),
             "note": self.note,
-            "budget": None
-            if budget is None
-            else {
+            "budget": budget
+            and {
                 "name": self.budget_name,
                 "g_force": budget.g_force,
                 "jerk": budget.jerk,
@@ -174,10 +173,7 @@ def explorable_front(
 
 
 def explorable_best_known(name: str) -> ExplorableFront:
-    """A best-known front, undiscounted and with the time among its objectives, with the drives of its actions.
-
-    It is named SCENARIO_ACTIONS, such as "one_waypoint_discrete".
-    """
+    """A best-known front SCENARIO_ACTIONS, undiscounted and with the time among its objectives, with its drives."""
     scenario_name, _, action_type = name.rpartition("_")
     policies = reference_fronts.shipped(scenario_name, action_type)
     config = reference_fronts.front_config(scenario_name, action_type)

@@ -20,16 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from algorithms.reporting.style import (
-    DIM,
-    FAINT,
-    GRID,
-    INK,
-    figure_style,
-    objective_colour,
-    save_figure,
-    surround,
-)
+from algorithms.reporting.style import COLOURS, DIM, FAINT, GRID, INK, figure_style, save_figure, surround
 from mo_deepdrive.evaluation.metrics import label, name_and_unit, without_vehicle
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
@@ -60,10 +51,7 @@ def draw_front(
 
     Of more than MOST_PAIRED objectives there is no scatter; of more than MOST_DRAWN, those of several vehicles, there
     is importance alone. A policy's number is its row in ``front.csv``. Returns are discounted, as they determine
-    dominance, and so is ``reference_front`` (k, d), which is drawn behind the front.
-
-    Returns:
-        The files.
+    dominance, and so is ``reference_front`` (k, d), which is drawn behind the front. Returns the files.
     """
     view = FrontView(front, title)
     d = len(front.objectives)
@@ -116,12 +104,11 @@ def _importance(view: FrontView) -> Figure:
             axis.text(x, height + 0.03, f"{height:.2f}", ha="center", va="bottom", fontsize=8)
         axis.set_yticks([0, 1], [f"{worst} = 0", f"{best} = 1"])
         axis.axhline(1.0, color=GRID, linewidth=0.8, zorder=1)
-    ticks = [str(policy) for policy in shown]
-    if view.arrived is not None:
-        ticks = [f"{policy}\n{front.success[policy]:.0%}" for policy in shown]
+    known = view.arrived is not None
+    ticks = [f"{policy}\n{front.success[policy]:.0%}" if known else str(policy) for policy in shown]
     axes[-1].set_xticks(range(n), ticks, color=INK)
     axes[-1].set_xlim(n / 2 - max(n, 6) / 2 - 0.6, n / 2 + max(n, 6) / 2 - 0.4)
-    axes[-1].set_xlabel("policy" + (", and share of its episodes that arrive" if view.arrived is not None else ""))
+    axes[-1].set_xlabel("policy" + (", and share of its episodes that arrive" if known else ""))
     return figure
 
 
@@ -141,9 +128,8 @@ def _reduction(view: FrontView) -> Figure:
     if len(shown) < len(front):
         x, y = components.points[shown].T
         axis.scatter(x, y, s=80, facecolors="none", edgecolors=INK, linewidths=1.0, zorder=4)
-    for k, (name, share) in enumerate(zip(("first", "second"), components.explained, strict=True)):
-        text = f"{name} component" + (f" ({share:.0%} of the variance)" if share > 0.0 else " (no variance)")
-        (axis.set_xlabel, axis.set_ylabel)[k](text)
+    shares = [f"({share:.0%} of the variance)" if share > 0.0 else "(no variance)" for share in components.explained]
+    axis.set(xlabel=f"first component {shares[0]}", ylabel=f"second component {shares[1]}")
     view.add_colour_bar(figure, axis)
     _loadings(compass, view, components.loadings)
     style: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "path_effects": [HALO], "zorder": 6}
@@ -158,19 +144,16 @@ def _loadings(axis: Axes, view: FrontView, loadings: NDArray[np.float64]) -> Non
     """An arrow per objective: its weights in the two components."""
     angles = np.linspace(0.0, 2 * np.pi, 181)
     axis.plot(np.cos(angles), np.sin(angles), color=FAINT, linewidth=0.9, zorder=1)
-    colours = [objective_colour(i) for i in range(len(loadings))]
-    axis.quiver(
-        *np.zeros((2, len(loadings))), *loadings.T, color=colours, angles="xy", scale_units="xy", scale=1, zorder=3
-    )
+    colours = [COLOURS[i % len(COLOURS)] for i in range(len(loadings))]
+    scaled: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1}
+    axis.quiver(*np.zeros((2, len(loadings))), *loadings.T, color=colours, zorder=3, **scaled)
     same = [bool(np.isnan(column).any()) for column in view.importance.T]
     names = [name_and_unit(name)[0] + " (no variance)" * same[i] for i, name in enumerate(view.front.objectives)]
     handles = [Line2D([], [], color=c, linewidth=2.4, label=name) for c, name in zip(colours, names, strict=True)]
-    axis.set_title("Loadings of the components")
-    axis.set_aspect("equal")
-    axis.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), xlabel="first component", ylabel="second component")
+    ticks = [-1, 0, 1]
+    axis.set(title="Loadings of the components", aspect="equal", xlabel="first component", ylabel="second component")
+    axis.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), xticks=ticks, yticks=ticks)
     axis.yaxis.set_label_position("right")
-    axis.set_xticks([-1, 0, 1])
-    axis.set_yticks([-1, 0, 1])
     axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False, fontsize=9)
 
 
@@ -212,10 +195,7 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
 
 
 def importance(returns: ArrayLike) -> NDArray[np.float64]:
-    """``returns`` (K, d) scaled per objective from 0, the worst of the K, to 1, the best.
-
-    NaN for an objective in which the K do not differ: no policy favours it.
-    """
+    """``returns`` (K, d) scaled per objective from 0, the worst of the K, to 1, the best; NaN where all are equal."""
     values = np.asarray(returns, dtype=np.float64)
     low, extent = values.min(axis=0), np.ptp(values, axis=0)
     differ = extent > 1e-9 * np.abs(values).max(axis=0)  # by more than rounding errors
@@ -224,22 +204,16 @@ def importance(returns: ArrayLike) -> NDArray[np.float64]:
 
 
 class Projection(NamedTuple):
-    """Points (K, 2), centred at 0, projected onto their first two principal components.
+    """Points projected onto their first two principal components."""
 
-    ``loadings`` (d, 2) are the weights of the objectives in each component; a column has length 1, or 0 if the points
-    do not vary in this direction. ``explained`` (2,) is the share of the variance along each component.
-    """
-
-    points: NDArray[np.float64]
+    points: NDArray[np.float64]  # (K, 2), centred at 0
+    # (d, 2) weights of the objectives; a column has length 1, or 0 if the points do not vary in this direction.
     loadings: NDArray[np.float64]
-    explained: NDArray[np.float64]
+    explained: NDArray[np.float64]  # (2,) share of the variance along each component
 
 
 def principal_components(values: ArrayLike) -> Projection:
-    """The first two principal components of ``values`` (K, d), by singular value decomposition.
-
-    The largest loading of a component is positive, so that equal values always look the same.
-    """
+    """The first two principal components of ``values`` (K, d); the largest loading of each is positive."""
     points = np.asarray(values, dtype=np.float64)
     centred = points - points.mean(axis=0)
     _, sizes, axes = np.linalg.svd(centred, full_matrices=False)
@@ -252,20 +226,15 @@ def principal_components(values: ArrayLike) -> Projection:
 
 
 class FrontView:
-    """A front as all its figures show it: the same policies, numbers and colours in each.
-
-    Attributes:
-        leading: index of the objective that orders and colours policies.
-        importance: (K, d) :func:`importance` of the discounted returns, which determine the front: policies that
-            differ in when they arrive alone have the same undiscounted ones.
-    """
+    """A front as all its figures show it: the same policies, numbers and colours in each."""
 
     def __init__(self, front: Front, title: str = ""):
         names = front.objectives
         if len(names) < 2:
             raise ValueError(f"the front has the objectives {list(names)}; figures of a front need at least two")
         self.front, self.title = front, title
-        self.leading = names.index(LEADING) if LEADING in names else 0
+        self.leading = names.index(LEADING) if LEADING in names else 0  # it orders and colours policies
+        # (K, d); policies that differ in when they arrive alone have the same undiscounted returns.
         self.importance = importance(front.discounted)
 
     @property
@@ -287,9 +256,8 @@ class FrontView:
     def returns_note(self) -> str:
         """What the numbers are."""
         known = [OBJECTIVES[INDEX[name]].sign for name in map(without_vehicle, self.front.objectives) if name in INDEX]
-        episodes = self.front.episodes
-        note = f"mean discounted (gamma {self.front.gamma:g}) returns of "
-        note += f"{episodes} episode{'' if episodes == 1 else 's'} per policy"
+        episodes = f"{self.front.episodes} episode{'' if self.front.episodes == 1 else 's'} per policy"
+        note = f"mean discounted (gamma {self.front.gamma:g}) returns of {episodes}"
         return note + (", sums over decisions" if known else "") + (", costs negative" if -1 in known else "")
 
     def policies_note(self, shown: NDArray[np.intp]) -> str:
@@ -319,9 +287,8 @@ class FrontView:
         faces = self.colours.copy()
         if self.arrived is not None:
             faces[~self.arrived] = 1.0
-        axis.scatter(
-            points[:, 0], points[:, 1], s=size, c=faces, edgecolors=self.colours.tolist(), linewidths=1.2, zorder=3
-        )
+        x, y = points.T
+        axis.scatter(x, y, s=size, c=faces, edgecolors=self.colours.tolist(), linewidths=1.2, zorder=3)
 
     def figure(
         self, size: tuple[float, float], heading: str, notes: Sequence[str], handles: Sequence[Line2D] = ()

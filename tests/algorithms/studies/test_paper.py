@@ -16,14 +16,13 @@ from algorithms.studies import FIGURES
 from algorithms.studies import paper as paper_module
 from algorithms.studies.manifest import ManifestRow
 from algorithms.studies.paper import QUICK_SEEDS, load_paper, paper_plan
-from algorithms.studies.paper_claims import CLAIMS
+from algorithms.studies.paper_claims import CLAIMS, PaperResults
 from algorithms.studies.paper_report import (
     QUICK,
     print_verdicts,
     verdict_table,
     write_report,
 )
-from algorithms.studies.paper_results import PaperResults
 from algorithms.studies.plan import StudyPlan
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import PUBLISHED, SOLVED, TINY, evenly_spread, make_results, paper

@@ -9,9 +9,8 @@ import polars as pl
 import pytest
 
 from algorithms.studies import CLAIM_NUMBERS, FIGURES
-from algorithms.studies.paper_claims import CLAIMS, Verdict, is_settled
+from algorithms.studies.paper_claims import CLAIMS, PaperResults, Verdict, is_settled
 from algorithms.studies.paper_report import CURVE_FIGURES, FRONT_FIGURES
-from algorithms.studies.paper_results import PaperResults
 from tests.helpers.reproduction import SOLVED, evenly_spread, make_results, paper, together
 
 ONE, OTHER, OBSTACLE = "one_waypoint_linear", "one_waypoint_nonlinear", "static_obstacle_nonlinear"

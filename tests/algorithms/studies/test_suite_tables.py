@@ -9,7 +9,7 @@ import pytest
 
 from algorithms.commands.suite import main
 from algorithms.studies.manifest import read_manifest
-from algorithms.studies.suite_plan import plan_of
+from algorithms.studies.plan import plan_of
 from algorithms.studies.suite_tables import Scoreboard
 from mo_deepdrive import suite
 from mo_deepdrive.suite import Row, write_rows
