@@ -167,4 +167,4 @@ def list_keys(options: Namespace) -> int:
 
 
 ALGORITHM = cli.option("--algorithm", "NAME", "an algorithm, another library's, or your own: package.module:Class")
-main = cli.Command("keys", __doc__, (cli.OneOf((cli.CONFIG, ALGORITHM)),), list_keys)
+main = cli.Command("keys", __doc__, (cli.one_of(cli.CONFIG, ALGORITHM),), list_keys)

@@ -24,7 +24,7 @@ from algorithms.reporting.run_records import INCIDENTAL, Recorded, flatten
 from algorithms.runs.config import Experiment, check_loggers, find_algorithm, make_experiment, peer_running
 from algorithms.runs.console import make_console, make_standard_streams_lenient, open_log
 from algorithms.runs.interrupts import DiskFull, Interrupts, JobFailed, Stopped, describe, stopped_by
-from algorithms.runs.progress import Dashboard
+from algorithms.runs.progress import ENDED, Dashboard
 from algorithms.runs.run_directory import CONFIG_FILE, InUse, Run, imported_paths, is_run, read_status
 from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.support.machine import available_cores
@@ -53,25 +53,21 @@ class Job:
     id: str | None = None
 
     @property
-    def exists(self) -> bool:
-        """Whether the run was started before."""
-        return is_run(self.path)
-
-    @property
     def done(self) -> bool:
         """Whether the run is finished (trained and evaluated) or pruned."""
-        if self.id is None and self.exists:
+        if self.id is None and is_run(self.path):
             self.open()
-        return read_status(self.path).get("state") in ("finished", "pruned")
+        return read_status(self.path).get("state") in ENDED
 
     def open(self) -> Run:
         """The run in the directory, which has this experiment, and may import what it names."""
-        mine = imported_paths(self.experiment.to_dict()).values()
-        theirs = imported_paths(read_mapping(self.path / CONFIG_FILE)) if self.exists else {}
+        wanted = self.experiment.to_dict()
+        theirs = imported_paths(read_mapping(self.path / CONFIG_FILE)) if is_run(self.path) else {}
+        mine = imported_paths(wanted).values()
         changed = [f"{key} = {name!r} there" for key, name in theirs.items() if name not in mine]
         if not changed:
             run = Run.open(self.path, trust=True)
-            changed = differences(run.experiment.to_dict(), self.experiment.to_dict())
+            changed = differences(run.experiment.to_dict(), wanted)
         if changed:
             raise ValueError(
                 f"run directory {str(self.path)!r} holds another experiment: {'; '.join(changed)}; "
@@ -109,10 +105,8 @@ def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str
 def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | None = None) -> JobOutcome:
     """Train a run from the beginning or its checkpoint, and evaluate it; its output goes to its train.log.
 
-    ``watch`` and ``stop`` are those of :func:`algorithms.runs.training.train`.
-
-    Returns:
-        "already there" if it was finished before; "stopped" if a signal or ``stop`` ended it early, after saving.
+    ``watch`` and ``stop`` are those of :func:`algorithms.runs.training.train`. It is "already there" if it was finished
+    before; "stopped" if a signal or ``stop`` ended it early, after saving.
     """
     if job.done:
         return "already there"
@@ -141,8 +135,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     except OSError as error:
         raise stopped_by(error, f"the run cannot be written: {error}") from error
     except Exception as error:
-        with contextlib.suppress(OSError):  # it may be the reason; the original error is raised in any case
-            run.set_status("failed", run.status.get("step", 0), describe(error))
+        run.end("failed", run.status.get("step", 0), describe(error))
         raise
     finally:
         run.unlock()
@@ -151,13 +144,11 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
 
 def _lock(job: Job) -> tuple[Run, bool]:
     """The run, locked, and whether it was started before."""
-    if not job.exists:
+    if not is_run(job.path):
         try:
             return Run.create(job.experiment, job.path), False
-        except InUse:
-            raise
-        except ValueError:
-            if not job.exists:  # otherwise another process has created it in the meantime
+        except ValueError as error:
+            if isinstance(error, InUse) or not is_run(job.path):  # else another process has just created it
                 raise
     run = job.open()
     run.lock()
@@ -170,12 +161,11 @@ def _take_over_settings(run: Run, wanted: Experiment) -> None:
     The number of threads stays that of the run, because it changes last bits.
     """
     before = run.experiment
+    values = {**before.to_dict(), "logging": wanted.logging.model_dump(mode="json")}
     # Worlds that stay on a device draw other random numbers, so that their checkpoints are others.
-    stays = run.checkpoint.exists() and before.is_resident != wanted.is_resident
-    device = (before if stays else wanted).training.device
-    training = before.training.model_copy(update={"device": device})
-    after = before.model_copy(update={"training": training, "logging": wanted.logging})
-    run.experiment = make_experiment(after.to_dict(), f"experiment {str(run.path / CONFIG_FILE)!r}")
+    if before.is_resident == wanted.is_resident or not run.checkpoint.exists():
+        values["training"]["device"] = wanted.training.device
+    run.experiment = make_experiment(values, f"experiment {str(run.path / CONFIG_FILE)!r}")
     if run.experiment != before:
         run.write_config()
 
@@ -302,49 +292,41 @@ class _Workers:
 
 
 def perform_all(
-    jobs: Sequence[Job],
-    workers: int,
-    dashboard: Dashboard,
-    *,
-    retries: int = 0,
-    stop: Callable[[], bool] = lambda: False,
+    jobs: Sequence[Job], workers: int, dashboard: Dashboard, *, retries: int = 0, stop: Callable[[], bool] | None = None
 ) -> dict[Job, str]:
     """Make all runs that are not finished, each in a worker process; returns the jobs that failed, with their errors.
 
     Runs that other processes are making are waited for. ``retries`` are those of :func:`verdict`; ``stop`` is called
     several times a second, and True saves the running jobs and returns.
     """
-    waiting = [(0.0, job) for job in jobs if not job.done]  # each with the time from which on it may be started
+    waiting = {job: 0.0 for job in jobs if not job.done}  # the time from which on each may be started
     failed: dict[Job, str] = {}
     if not waiting:
         return failed
-    attempts: Counter[Path] = Counter()
+    attempts: Counter[Job] = Counter()
     pool = _Workers(min(workers, len(waiting)))
     try:
-        while (waiting or pool.busy) and not stop():
-            for start in [start for start in waiting if start[0] <= time.monotonic()][: len(pool.idle)]:
-                waiting.remove(start)
-                pool.start(start[1])
+        while (waiting or pool.busy) and not (stop and stop()):
+            for job in [job for job, start in waiting.items() if start <= time.monotonic()][: len(pool.idle)]:
+                del waiting[job]
+                pool.start(job)
             if not pool.busy:
                 time.sleep(POLL)
             for job, error in pool.ended(POLL):
                 if error is None:
                     continue
-                attempts[job.path] += 1
+                if not isinstance(error, InUse):
+                    attempts[job] += 1
                 if isinstance(error, BrokenProcessPool):
-                    times = f", {attempts[job.path]} times" if attempts[job.path] > 1 else ""
-                    error = WorkerDied(DIED + times)
-                outcome = verdict(error, attempts[job.path], retries)
+                    error = WorkerDied(DIED + (f", {attempts[job]} times" if attempts[job] > 1 else ""))
+                outcome = verdict(error, attempts[job], retries)
                 if outcome == "stop":
                     raise error
-                if outcome == "wait":
-                    attempts[job.path] -= 1
-                    waiting.append((time.monotonic() + BUSY, job))
-                elif outcome == "retry":
-                    waiting.append((0.0, job))
-                else:
+                if outcome == "fail":
                     failed[job] = record(job, error)
                     dashboard.failed(job, failed[job])
+                else:
+                    waiting[job] = time.monotonic() + (BUSY if outcome == "wait" else 0.0)
             dashboard.update()
     finally:
         pool.close()
@@ -355,8 +337,7 @@ def perform_all(
 def train_apart(runs: Sequence[Run], console: Console) -> int | None:
     """Train runs whose locks are held, each in a process of its own, as many at a time as there are cores for.
 
-    Returns:
-        The number of the signal that stopped training, 1 if a run failed, or None if all are finished.
+    Returns the number of the signal that stopped training, 1 if a run failed, or None if all are finished.
     """
     jobs = [Job(run.path.name, run.experiment, run.path) for run in runs]
     workers = max(1, available_cores() // runs[0].experiment.training.threads)

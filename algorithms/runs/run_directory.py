@@ -98,13 +98,12 @@ class Run:
         if not config.is_file():
             raise ValueError(f"{str(path)!r} is not a run directory: it has no config.yaml")
         values = read_mapping(config)
+        advice = "add --trust if you trust whoever made the run"
+        if imports is not None:
+            advice = "a run that drives in another may import only what that one's own config names"
         for key, name in imported_paths(values).items() if not trust else ():
-            if name in (imports or ()):
-                continue
-            advice = "add --trust if you trust whoever made the run"
-            if imports is not None:
-                advice = "a run that drives in another may import only what that one's own config names"
-            raise ValueError(f"{str(config)!r} has {key} = {name!r}, code that would be imported and run; {advice}")
+            if name not in (imports or ()):
+                raise ValueError(f"{str(config)!r} has {key} = {name!r}, code that would be imported and run; {advice}")
         # This machine may not have the device that it was trained on.
         return cls(path, make_experiment(values, f"experiment {str(config)!r}", here=False))
 
@@ -140,17 +139,14 @@ class Run:
         The seconds are sums over all processes; those of CPUs end with the training. A finished run also gets the
         record of its files (:func:`record_files`).
         """
-        before, clocks = self.status, (perf_counter(), process_time())
-        seconds, used = (
-            round(before.get(name, 0.0) + now - last, 3)
-            for name, now, last in zip(("seconds", "cpu_seconds"), clocks, self._clocks, strict=True)
-        )
-        self._clocks = clocks
+        before, (wall, cpu) = self.status, self._clocks
+        self._clocks = perf_counter(), process_time()
+        used = round(before.get("cpu_seconds", 0.0) + self._clocks[1] - cpu, 3)
         status: dict[str, Any] = {
             "state": state,
             "step": step,
             "total_timesteps": self.experiment.training.total_timesteps,
-            "seconds": seconds,
+            "seconds": round(before.get("seconds", 0.0) + self._clocks[0] - wall, 3),
             "cpu_seconds": before.get("cpu_seconds", used) if state == "finished" else used,
             "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
         }
@@ -159,6 +155,11 @@ class Run:
         if state == "finished":
             status["files"] = record_files(self.path)
         write_json(self.path / STATUS_FILE, status)
+
+    def end(self, state: State, step: int, reason: str | None = None) -> None:
+        """:meth:`set_status` after an error, which an unwritable disk, maybe its reason, does not hide."""
+        with contextlib.suppress(OSError):
+            self.set_status(state, step, reason)
 
     def record_results(self) -> None:
         """Record the final evaluation of a finished run again, after it was written anew."""
@@ -238,12 +239,10 @@ def default_directory(root: str | Path, config: str | Path, experiment: Experime
     """Make a new, empty directory: ``root/<config's stem>/<algorithm>-seed<N>-<time>``."""
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     name = f"{directory_name(experiment.algorithm.name)}-seed{experiment.training.seed}-{stamp}"
-    for number in itertools.count(1):
-        path = Path(root) / Path(config).stem / (name if number == 1 else f"{name}-{number}")
-        if not path.exists():
-            path.mkdir(parents=True)
-            return path
-    raise AssertionError
+    names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
+    path = next(path for name in names if not (path := Path(root) / Path(config).stem / name).exists())
+    path.mkdir(parents=True)
+    return path
 
 
 def versions() -> dict[str, Any]:

@@ -33,7 +33,7 @@ def test_names_are_known_without_importing_an_algorithm(run_python: Callable[[st
 def test_every_algorithm_has_an_entry_and_a_class() -> None:
     for name, algorithm in ALGORITHMS.items():
         entry = find_algorithm(name)
-        assert (entry.name, entry.known_utility, entry.is_peer) == (name, algorithm.known_utility, False)
+        assert (entry.known_utility, entry.is_peer) == (algorithm.known_utility, False)
         assert entry.config_class is algorithm.Config
         assert agent_class(name) is algorithm
 
@@ -111,9 +111,9 @@ def users_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_users_algorithm_is_found_by_its_path() -> None:
     cls = agent_class("users_agents:Learner")
     entry = find_algorithm("users_agents:Learner")
-    assert (entry.name, entry.known_utility, entry.is_peer) == ("users_agents:Learner", True, False)
+    assert (entry.known_utility, entry.is_peer) == (True, False)
     assert entry.config_class is cls.Config
-    assert directory_name(entry.name) == "Learner"
+    assert directory_name("users_agents:Learner") == "Learner"
     assert directory_name("morl_baselines.pcn") == "morl_baselines.pcn"
 
 
