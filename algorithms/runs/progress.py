@@ -52,11 +52,11 @@ class Display(ABC):
         self._shown_time = perf_counter()
 
     @abstractmethod
-    def line(self) -> str:
+    def _line(self) -> str:
         """The progress as a line."""
 
     @abstractmethod
-    def render(self) -> RenderableType:
+    def _render(self) -> RenderableType:
         """The progress as a terminal shows it."""
 
     def say(self, message: str) -> None:
@@ -69,7 +69,7 @@ class Display(ABC):
             self._shown_time = perf_counter()
             if self._live is not None:
                 self._attempt(lambda live: live.refresh())
-            elif (line := self.line()) != self._last_line or not now:
+            elif (line := self._line()) != self._last_line or not now:
                 self.say(line)
                 self._last_line = line
 
@@ -87,7 +87,7 @@ class Display(ABC):
         self._shown_time = perf_counter()
         if self._console.is_terminal:
             # No thread refreshes it, whose errors nobody would catch.
-            self._live = Live(console=self._console, get_renderable=self.render, auto_refresh=False)
+            self._live = Live(console=self._console, get_renderable=self._render, auto_refresh=False)
             self._attempt(lambda live: live.start(refresh=True))
         return self
 
@@ -133,10 +133,11 @@ class ProgressReporter(Display):
 
     def __init__(self, total: int, step: int, console: Console, arrivals: bool = True, front: bool = False):
         super().__init__(console, "the progress bar")
-        of_front = {HYPERVOLUME: "hypervolume {:,.1f}", CARDINALITY: "{:.0f} policies"}
-        self._formats = of_front if front else {UTILITY: "utility {:.2f}"}
+        self._formats = {UTILITY: "utility {:.2f}"}
+        if front:
+            self._formats = {HYPERVOLUME: "hypervolume {:,.1f}", CARDINALITY: "{:.0f} policies"}
         if arrivals:
-            self._formats = {**self._formats, SUCCESS: "arrivals {:.0%}"}
+            self._formats[SUCCESS] = "arrivals {:.0%}"
         self._total, self._step, self._first, self._updates = total, step, step, 0
         self._start_time = perf_counter()
         self._metrics: dict[str, float] = {}
@@ -174,8 +175,7 @@ class ProgressReporter(Display):
             parts.append(f"{self._metrics[STEPS_PER_SECOND]:,.0f} steps/s")
         return "  ".join(parts)
 
-    def line(self) -> str:
-        """As :meth:`Display.line`."""
+    def _line(self) -> str:
         left = ""
         if self._updates > FIRST_UPDATES and self._step < self._total:
             seconds = (perf_counter() - self._start_time) / (self._step - self._first) * (self._total - self._step)
@@ -183,8 +183,7 @@ class ProgressReporter(Display):
         share = self._step / self._total
         return f"step {self._step:,} of {self._total:,} ({share:.0%})  {self._numbers()}{left}".rstrip()
 
-    def render(self) -> RenderableType:
-        """As :meth:`Display.render`."""
+    def _render(self) -> RenderableType:
         self._bar.update(self._task, completed=min(self._step, self._total), numbers=self._numbers())
         return self._bar.get_renderable()
 
@@ -213,9 +212,9 @@ def count_states(states: Iterable[Any]) -> Counter[str]:
 
 def summary_of(counts: Counter[str]) -> str:
     """The result of :func:`count_states` in one line."""
-    parts = [f"{counts[name]} {name}" for name in ("done", "running", "failed", "waiting")]
-    parts += [f"{counts[name]} {name}" for name in ("interrupted", "pruned") if counts[name]]
-    return f"{', '.join(parts)} of {counts.total()}"
+    always = ("done", "running", "failed", "waiting")
+    shown = (*always, *(name for name in ("interrupted", "pruned") if counts[name]))
+    return f"{', '.join(f'{counts[name]} {name}' for name in shown)} of {counts.total()}"
 
 
 class Dashboard(Display):
@@ -283,12 +282,10 @@ class Dashboard(Display):
         left = self.seconds_left
         return summary_of(self.counts) + (f", {timedelta(seconds=round(left))} left" if left else "")
 
-    def line(self) -> str:
-        """As :meth:`Display.line`."""
+    def _line(self) -> str:
         return f"{self._title}: {self.summary()}"
 
-    def render(self) -> RenderableType:
-        """As :meth:`Display.render`."""
+    def _render(self) -> RenderableType:
         head, rows = Table.grid(padding=(0, 2)), Table.grid(padding=(0, 2))
         done, left = self._steps_done(), self._steps_left()
         head.add_row(
