@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import gymnasium
 import mo_gymnasium  # noqa: F401  (registers its ids)
@@ -174,7 +174,7 @@ class Experiment(Settings):
     @property
     def known_utility(self) -> bool:
         """Whether the algorithm learns for a known utility, rather than a front for every utility."""
-        return find_algorithm(self.algorithm.name).known_utility
+        return bool(find_algorithm(self.algorithm.name).known_utility)
 
     @property
     def is_resident(self) -> bool:
@@ -308,7 +308,7 @@ def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
     if "name" not in values:
         raise ValueError(f"'algorithm.name' is missing; known: {', '.join(sorted(ALGORITHMS))}")
     name, rest = values["name"], {key: value for key, value in values.items() if key != "name"}
-    config = parse(find_algorithm(name).config_class, rest, f"hyperparameters of algorithm {name!r}")
+    config = parse(find_algorithm(name).Config, rest, f"hyperparameters of algorithm {name!r}")
     return AlgorithmSettings(name=name, config=config)
 
 
@@ -419,32 +419,31 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
     raise ValueError(f"config file {str(name)!r} does not exist{places}; the nearest names of shipped ones: {near}")
 
 
-class AlgorithmEntry(NamedTuple):
-    """The properties of an algorithm that an experiment depends on."""
-
-    known_utility: bool  # whether it learns for a utility that it is given, or a front for every utility
-    config_class: type[Settings]  # of its hyperparameters
-    is_peer: bool  # whether it is another library's, which the command peers trains
+def is_peer(name: str) -> bool:
+    """Whether an algorithm is another library's, which the command peers trains."""
+    return ":" not in name and name not in ALGORITHMS
 
 
-def find_algorithm(name: object, source: str = "algorithm.name") -> AlgorithmEntry:
-    """The entry of an algorithm: this project's, another library's, or a user's; ``source`` is the key of its name."""
-    if isinstance(name, str) and (name in ALGORITHMS or ":" in name):
-        algorithm = agent_class(name)
-        return AlgorithmEntry(bool(algorithm.known_utility), algorithm.Config, is_peer=False)
+def find_algorithm(name: object, source: str = "algorithm.name") -> Any:
+    """What has an algorithm's ``known_utility`` and ``Config``: its class, or the entry of another library's.
+
+    ``source`` is the key of its name.
+    """
+    if isinstance(name, str) and not is_peer(name):
+        return agent_class(name)
     peers = resolve_name("algorithms.peers:PEERS")  # of a layer above this one
     if not isinstance(name, str) or name not in peers:
         hint = nearest(name, [*ALGORITHMS, *peers])
         raise ValueError(f"{source} = {name!r} is unknown; {hint}; or package.module:Class")
-    return AlgorithmEntry(peers[name].known_utility, peers[name].Config, is_peer=True)
+    return peers[name]
 
 
 def agent_class(name: str) -> type[Any]:
     """The class of an algorithm, this project's or a user's, which is named by its path."""
-    if ":" not in name:
-        if name not in ALGORITHMS and find_algorithm(name).is_peer:
-            raise ValueError(f"algorithm {name!r} is another library's; mo-deepdrive peers runs it")
+    if name in ALGORITHMS:
         return ALGORITHMS[name]
+    if is_peer(name):
+        raise ValueError(f"algorithm {name!r} is another library's; mo-deepdrive peers runs it")
     from algorithms.agent import Agent, FrontAgent  # as late as this, because it imports torch
 
     algorithm, given = import_named("algorithm.name", name), f"algorithm.name = {name!r}"

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from algorithms.reporting.run_records import INCIDENTAL, Recorded, flatten
-from algorithms.runs.config import Experiment, check_loggers, find_algorithm, make_experiment, peer_running
+from algorithms.runs.config import Experiment, check_loggers, is_peer, make_experiment, peer_running
 from algorithms.runs.console import make_console, make_standard_streams_lenient, open_log
 from algorithms.runs.interrupts import DiskFull, Interrupts, JobFailed, Stopped, describe, stopped_by
 from algorithms.runs.progress import ENDED, Dashboard
@@ -77,7 +77,7 @@ class Job:
 
     def packed(self) -> dict[str, Any]:
         """Plain values to send to another process, for :meth:`unpack`."""
-        return {"name": self.name, "experiment": self.experiment.to_dict(), "path": str(self.path), "id": self.id}
+        return {**vars(self), "experiment": self.experiment.to_dict(), "path": str(self.path)}
 
     def without_code(self) -> Job:
         """The job for a process that only starts workers: without the Config, whose module imports torch."""
@@ -88,8 +88,7 @@ class Job:
     @classmethod
     def unpack(cls, values: Mapping[str, Any]) -> Job:
         """The job from the values of :meth:`packed`."""
-        experiment = make_experiment(values["experiment"])
-        return cls(values["name"], experiment, Path(values["path"]), values["id"])
+        return cls(values["name"], make_experiment(values["experiment"]), Path(values["path"]), values["id"])
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
@@ -126,7 +125,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
         if job.id is not None and run.experiment.logging.wandb is not None:
             atomic_write(job.path / "wandb_id", f"{job.id}\n".encode())  # repeated attempts continue one W&B run
         with open_log(job.path / "train.log") as log:
-            if find_algorithm(run.experiment.algorithm.name).is_peer:
+            if is_peer(run.experiment.algorithm.name):
                 peer_running().run_peer(run, make_console(log))
                 return "trained"
             agent = resume(run)
@@ -175,19 +174,12 @@ class WorkerDied(JobFailed):
 
 
 def verdict(error: BaseException, attempts: int, retries: int) -> Literal["stop", "wait", "retry", "fail"]:
-    """What happens after an error of a run.
-
-    - "stop" all runs if the disk is full: none could be saved.
-    - "wait" if another process trains the run, and try again after BUSY seconds.
-    - "retry" if its worker died, or it could not read or write: it resumes from its checkpoint.
-    - "fail" after ``retries`` of these, and for any other error, which would happen again.
-
-    ``attempts`` is how often the run has been started.
-    """
+    """What happens after an error of a run, which has been started ``attempts`` times."""
     if isinstance(error, DiskFull):
-        return "stop"
+        return "stop"  # all runs: none could be saved
     if isinstance(error, InUse):
-        return "wait"
+        return "wait"  # for the process that trains it, and try again after BUSY seconds
+    # After a death, or where it could not read or write, it resumes; any other error would happen again.
     return "retry" if isinstance(error, (WorkerDied, Stopped, OSError)) and attempts <= retries else "fail"
 
 

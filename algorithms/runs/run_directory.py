@@ -31,7 +31,7 @@ from mo_deepdrive.support.atomic_io import (
 from mo_deepdrive.support.yaml import dump, read_mapping
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from filelock import BaseFileLock
 
@@ -165,8 +165,7 @@ class Run:
         """Record the final evaluation of a finished run again, after it was written anew."""
         status = self.status
         if "files" in status:
-            record = record_files(self.path)
-            status["files"] |= {name: record[name] for name in RESULTS if name in record}
+            status["files"] |= record_files(self.path, RESULTS)
             write_json(self.path / STATUS_FILE, status)
 
     @property
@@ -273,12 +272,13 @@ def _git(*arguments: str) -> str | None:
 # ------------------------------------------------------------------------------------------- the files of finished runs
 
 
-def record_files(run: Path) -> dict[str, dict[str, Any]]:
-    """The size in bytes and the SHA-256 hash of each of :data:`RECORDED` that exists in a run's directory, by name.
+def record_files(run: Path, names: Iterable[str] = RECORDED) -> dict[str, dict[str, Any]]:
+    """The size in bytes and the SHA-256 hash of each of some files that exists in a run's directory, by name.
 
     They are under "files" in the status.json of a finished run, so that what is deleted, cut or edited is noticed.
     """
-    return {name: _record(run / name) for name in RECORDED if (run / name).is_file()}
+    contents = {name: (run / name).read_bytes() for name in names if (run / name).is_file()}
+    return {name: {"size": len(data), "sha256": hashlib.sha256(data).hexdigest()} for name, data in contents.items()}
 
 
 def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
@@ -287,8 +287,16 @@ def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
     if not status and (run / STATUS_FILE).exists():
         return [f"{STATUS_FILE}: cannot be read"]
     recorded = status.get("files", {}) if status.get("state") == "finished" else {}
-    problems = {name: _difference(run / name, recorded[name]) for name in recorded if names is None or name in names}
-    return [f"{name}: {problem}" for name, problem in problems.items() if problem]
+    compared = [name for name in recorded if names is None or name in names]
+    now, lines = record_files(run, compared), []
+    for name in compared:
+        if name not in now:
+            lines.append(f"{name}: missing")
+        elif now[name]["size"] != recorded[name]["size"]:
+            lines.append(f"{name}: {now[name]['size']} bytes, recorded {recorded[name]['size']}")
+        elif now[name] != recorded[name]:
+            lines.append(f"{name}: changed since the run finished")
+    return lines
 
 
 def diverged(run: Path) -> list[str]:
@@ -302,21 +310,3 @@ def diverged(run: Path) -> list[str]:
         return []
     wrong = [name for name, array in tensors.items() if array.dtype.kind == "f" and not np.isfinite(array).all()]
     return [f"{CHECKPOINT_FILE}: {wrong[0]!r} is not finite"] if wrong else []
-
-
-def _record(path: Path) -> dict[str, Any]:
-    content = path.read_bytes()
-    return {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-
-
-def _difference(path: Path, recorded: dict[str, Any]) -> str:
-    """How a file differs from its record; empty if it does not."""
-    try:
-        now = _record(path)
-    except FileNotFoundError:
-        return "missing"
-    except OSError as error:
-        return f"cannot be read: {error}"
-    if now["size"] != recorded["size"]:
-        return f"{now['size']} bytes, recorded {recorded['size']}"
-    return "" if now == recorded else "changed since the run finished"

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.agent import Log
-
 Watch = Callable[[int, Mapping[str, float]], None]
 
 
@@ -192,14 +190,11 @@ def train(
     ended: set[int] = set()  # seeds that failed while others go on
     progress = ProgressReporter(training.total_timesteps, trainee.step, console, arrivals=ours, front=learns_front)
 
-    def log_of(record: _Record) -> Log:
-        def log(step: int, metrics: Mapping[str, float]) -> None:
-            record.logger.log(step, metrics)
-            progress.note(metrics)
-            if watch is not None:
-                watch(step, metrics)
-
-        return log
+    def log(record: _Record, step: int, metrics: Mapping[str, float]) -> None:
+        record.logger.log(step, metrics)
+        progress.note(metrics)
+        if watch is not None:
+            watch(step, metrics)
 
     def note_failures() -> None:
         for seed in trainee.failed.keys() - ended:
@@ -240,7 +235,7 @@ def train(
                 eval_gamma=evaluation.gamma,
                 reference_point=evaluation.reference_point,
                 reference_front=best_known_front(eval_env, evaluation.gamma) if learns_front else None,
-                log=[log_of(record) for record in records],
+                log=[partial(log, record) for record in records],
                 log_front=[record.fronts.write_front for record in records if record.fronts] or None,
                 log_interval=logging.interval,
                 after_update=after_update,

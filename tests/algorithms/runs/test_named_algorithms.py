@@ -15,6 +15,7 @@ from algorithms.runs.config import (
     agent_class,
     directory_name,
     find_algorithm,
+    is_peer,
 )
 
 
@@ -30,18 +31,16 @@ def test_names_are_known_without_importing_an_algorithm(run_python: Callable[[st
     assert loaded.splitlines() == [str(sorted(ALGORITHMS)), "[] False"]
 
 
-def test_every_algorithm_has_an_entry_and_a_class() -> None:
+def test_every_algorithm_is_found_by_its_name() -> None:
     for name, algorithm in ALGORITHMS.items():
-        entry = find_algorithm(name)
-        assert (entry.known_utility, entry.is_peer) == (algorithm.known_utility, False)
-        assert entry.config_class is algorithm.Config
-        assert agent_class(name) is algorithm
+        assert find_algorithm(name) is agent_class(name) is algorithm
+        assert not is_peer(name)
 
 
 def test_peers_have_an_entry_but_no_class() -> None:
     for name, peer in PEERS.items():
-        entry = find_algorithm(name)
-        assert (entry.known_utility, entry.config_class, entry.is_peer) == (peer.known_utility, peer.Config, True)
+        assert find_algorithm(name) is peer
+        assert is_peer(name)
         with pytest.raises(ValueError, match=f"algorithm '{name}' is another library's"):
             agent_class(name)
 
@@ -110,9 +109,8 @@ def users_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("users_module")
 def test_a_users_algorithm_is_found_by_its_path() -> None:
     cls = agent_class("users_agents:Learner")
-    entry = find_algorithm("users_agents:Learner")
-    assert (entry.known_utility, entry.is_peer) == (True, False)
-    assert entry.config_class is cls.Config
+    assert find_algorithm("users_agents:Learner") is cls
+    assert not is_peer("users_agents:Learner")
     assert directory_name("users_agents:Learner") == "Learner"
     assert directory_name("morl_baselines.pcn") == "morl_baselines.pcn"
 
