@@ -39,7 +39,6 @@ def _integer(value: Any) -> Any:
 
 
 Count = Annotated[int, Field(ge=1, le=10**15), BeforeValidator(_integer)]
-Environments = Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_integer)]
 
 
 class UtilitySettings(UtilityChoice):
@@ -58,7 +57,7 @@ class TrainingSettings(Settings):
 
     total_timesteps: Count
     """Environment steps, summed over the parallel environments."""
-    num_envs: Environments
+    num_envs: Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_integer)]
     """Number of parallel environments."""
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of everything random in training."""

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
@@ -141,14 +140,6 @@ class ProgressReporter(Display):
         self._total, self._step, self._first, self._updates = total, step, step, 0
         self._start_time = perf_counter()
         self._metrics: dict[str, float] = {}
-        self._bar = Progress(
-            BarColumn(bar_width=None),
-            TextColumn(f"{{task.percentage:>3.0f}}% of {total:,}"),
-            TextColumn("{task.fields[numbers]}"),
-            TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-            console=console,
-        )
-        self._task = self._bar.add_task("training", total=total, completed=step, numbers="")
 
     def note(self, metrics: Mapping[str, float]) -> None:
         """Keep the newest values of the metrics that are shown."""
@@ -164,28 +155,22 @@ class ProgressReporter(Display):
             self._start_time, self._first = perf_counter(), step
         self.show()
 
-    def _numbers(self) -> str:
-        """The metrics as text; with several vehicles their mean."""
-        parts = []
+    def _line(self) -> str:
+        parts = [f"step {self._step:,} of {self._total:,} ({self._step / self._total:.0%})"]
         for suffix, unit in self._formats.items():
-            values = [value for name, value in self._metrics.items() if name.endswith("/" + suffix)]
-            if values:
-                parts.append(unit.format(sum(values) / len(values)))
+            if values := [value for name, value in self._metrics.items() if name.endswith("/" + suffix)]:
+                parts.append(unit.format(sum(values) / len(values)))  # the mean of several vehicles
         if STEPS_PER_SECOND in self._metrics:
             parts.append(f"{self._metrics[STEPS_PER_SECOND]:,.0f} steps/s")
-        return "  ".join(parts)
-
-    def _line(self) -> str:
-        left = ""
         if self._updates > FIRST_UPDATES and self._step < self._total:
             seconds = (perf_counter() - self._start_time) / (self._step - self._first) * (self._total - self._step)
-            left = f"  {timedelta(seconds=round(seconds))} left"
-        share = self._step / self._total
-        return f"step {self._step:,} of {self._total:,} ({share:.0%})  {self._numbers()}{left}".rstrip()
+            parts.append(f"{timedelta(seconds=round(seconds))} left")
+        return "  ".join(parts)
 
     def _render(self) -> RenderableType:
-        self._bar.update(self._task, completed=min(self._step, self._total), numbers=self._numbers())
-        return self._bar.get_renderable()
+        row = Table.grid(padding=(0, 2))
+        row.add_row(ProgressBar(self._total, self._step, width=30), Text(self._line()))
+        return row
 
 
 # ------------------------------------------------------------------------------------------------------------ many runs

@@ -188,7 +188,7 @@ def _report_front(
 
 
 def film(
-    policy: Policy, experiment: Experiment, path: str | Path, console: Console, *, seed: int, greedy: bool = True
+    policy: Policy, experiment: Experiment, path: str | Path, console: Console, *, seed: int, greedy: bool
 ) -> bool:
     """Try to record a video of a policy from the episode of ``seed`` on; print what it shows, or why there is none."""
     env = experiment.environment

@@ -241,10 +241,9 @@ class PreferenceFollower:
     def for_preference(self, weights: NDArray[np.float64]) -> Policy:
         """The policy under weights (d,) of returns divided by the nominal scales of the objectives."""
         env = self.agent.env
-        own = weights * self.agent.scales / env.objective_scales
-        condition = self.agent.preferences.condition("linear", dict(zip(env.objectives, own.tolist(), strict=True)))
-        policy: Policy = self.agent.policy(condition)
-        return policy
+        of_agent = (weights * self.agent.scales / env.objective_scales).tolist()
+        condition = self.agent.preferences.condition("linear", dict(zip(env.objectives, of_agent, strict=True)))
+        return self.agent.policy(condition)  # type: ignore[no-any-return]  # an agent of any class
 
 
 def scorable(agent: Any, experiment: Experiment) -> Any:

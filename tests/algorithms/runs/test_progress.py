@@ -187,7 +187,7 @@ def test_the_time_left_is_that_of_the_updates_after_compilation(clock: Clock) ->
     lines = printed(console).splitlines()
     assert lines[0] == "step 100 of 100,000 (0%)"
     assert lines[1] == "step 200 of 100,000 (0%)"
-    assert lines[2] == "step 20,200 of 100,000 (20%)    0:01:20 left"  # 20,000 steps in 20 s
+    assert lines[2] == "step 20,200 of 100,000 (20%)  0:01:20 left"  # 20,000 steps in 20 s
 
 
 @pytest.mark.parametrize(("module", "said"), [("mo_deepdrive.simulation.kernel", [COMPILING]), ("users_code", [])])
