@@ -95,7 +95,6 @@ def run_peer(run: Run, console: Console) -> None:
         after=-1 if (run.path / METRICS_FILE).exists() else None,
         wandb=experiment.logging.wandb,
         config=experiment.to_dict(),
-        name=run.path.name,
     ) as logger:
         task = prepare(experiment, logger.log)
         with open_log(run.path / "peer.log") as file, contextlib.redirect_stdout(file):

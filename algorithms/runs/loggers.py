@@ -28,12 +28,10 @@ CONNECTION_TIMEOUT = 20.0  # s after which W&B is used offline
 class WandbRun:
     """A run in Weights & Biases, offline where it cannot be reached; a resumed one continues with the stored id.
 
-    The directory has offline data, the run's id and its project; the config and the name are shown with the run.
+    The directory has offline data, the run's id and its project; its name and the config are shown with the run.
     """
 
-    def __init__(
-        self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str, say: Callable[[str], None]
-    ):
+    def __init__(self, directory: Path, settings: WandbSettings, config: dict[str, Any], say: Callable[[str], None]):
         with needed_for("logging.wandb"):
             import wandb
 
@@ -42,7 +40,7 @@ class WandbRun:
         options: dict[str, Any] = {
             **settings.model_dump(exclude={"mode"}),
             "config": config,
-            "name": name,
+            "name": directory.name,
             "dir": str(directory),
             "id": stored,
             "resume": "allow" if stored else None,
@@ -109,7 +107,7 @@ class Logger:
 
     Use it as a context manager. An error of TensorBoard or Weights & Biases is one message and ends their part alone.
     ``after`` is the step of the checkpoint that a run resumes from: later rows are dropped, since they are written
-    again. W&B shows the config and the name.
+    again. W&B shows the config.
     """
 
     def __init__(
@@ -119,7 +117,6 @@ class Logger:
         after: int | None = None,
         wandb: WandbSettings | None = None,
         config: dict[str, Any] | None = None,
-        name: str = "run",
         say: Callable[[str], None] = print,
     ):
         directory = Path(directory)
@@ -129,7 +126,7 @@ class Logger:
             self._outputs.append((accessory, TensorBoard(directory, after=after)))
         with Accessory("Weights & Biases is disabled", say) as accessory:
             if wandb is not None:
-                self._outputs.append((accessory, WandbRun(directory, wandb, config or {}, name, say)))
+                self._outputs.append((accessory, WandbRun(directory, wandb, config or {}, say)))
 
     def _each(self, action: Callable[[TensorBoard | WandbRun], None]) -> None:
         """Do something with each output beside metrics.csv that has not failed yet."""

@@ -190,13 +190,9 @@ READING_SHARE = 0.05  # largest share of the time that is spent reading director
 MOST_ROWS = 12  # running jobs that are listed
 
 
-def count_states(states: Iterable[Any]) -> Counter[str]:
-    """The number of runs in each state, by the names in the table; the states are those of status.json or None."""
-    return Counter(SHOWN_STATES[state] for state in states)
-
-
-def summary_of(counts: Counter[str]) -> str:
-    """The result of :func:`count_states` in one line."""
+def summary_of(states: Iterable[Any]) -> str:
+    """The number of runs in each state, in one line; the states are those of status.json, or None without one."""
+    counts = Counter(SHOWN_STATES[state] for state in states)
     always = ("done", "running", "failed", "waiting")
     shown = (*always, *(name for name in ("interrupted", "pruned") if counts[name]))
     return f"{', '.join(f'{counts[name]} {name}' for name in shown)} of {counts.total()}"
@@ -216,11 +212,6 @@ class Dashboard(Display):
         self._start_time, self._next_update = perf_counter(), 0.0
         self._read()
         self._steps_at_start = self._steps_done()
-
-    @property
-    def counts(self) -> Counter[str]:
-        """The number of runs in each state, by the names in the table."""
-        return count_states(map(self._state, self._jobs))
 
     @property
     def seconds_left(self) -> float | None:
@@ -265,7 +256,7 @@ class Dashboard(Display):
     def summary(self) -> str:
         """One line: the number of runs in each state, and the time left."""
         left = self.seconds_left
-        return summary_of(self.counts) + (f", {timedelta(seconds=round(left))} left" if left else "")
+        return summary_of(map(self._state, self._jobs)) + (f", {timedelta(seconds=round(left))} left" if left else "")
 
     def _line(self) -> str:
         return f"{self._title}: {self.summary()}"

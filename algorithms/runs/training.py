@@ -132,8 +132,7 @@ class _Record:
         """Open the files of rows, which are continued if the run was started before; the logger is to be closed."""
         run, after = self.run, (self.saved or -1) if resumed else None
         config = {**run.experiment.to_dict(), "versions": run.versions}
-        wandb = run.experiment.logging.wandb
-        self.logger = Logger(run.path, after=after, wandb=wandb, config=config, name=run.path.name, say=say)
+        self.logger = Logger(run.path, after=after, wandb=run.experiment.logging.wandb, config=config, say=say)
         if not run.experiment.known_utility:
             self.fronts = FrontsFile(run.path / FRONTS_FILE, after)
         run.set_status("running", self.saved)
