@@ -36,11 +36,6 @@ if TYPE_CHECKING:
 
 
 T = TypeVar("T")
-MANY_ENVS = 10_000  # whose memory is estimated before it is allocated
-ACTIVATION = 12  # bytes per hidden unit of actor and critic and sample
-ENVIRONMENT = 800  # bytes per environment
-EPISODE_STEPS = 100  # that the longest one of many random episodes has at the least
-DIGEST_LENGTH = 16  # hexadecimal digits that identify the checkpoint of a driver
 
 
 def build(
@@ -59,7 +54,7 @@ def build(
     """
     algorithm, training = agent_class(experiment.algorithm.name), experiment.training
     num_envs = num_envs or training.num_envs
-    if num_envs >= MANY_ENVS:
+    if num_envs >= 10_000:  # of fewer ones it takes little
         check_memory(f"training.num_envs = {num_envs}", training_memory(experiment, num_envs))
     env = make_environment(experiment.environment, num_envs)
     adapter = EnvAdapter(env)
@@ -105,10 +100,10 @@ def training_memory(experiment: Experiment, num_envs: int) -> float:
         steps = 1.0
     elif hasattr(config, "steps"):
         steps = config.steps
-        sample += ACTIVATION * sum(config.hidden)
-    else:  # whole episodes
-        steps = min(EPISODE_STEPS, arguments.get("time_limit", math.inf) * arguments.get("decision_frequency", 1))
-    return num_envs * (ENVIRONMENT + env.vehicles * steps * sample)
+        sample += 12 * sum(config.hidden)  # activations of actor and critic
+    else:  # whole episodes, of which the longest one of many random ones has at least 100 steps
+        steps = min(100, arguments.get("time_limit", math.inf) * arguments.get("decision_frequency", 1))
+    return num_envs * (800 + env.vehicles * steps * sample)
 
 
 def load_policy(run: Run, *, partners: bool = True) -> Any:
@@ -148,7 +143,7 @@ def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, experim
     for name in names:
         members.append(open_driver(name, vehicle, env, action_type, imports=imports))
         checkpoint = b"" if is_rule(name) else Run.open(name, trust=True).checkpoint.read_bytes()
-        digests.append(name if is_rule(name) else hashlib.sha256(checkpoint).hexdigest()[:DIGEST_LENGTH])
+        digests.append(name if is_rule(name) else hashlib.sha256(checkpoint).hexdigest()[:16])
     return Population(members, vehicle, digests)
 
 

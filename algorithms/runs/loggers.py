@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 TENSORBOARD = "tensorboard"  # folder in a run's directory
 RESULTS_SUFFIX = ".results"  # of TensorBoard's file with the results at the end
-CONNECTION_TIMEOUT = 20.0  # s after which W&B is used offline
 
 
 class WandbRun:
@@ -44,7 +43,7 @@ class WandbRun:
             "dir": str(directory),
             "id": stored,
             "resume": "allow" if stored else None,
-            "settings": wandb.Settings(console="off", init_timeout=CONNECTION_TIMEOUT),
+            "settings": wandb.Settings(console="off", init_timeout=20.0),  # s, after which it is used offline
         }
         ours = wandb.setup().settings  # of the user's environment
         if ours.sweep_id:  # W&B's agent chooses them

@@ -44,8 +44,6 @@ CONFIG_FILE, CHECKPOINT_FILE, VERSIONS_FILE = "config.yaml", "checkpoint.safeten
 METRICS_FILE, FRONTS_FILE, LOCK_FILE, STATUS_FILE = "metrics.csv", "fronts.csv", ".lock", "status.json"
 RESULTS = ("evaluation.json", "front.csv")  # of the final evaluation, which may be done again
 RECORDED = (CONFIG_FILE, CHECKPOINT_FILE, METRICS_FILE, FRONTS_FILE, *RESULTS)
-# Modules in front of the ids of their environments that are imported in any case.
-ALREADY_IMPORTED = ("gymnasium", "mo_deepdrive", "mo_gymnasium")
 
 
 class InUse(ValueError):
@@ -205,8 +203,8 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
         **{f"utility.vehicles.{name}.name": _section(vehicles, name).get("name") for name in vehicles},
     }
     paths = {key: name for key, name in names.items() if isinstance(name, str) and ":" in name}
-    # As Gymnasium does, which would import the module "gymnasium:evil" of "gymnasium:evil:ID".
-    if paths.get("environment.id", "").rpartition(":")[0] in ALREADY_IMPORTED:
+    # These modules are imported in any case. Split as Gymnasium does: "gymnasium:evil:ID" is of "gymnasium:evil".
+    if paths.get("environment.id", "").rpartition(":")[0] in ("gymnasium", "mo_deepdrive", "mo_gymnasium"):
         del paths["environment.id"]
     return paths
 
