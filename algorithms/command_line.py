@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from algorithms.runs.interrupts import INTERRUPTED
 
@@ -84,13 +84,12 @@ def _run_command(name: str | None, arguments: list[str]) -> int:
         name, arguments = _command(arguments), arguments[1:]
     try:
         with needed_for(f"mo-deepdrive {name}"):
-            module = importlib.import_module(f"algorithms.commands.{name}")
+            module: Any = importlib.import_module(f"algorithms.commands.{name}")
             prepare_process(getattr(module, "ENVIRONMENT", PROCESS_DEFAULTS))
-            code: int = module.main(arguments)
+            return int(module.main(arguments))
     except MissingExtraError as error:
         warn(f"error: {error}")
         return INVALID_INPUT
-    return code
 
 
 def prepare_process(defaults: Mapping[str, str]) -> None:

@@ -133,12 +133,10 @@ def choose(options: Namespace) -> int:
 
 OPTIONS = (
     cli.RUN,
-    cli.OneOf(
-        (
-            cli.many("--weights", "OBJECTIVE=W", "the weight of each undiscounted return"),
-            cli.option("--utility", "NAME", "a utility by name, or package.module:function"),
-            cli.many("--target", "OBJECTIVE=R", "undiscounted returns to be reached"),
-        ),
+    cli.one_of(
+        cli.many("--weights", "OBJECTIVE=W", "the weight of each undiscounted return"),
+        cli.option("--utility", "NAME", "a utility by name, or package.module:function"),
+        cli.many("--target", "OBJECTIVE=R", "undiscounted returns to be reached"),
         required=True,
     ),
     cli.option("--arguments", "YAML", "arguments of the utility, such as '{weights: [1, 2]}'", default="{}"),

@@ -18,7 +18,15 @@ from pydantic import BaseModel
 
 from algorithms import ALGORITHMS
 from algorithms.runs import cli
-from algorithms.runs.config import Experiment, agent_class, find_algorithm, find_environment, is_ours, load_experiment
+from algorithms.runs.config import (
+    Experiment,
+    agent_class,
+    find_algorithm,
+    find_environment,
+    is_ours,
+    is_peer,
+    load_experiment,
+)
 from algorithms.studies.settings import Learner, Study, StudyTask, SweepSettings
 from mo_deepdrive.world.config import EnvConfig
 
@@ -56,7 +64,7 @@ def experiment_keys(algorithm: str, env_id: str | None = None) -> list[Key]:
     keys: list[Key] = []
     for key in model_keys(Experiment):
         if key.name == "algorithm.config":  # in the same section as the name
-            keys += model_keys(find_algorithm(algorithm).config_class, "algorithm.")
+            keys += model_keys(find_algorithm(algorithm).Config, "algorithm.")
             continue
         keys.append(key)
         if key.name == "environment.arguments" and ours:
@@ -140,8 +148,7 @@ def list_keys(options: Namespace) -> int:
         keys = experiment_keys(algorithm, env_id)
         own = [key for key in keys if key.name.startswith("algorithm.") and key.name != "algorithm.name"]
         sections.setdefault("experiment", [key for key in keys if key not in own])
-        peer = find_algorithm(algorithm).is_peer
-        equations = "" if peer else f"; equations: help({agent_class(algorithm).__module__!r})"
+        equations = "" if is_peer(algorithm) else f"; equations: help({agent_class(algorithm).__module__!r})"
         sections[f"hyperparameters of {algorithm}{equations}"] = own
     if not name:
         sections |= {title: model_keys(model) for title, model in _OTHERS.items()}
@@ -159,4 +166,4 @@ def list_keys(options: Namespace) -> int:
 
 
 ALGORITHM = cli.option("--algorithm", "NAME", "an algorithm, another library's, or your own: package.module:Class")
-main = cli.Command("keys", __doc__, (cli.OneOf((cli.CONFIG, ALGORITHM)),), list_keys)
+main = cli.Command("keys", __doc__, (cli.one_of(cli.CONFIG, ALGORITHM),), list_keys)

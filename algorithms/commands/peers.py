@@ -101,7 +101,7 @@ LIST = cli.flag("--list", "list the peers, their requirements and whether they r
 main = cli.Command(
     "peers",
     __doc__,
-    (cli.OneOf((cli.CONFIG, LIST), required=True), cli.RUN_OUTPUT),
+    (cli.one_of(cli.CONFIG, LIST, required=True), cli.RUN_OUTPUT),
     train_peer,
     takes_keys=True,
     errors_of_input=(),  # in training they are errors of the program

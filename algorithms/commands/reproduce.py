@@ -14,19 +14,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import Command, OneOf, check_at_least, check_directory, flag, option
+from algorithms.runs.cli import Command, check_at_least, check_directory, flag, one_of, option
 from algorithms.studies import CLAIM_NUMBERS, FIGURES
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
 OPTIONS = (
-    OneOf(
-        (
-            flag("--all", "everything (the default)"),
-            option("--figure", "N", "a figure of the paper: 4 to 10", type=int, choices=FIGURES),
-            option("--claim", "N", "a claim of the paper: 1 to 6", type=int, choices=CLAIM_NUMBERS),
-        )
+    one_of(
+        flag("--all", "everything (the default)"),
+        option("--figure", "N", "a figure of the paper: 4 to 10", type=int, choices=FIGURES),
+        option("--claim", "N", "a claim of the paper: 1 to 6", type=int, choices=CLAIM_NUMBERS),
     ),
     option("--seeds", "N", "number of runs of each variant (default: the plan's)", type=int),
     flag("--quick", "use fewer seeds and shorter training"),

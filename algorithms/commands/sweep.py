@@ -20,7 +20,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from algorithms.runs.cli import PROCESS_DEFAULTS, Command, OneOf, Option, check_directory, flag, option, warn
+from algorithms.runs.cli import PROCESS_DEFAULTS, Command, Option, check_directory, flag, one_of, option, warn
 from algorithms.runs.interrupts import Stopped, no_space
 from algorithms.studies import BACKENDS
 
@@ -52,7 +52,7 @@ BACKENDS_OF_OPTIONS = {
 WHILE_TRAINING = {"on": "local", "workers": None, "address": None, "no_wait": False}  # options, with their defaults
 
 
-def run_options(what: str, *instead: Option) -> tuple[Option | OneOf, ...]:
+def run_options(what: str, *instead: Option) -> tuple[Option, ...]:
     """The options of what trains many runs; ``instead`` are others of its own that do something else."""
     folder = {"sweep": "sweeps", "study": "studies"}[what]
     checks = "compare the files of finished runs with their recorded hashes, name what is broken and exit"
@@ -62,14 +62,12 @@ def run_options(what: str, *instead: Option) -> tuple[Option | OneOf, ...]:
         option("--workers", "N", "maximum number of concurrent runs (default: limited by the cores)", type=int),
         option("--address", "A", "address of a running Ray cluster, or auto (default: start Ray here)"),
         flag("--no-wait", "Slurm: submit the jobs and exit"),
-        OneOf(
-            (
-                flag("--dry-run", "Slurm: print the batch script and write nothing"),
-                flag("--status", f"show the progress of the {what} and exit"),
-                flag("--verify", checks),
-                flag("--remake", "also make finished runs again whose files are broken, in their place"),
-                *instead,
-            )
+        one_of(
+            flag("--dry-run", "Slurm: print the batch script and write nothing"),
+            flag("--status", f"show the progress of the {what} and exit"),
+            flag("--verify", checks),
+            flag("--remake", "also make finished runs again whose files are broken, in their place"),
+            *instead,
         ),
     )
 

@@ -105,7 +105,7 @@ RESUME = cli.many("--resume", "RUN", "directory of a run to resume; of several, 
 main = cli.Command(
     "train",
     __doc__,
-    (cli.OneOf((cli.CONFIG, RESUME), required=True), cli.RUN_OUTPUT, cli.TRUST),
+    (cli.one_of(cli.CONFIG, RESUME, required=True), cli.RUN_OUTPUT, cli.TRUST),
     train,
     takes_keys=True,
     errors_of_input=(),  # in training they are errors of the program

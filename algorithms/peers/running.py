@@ -20,7 +20,7 @@ from algorithms.reporting.run_records import final_metrics
 from algorithms.runs.build import make_environment, make_utilities
 from algorithms.runs.console import open_log
 from algorithms.runs.loggers import Logger
-from algorithms.runs.report import VIDEO_FILE, report_agent, show_results
+from algorithms.runs.report import report_run, show_results
 from algorithms.runs.run_directory import FRONTS_FILE, METRICS_FILE
 from algorithms.runs.suite_entries import score_run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
@@ -95,7 +95,6 @@ def run_peer(run: Run, console: Console) -> None:
         after=-1 if (run.path / METRICS_FILE).exists() else None,
         wandb=experiment.logging.wandb,
         config=experiment.to_dict(),
-        name=run.path.name,
     ) as logger:
         task = prepare(experiment, logger.log)
         with open_log(run.path / "peer.log") as file, contextlib.redirect_stdout(file):
@@ -112,21 +111,11 @@ def run_peer(run: Run, console: Console) -> None:
             "version": metadata.version(peer.package),
             "evaluated_policies": len(policies),
         }
-        settings = experiment.evaluation
-        report_agent(
-            policies,
-            experiment,
-            console,
-            episodes=settings.final_episodes,
-            seed=settings.final_seed,
-            directory=run.path,
-            video=run.path / VIDEO_FILE if experiment.logging.save_figures else None,
-            about=about,
-        )
+        report_run(run, policies, console, about)
         if not peer.known_utility:
             FrontsFile(run.path / FRONTS_FILE).write_front(steps, Front.read(run.path))
         logger.log(steps, {EVALUATION + name: value for name, value in final_metrics(run.path).items()})
-        if settings.task is not None:
+        if experiment.evaluation.task is not None:
             every = [policies.at(np.array([k])) for k in range(len(policies))]
             score_run(run, every[0] if peer.known_utility else every)
     show_results(run, steps, console)

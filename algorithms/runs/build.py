@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import torch
@@ -27,7 +27,7 @@ from mo_deepdrive.support.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Mapping, Sequence
 
     from gymnasium.vector import VectorEnv
 
@@ -35,11 +35,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.world.config import EnvironmentSettings
 
 
-MANY_ENVS = 10_000  # whose memory is estimated before it is allocated
-ACTIVATION = 12  # bytes per hidden unit of actor and critic and sample
-ENVIRONMENT = 800  # bytes per environment
-EPISODE_STEPS = 100  # that the longest one of many random episodes has at the least
-DIGEST_LENGTH = 16  # hexadecimal digits that identify the checkpoint of a driver
+T = TypeVar("T")
 
 
 def build(
@@ -58,15 +54,14 @@ def build(
     """
     algorithm, training = agent_class(experiment.algorithm.name), experiment.training
     num_envs = num_envs or training.num_envs
-    if num_envs >= MANY_ENVS:
+    if num_envs >= 10_000:  # of fewer ones it takes little
         check_memory(f"training.num_envs = {num_envs}", training_memory(experiment, num_envs))
     env = make_environment(experiment.environment, num_envs)
     adapter = EnvAdapter(env)
     options: dict[str, Any] = {}
     if experiment.utility is None:
-        check_reference_point(
-            experiment.evaluation.reference_point, joint_objectives(adapter.objectives, adapter.vehicles)
-        )
+        objectives = joint_objectives(adapter.objectives, adapter.vehicles)
+        check_reference_point(experiment.evaluation.reference_point, objectives)
     else:
         options["utility"] = make_utilities(experiment.utility, adapter)
     for key, able, what in (
@@ -79,10 +74,9 @@ def build(
     if training.partners:
         options["partners"] = _partners(experiment, adapter, idle_only=not partners)
     if training.guides and guides:
-        vehicles = _vehicles_named(training.guides, "training.guides", adapter)
         options["guides"] = [
-            Guide(_population("guides", name, [guide.driver], v, adapter, experiment), guide, num_envs)
-            for (name, guide), v in zip(training.guides.items(), vehicles, strict=True)
+            Guide(_population(f"guides.{name}", [guide.driver], v, adapter, experiment), guide, num_envs)
+            for v, name, guide in _by_vehicle(training.guides, "training.guides", adapter)
         ]
     if training.share_policy:
         options["share_policy"] = True
@@ -106,10 +100,10 @@ def training_memory(experiment: Experiment, num_envs: int) -> float:
         steps = 1.0
     elif hasattr(config, "steps"):
         steps = config.steps
-        sample += ACTIVATION * sum(config.hidden)
-    else:  # whole episodes
-        steps = min(EPISODE_STEPS, arguments.get("time_limit", math.inf) * arguments.get("decision_frequency", 1))
-    return num_envs * (ENVIRONMENT + env.vehicles * steps * sample)
+        sample += 12 * sum(config.hidden)  # activations of actor and critic
+    else:  # whole episodes, of which the longest one of many random ones has at least 100 steps
+        steps = min(100, arguments.get("time_limit", math.inf) * arguments.get("decision_frequency", 1))
+    return num_envs * (800 + env.vehicles * steps * sample)
 
 
 def load_policy(run: Run, *, partners: bool = True) -> Any:
@@ -120,23 +114,15 @@ def load_policy(run: Run, *, partners: bool = True) -> Any:
     return agent
 
 
-def open_driver(
-    name: str,
-    vehicle: int,
-    env: EnvAdapter,
-    action_type: str,
-    *,
-    trust: bool = False,
-    imports: Collection[str] | None = None,
-) -> Policy:
+def open_driver(name: str, vehicle: int, env: EnvAdapter, action_type: str, **permissions: Any) -> Policy:
     """What drives a vehicle in an environment with this type of actions.
 
     It is named by the directory of a run, as a policy of the zoo, or as a scripted driver such as ``rule:gap_3``
-    (``algorithms/driving/named_rules.py``). ``trust`` and ``imports`` are those of :meth:`Run.open`.
+    (``algorithms/driving/named_rules.py``). The permissions are those of :meth:`Run.open`.
     """
     if is_rule(name):
         return scripted_policy(name, vehicle, env, action_type)
-    run = Run.open(name, trust=trust, imports=imports)
+    run = Run.open(name, **permissions)
     if not run.experiment.known_utility:
         raise ValueError(f"{name!r} is a front of policies, not one that drives")
     if vehicle_name(vehicle) in run.experiment.training.partners:
@@ -157,7 +143,7 @@ def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, experim
     for name in names:
         members.append(open_driver(name, vehicle, env, action_type, imports=imports))
         checkpoint = b"" if is_rule(name) else Run.open(name, trust=True).checkpoint.read_bytes()
-        digests.append(name if is_rule(name) else hashlib.sha256(checkpoint).hexdigest()[:DIGEST_LENGTH])
+        digests.append(name if is_rule(name) else hashlib.sha256(checkpoint).hexdigest()[:16])
     return Population(members, vehicle, digests)
 
 
@@ -180,11 +166,11 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
 def _partners(experiment: Experiment, adapter: EnvAdapter, *, idle_only: bool) -> dict[int, Population]:
     """What drives the vehicles that do not learn, by their indices; where it is not needed they do nothing."""
     partners, num_envs = experiment.training.partners, experiment.training.num_envs
-    indices = _vehicles_named(partners, "training.partners", adapter)
+    named = _by_vehicle(partners, "training.partners", adapter)
     if len(partners) == adapter.vehicles:
         raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(partners)}: none is left to learn")
     populations = {}
-    for (name, drivers), v in zip(partners.items(), indices, strict=True):
+    for v, name, drivers in named:
         if not drivers:
             raise ValueError(f"training.partners.{name} = [] must name at least one driver")
         if len(drivers) > num_envs:
@@ -194,32 +180,30 @@ def _partners(experiment: Experiment, adapter: EnvAdapter, *, idle_only: bool) -
         if idle_only:
             populations[v] = Population([ScriptedPolicy(adapter)], v, [""])
         else:
-            populations[v] = _population("partners", name, drivers, v, adapter, experiment)
+            populations[v] = _population(f"partners.{name}", drivers, v, adapter, experiment)
     return populations
 
 
-def _population(
-    key: str, name: str, drivers: Sequence[str], v: int, adapter: EnvAdapter, experiment: Experiment
-) -> Population:
+def _population(key: str, drivers: Sequence[str], v: int, adapter: EnvAdapter, experiment: Experiment) -> Population:
     """The drivers of a vehicle; the error of one names its key."""
     try:
         return open_population(drivers, v, adapter, experiment)
     except ValueError as error:
-        raise ValueError(f"training.{key}.{name}: {error}") from None
+        raise ValueError(f"training.{key}: {error}") from None
 
 
-def _vehicles_named(names: Iterable[str], key: str, adapter: EnvAdapter) -> list[int]:
-    """The indices of the vehicles that a part of the config names."""
+def _by_vehicle(section: Mapping[str, T], key: str, adapter: EnvAdapter) -> list[tuple[int, str, T]]:
+    """The indices, names and entries of the vehicles in a section of the config."""
     vehicles = [vehicle_name(v) for v in range(adapter.vehicles)]
-    for name in names:
+    for name in section:
         if name not in vehicles:
             raise ValueError(f"{key} has {name!r}; {nearest(name, vehicles)}")
-    return [vehicles.index(name) for name in names]
+    return [(vehicles.index(name), name, entry) for name, entry in section.items()]
 
 
 def make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:
     """One utility per vehicle, each called as the algorithms will, so that it fails here and not after an hour."""
-    _vehicles_named(settings.vehicles, "utility.vehicles", adapter)
+    _by_vehicle(settings.vehicles, "utility.vehicles", adapter)
     utilities = []
     for v in range(adapter.vehicles):
         choice = settings.of_vehicle(v)
@@ -241,14 +225,14 @@ def build_trainee(experiments: Sequence[Experiment]) -> Any:
     shared = [flatten(experiment.to_dict()) | {"training.seed": None} for experiment in experiments]
     if any(settings != shared[0] for settings in shared):
         raise ValueError("runs that are trained side by side must differ in training.seed alone")
-    device, num_envs = first.training.device, first.training.num_envs
+    device = first.training.device
     check_device("training.device", device)
     try:
         return build(first, seeds=[experiment.training.seed for experiment in experiments], device=device)
     except torch.OutOfMemoryError:
         raise ValueError(
-            f"training.num_envs = {num_envs} of {len(experiments)} seeds do not fit into the memory of {device}; take "
-            "fewer"
+            f"training.num_envs = {first.training.num_envs} of {len(experiments)} seeds do not fit into the memory of "
+            f"{device}; take fewer"
         ) from None
 
 

@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,7 +22,7 @@ from mo_deepdrive.support.faults import Fault
 from mo_deepdrive.support.names import nearest, printable, shortened
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from typing import NoReturn
 
     from algorithms.runs.config import Experiment
@@ -31,7 +32,6 @@ FAILED, INVALID_INPUT = 1, 2
 # Variables that are set for a command unless the user has set them: videos are drawn in memory, and an idle thread
 # sleeps after some 0.2 ms instead of spinning on a core that others need.
 PROCESS_DEFAULTS = {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "GOMP_SPINCOUNT": "6000"}
-SEEDS = range(EVALUATION_SEED_LIMIT)  # of evaluation episodes
 # The episodes by which policies of a front are chosen, unless the user asks for others.
 CHOICE_EPISODES = 20
 CHOICE_SPLIT: Split = "validation"
@@ -40,33 +40,23 @@ CHOICE_SPLIT: Split = "validation"
 # ----------------------------------------------------------------------------------------------- commands and options
 
 
-class Option(NamedTuple):
-    """An option or argument of a command: its name, and the settings of argparse's ``add_argument``."""
-
-    name: str
-    settings: Mapping[str, Any]
-
-    def add_to(self, parser: argparse._ActionsContainer) -> None:
-        """Add it to a parser."""
-        parser.add_argument(self.name, **self.settings)
-
-
-class OneOf(NamedTuple):
-    """Options of which at most one can be given, or exactly one if it is ``required``."""
-
-    options: tuple[Option, ...]
-    required: bool = False
-
-    def add_to(self, parser: argparse._ActionsContainer) -> None:
-        """Add them to a parser."""
-        group = parser.add_mutually_exclusive_group(required=self.required)
-        for option in self.options:
-            option.add_to(group)
+Option = Callable[["argparse._ActionsContainer"], object]  # adds an option, an argument or several of them to a parser
 
 
 def option(name: str, metavar: str | None, text: str, **settings: Any) -> Option:
-    """An option with a value, or an argument if ``name`` has no dashes, with its help text."""
-    return Option(name, {"metavar": metavar, "help": text, **settings})
+    """An option with a value, or an argument if ``name`` has no dashes; ``settings`` are argparse's."""
+    return lambda parser: parser.add_argument(name, metavar=metavar, help=text, **settings)
+
+
+def one_of(*options: Option, required: bool = False) -> Option:
+    """Options of which at most one can be given, or exactly one if it is ``required``."""
+
+    def add(parser: argparse._ActionsContainer) -> None:
+        group = parser.add_mutually_exclusive_group(required=required)
+        for add_option in options:
+            add_option(group)
+
+    return add
 
 
 def many(name: str, metavar: str, text: str, **settings: Any) -> Option:
@@ -76,7 +66,7 @@ def many(name: str, metavar: str, text: str, **settings: Any) -> Option:
 
 def flag(name: str, text: str) -> Option:
     """An option without a value."""
-    return Option(name, {"action": "store_true", "help": text})
+    return lambda parser: parser.add_argument(name, action="store_true", help=text)
 
 
 class Command(NamedTuple):
@@ -84,7 +74,7 @@ class Command(NamedTuple):
 
     name: str  # after ``mo-deepdrive``
     description: str | None  # the docstring of its module, which ``--help`` prints as it is
-    options: tuple[Option | OneOf, ...]  # in the order of the help
+    options: tuple[Option, ...]  # in the order of the help
     run: Callable[[argparse.Namespace], int]  # does it, and returns the exit code
     # Whether every key of an experiment is an option, too; they are in the attribute ``overrides``.
     takes_keys: bool = False
@@ -94,8 +84,8 @@ class Command(NamedTuple):
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
         """The options in a command line."""
         parser = make_parser(self.description, self.name)
-        for option in self.options:
-            option.add_to(parser)
+        for add_option in self.options:
+            add_option(parser)
         options, rest = parser.parse_known_args(arguments)
         if rest and not self.takes_keys:
             parser.error(f"unrecognized arguments: {' '.join(rest)}")
@@ -135,18 +125,15 @@ RUN_OUTPUT = option("--output", "DIR", "directory of the run (default: runs/CONF
 TRUST = flag("--trust", "allow the run's config.yaml to import and run code that it names by module")
 
 
-def evaluation_options(episodes: int | None = None, split: Split | None = None) -> tuple[Option | OneOf, ...]:
+def evaluation_options(episodes: int | None = None, split: Split | None = None) -> tuple[Option, Option]:
     """--episodes, and --split or --seed; without them ``episodes`` and ``split``, or those of the config."""
-    defaults = ["as in the config" if value is None else value for value in (episodes, split)]
-    text = f"episodes per policy (default: {defaults[0]})"
-    splits = f"split of scenario seeds (default: {defaults[1]})"
+    text = f"episodes per policy (default: {episodes or 'as in the config'})"
+    splits = f"split of scenario seeds (default: {split or 'as in the config'})"
     return (
         option("--episodes", "N", text, type=int, default=episodes),
-        OneOf(
-            (
-                option("--split", None, splits, choices=SPLITS, default=split),
-                option("--seed", "S", "seed of the first episode, instead of a split", type=int),
-            )
+        one_of(
+            option("--split", None, splits, choices=SPLITS, default=split),
+            option("--seed", "S", "seed of the first episode, instead of a split", type=int),
         ),
     )
 
@@ -189,15 +176,6 @@ def make_parser(description: str | None, command: str = "") -> argparse.Argument
     )
 
 
-def refuse_beside(
-    parser: argparse.ArgumentParser, options: argparse.Namespace, option: str, *without_effect: str
-) -> None:
-    """End with an error if one of the options ``without_effect`` is given beside ``option``."""
-    for name in without_effect:
-        if getattr(options, name) != parser.get_default(name):
-            parser.error(f"--{name.replace('_', '-')} has no effect beside {option}")
-
-
 # -------------------------------------------------------------------------------------------------------------- values
 
 
@@ -214,18 +192,16 @@ def new_runs(options: argparse.Namespace, experiments: Sequence[Experiment]) -> 
 
 def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) -> tuple[int, int]:
     """The number of episodes per policy and the seed of the first one, from the command line or else the experiment."""
-    settings, video = experiment.evaluation, getattr(options, "video", None)
-    episodes = settings.final_episodes if options.episodes is None else options.episodes
-    if episodes < 1:
-        raise ValueError(f"--episodes {episodes} must be at least 1")
-    seed = options.seed
+    settings, seed = experiment.evaluation, options.seed
+    check_at_least(options, 1, "episodes")
+    episodes = options.episodes or settings.final_episodes
     if seed is None:
         split = options.split or settings.split
         check_episodes("--episodes", episodes, split)
         seed = SPLITS[split].start
-    elif seed not in SEEDS:
-        raise ValueError(f"--seed {seed} must be between {SEEDS.start} and {SEEDS.stop - 1}")
-    if video:
+    elif not 0 <= seed < EVALUATION_SEED_LIMIT:
+        raise ValueError(f"--seed {seed} must be between 0 and {EVALUATION_SEED_LIMIT - 1}")
+    if video := getattr(options, "video", None):
         from algorithms.reporting.videos import check_renderable  # with the packages that render
 
         check_file("--video", video, ".mp4")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import gymnasium
 import mo_gymnasium  # noqa: F401  (registers its ids)
@@ -32,18 +32,13 @@ if TYPE_CHECKING:
 SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
 T = TypeVar("T")
 
-LARGEST_COUNT = 10**15
-
 
 def _integer(value: Any) -> Any:
     """A float without a fraction as an integer, so that a million may be written as 1e6; 1.5 remains an error."""
-    if isinstance(value, (int, float)) and value > LARGEST_COUNT:
-        raise ValueError(f"must be at most {LARGEST_COUNT:,}")
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-Count = Annotated[int, Field(ge=1), BeforeValidator(_integer)]
-Environments = Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_integer)]
+Count = Annotated[int, Field(ge=1, le=10**15), BeforeValidator(_integer)]
 
 
 class UtilitySettings(UtilityChoice):
@@ -62,7 +57,7 @@ class TrainingSettings(Settings):
 
     total_timesteps: Count
     """Environment steps, summed over the parallel environments."""
-    num_envs: Environments
+    num_envs: Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_integer)]
     """Number of parallel environments."""
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of everything random in training."""
@@ -110,8 +105,7 @@ class EvaluationSettings(Settings):
 
     @model_serializer(mode="wrap")
     def _without_no_task(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = serialise(self)
-        return values if self.task is not None else {key: value for key, value in values.items() if key != "task"}
+        return {key: value for key, value in serialise(self).items() if key != "task" or value is not None}
 
     @property
     def final_seed(self) -> int:
@@ -179,7 +173,7 @@ class Experiment(Settings):
     @property
     def known_utility(self) -> bool:
         """Whether the algorithm learns for a known utility, rather than a front for every utility."""
-        return find_algorithm(self.algorithm.name).known_utility
+        return bool(find_algorithm(self.algorithm.name).known_utility)
 
     @property
     def is_resident(self) -> bool:
@@ -222,32 +216,32 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     """
     problems: list[str] = []
 
-    def attempt(check: Callable[[], T]) -> T | None:
+    def attempt(check: Callable[..., T], *arguments: Any) -> T | None:
         try:
-            return check()
+            return check(*arguments)
         except ValueError as error:
             problems.append(str(error))
             return None
 
-    sections, given = dict(values), values.get("algorithm")
-    if isinstance(given, dict):
+    sections = dict(values)
+    if isinstance(given := values.get("algorithm"), dict):
         # If it is refused, the other sections are checked nevertheless.
-        sections["algorithm"] = attempt(lambda: _algorithm(given)) or AlgorithmSettings(name="", config=Settings())
+        sections["algorithm"] = attempt(_algorithm, given) or AlgorithmSettings(name="", config=Settings())
     experiment = parse(Experiment, sections, what)
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
-    worlds = attempt(lambda: _worlds(experiment.environment))
-    attempt(lambda: check_device("training.device", training.device, here))
-    attempt(lambda: _check_seeds(training))
-    attempt(lambda: check_episodes("evaluation.episodes", evaluation.episodes, "validation"))
-    attempt(lambda: check_episodes("evaluation.final_episodes", evaluation.final_episodes, evaluation.split))
+    worlds = attempt(_worlds, experiment.environment)
     arguments, config = worlds or ({}, None)
-    if worlds is not None and evaluation.task is not None:
-        attempt(lambda: _check_task(experiment, arguments))
-    front: dict[str, Any] = {}
+    attempt(check_device, "training.device", training.device, here)
+    attempt(_check_seeds, training)
+    attempt(check_episodes, "evaluation.episodes", evaluation.episodes, "validation")
+    attempt(check_episodes, "evaluation.final_episodes", evaluation.final_episodes, evaluation.split)
+    if evaluation.task is not None and worlds is not None:
+        attempt(_check_task, experiment, evaluation.task, arguments)
+    front = None
     if experiment.algorithm.name:
-        attempt(lambda: _check_utility(experiment))
+        attempt(_check_utility, experiment)
         if config is not None and not experiment.known_utility:
-            front = attempt(lambda: _front_evaluation(evaluation, config)) or {}
+            front = attempt(_front_evaluation, evaluation, config)
     if problems:
         raise ValueError(f"invalid {what}: " + "; ".join(problems))
     default = a_twentieth(training.total_timesteps)
@@ -257,7 +251,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
         update={
             "training": training,
             "environment": experiment.environment.model_copy(update={"arguments": arguments}),
-            "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **front}),
+            "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **(front or {})}),
             "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or default}),
         }
     )
@@ -266,16 +260,13 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
 def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
     """``["--a.b=1", "--seed", "3"]`` as ``[("a.b", 1), ("training.seed", 3)]``; see :data:`SHORT_FORMS`."""
     pairs: list[tuple[str, Any]] = []
-    rest = list(arguments)
-    while rest:
-        argument = rest.pop(0)
+    words = iter(arguments)
+    for argument in words:
         key, equals, text = argument.removeprefix("--").partition("=")
         if not argument.startswith("--") or not all(key.split(".")):
             raise ValueError(f"argument {argument!r} is not of the form --section.key=value")
-        if not equals:
-            if not rest or rest[0].startswith("--"):
-                raise ValueError(f"argument {argument!r} has no value; write {argument}=VALUE")
-            text = rest.pop(0)
+        if not equals and (text := next(words, "--")).startswith("--"):
+            raise ValueError(f"argument {argument!r} has no value; write {argument}=VALUE")
         try:
             value = read_value(text)
         except ValueError as error:
@@ -315,23 +306,22 @@ def _worlds(settings: EnvironmentSettings) -> tuple[dict[str, Any], EnvConfig | 
 def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
     if "name" not in values:
         raise ValueError(f"'algorithm.name' is missing; known: {', '.join(sorted(ALGORITHMS))}")
-    name = values["name"]
-    rest = {key: value for key, value in values.items() if key != "name"}
-    config = parse(find_algorithm(name).config_class, rest, f"hyperparameters of algorithm {name!r}")
+    name, rest = values["name"], {key: value for key, value in values.items() if key != "name"}
+    config = parse(find_algorithm(name).Config, rest, f"hyperparameters of algorithm {name!r}")
     return AlgorithmSettings(name=name, config=config)
 
 
 def _check_utility(experiment: Experiment) -> None:
-    given, learns = experiment.utility, f"algorithm {experiment.algorithm.name!r} learns"
-    if not experiment.known_utility and given is not None:
-        raise ValueError(
-            f"utility = {given.name!r}: {learns} a front for every utility; leave the section out (mo-deepdrive choose "
-            "applies a utility to the front)"
-        )
+    utility, learns = experiment.utility, f"algorithm {experiment.algorithm.name!r} learns"
     if experiment.known_utility:
-        if given is None:
+        if utility is None:
             raise ValueError(f"'utility' is missing: {learns} for a known utility")
         check_effects(experiment, ["evaluation.reference_point"], f"{learns} one policy, not a front")
+    elif utility is not None:
+        raise ValueError(
+            f"utility = {utility.name!r}: {learns} a front for every utility; leave the section out (mo-deepdrive "
+            "choose applies a utility to the front)"
+        )
 
 
 def _front_evaluation(evaluation: EvaluationSettings, config: EnvConfig) -> dict[str, Any]:
@@ -351,27 +341,24 @@ def _front_evaluation(evaluation: EvaluationSettings, config: EnvConfig) -> dict
     if point is None and config.scenario_data.vehicles == 1:
         try:
             default = mo_deepdrive.reference_point(config.scenario, config.action_type, gamma, config.objectives)
+            point = default.values.tolist()
         except ValueError as error:
             raise ValueError(f"evaluation.reference_point must be given: {error}") from None
-        point = default.values.tolist()
     return {"gamma": gamma, "reference_point": point}
 
 
 def _check_seeds(settings: TrainingSettings) -> None:
-    seeds = settings.seeds
-    if seeds is None:
-        return
+    seeds = settings.seeds or [settings.seed]
     if len(set(seeds)) < len(seeds):
         raise ValueError(f"training.seeds = {seeds} must differ from one another")
     if "seed" in settings.model_fields_set and settings.seed not in seeds:
         raise ValueError(f"training.seed = {settings.seed} must be one of training.seeds = {seeds}")
 
 
-def _check_task(experiment: Experiment, arguments: Mapping[str, Any]) -> None:
+def _check_task(experiment: Experiment, name: str, arguments: Mapping[str, Any]) -> None:
     """Refuse to score as a task of the suite what is trained in another environment, whose arguments are all given."""
     from mo_deepdrive import suite  # as late as this, because it imports the simulation
 
-    name = str(experiment.evaluation.task)
     try:
         task = suite.load().task(name)
     except ValueError as error:
@@ -419,13 +406,11 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
     If there is none, it is a shipped one, by its name in :func:`config_names` or its path in a checkout.
     """
     path = expand_home(name)
+    wanted, names = path.as_posix().removeprefix("configs/").removesuffix(".yaml"), config_names()
     candidates = [path] if beside is None else [path, Path(beside).parent / path]
-    for candidate in candidates:
+    for candidate in (*candidates, *([CONFIGS / f"{wanted}.yaml"] if wanted in names else [])):
         if candidate.is_file():
             return candidate
-    wanted, names = path.as_posix().removeprefix("configs/").removesuffix(".yaml"), config_names()
-    if wanted in names:
-        return CONFIGS / f"{wanted}.yaml"
     if path.exists():
         return path  # what is wrong with it is said by who reads it
     places = f" (looked for {' and '.join(map(str, candidates))})" if len({*map(Path.absolute, candidates)}) > 1 else ""
@@ -433,35 +418,31 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
     raise ValueError(f"config file {str(name)!r} does not exist{places}; the nearest names of shipped ones: {near}")
 
 
-class AlgorithmEntry(NamedTuple):
-    """The properties of an algorithm that an experiment depends on."""
-
-    name: str  # in YAML files
-    known_utility: bool  # whether it learns for a utility that it is given, or a front for every utility
-    config_class: type[Settings]  # of its hyperparameters
-    is_peer: bool  # whether it is another library's, which the command peers trains
+def is_peer(name: str) -> bool:
+    """Whether an algorithm is another library's, which the command peers trains."""
+    return ":" not in name and name not in ALGORITHMS
 
 
-def find_algorithm(name: object, source: str = "algorithm.name") -> AlgorithmEntry:
-    """The entry of an algorithm: this project's, another library's, or a user's; ``source`` is the key of its name."""
-    peers: Mapping[str, Any] = {}
-    if isinstance(name, str) and (name in ALGORITHMS or ":" in name):
-        algorithm = agent_class(name)
-    else:
-        peers = resolve_name("algorithms.peers:PEERS")  # of a layer above this one
-        if not isinstance(name, str) or name not in peers:
-            hint = nearest(name, [*ALGORITHMS, *peers])
-            raise ValueError(f"{source} = {name!r} is unknown; {hint}; or package.module:Class")
-        algorithm = peers[name]
-    return AlgorithmEntry(name, bool(algorithm.known_utility), algorithm.Config, is_peer=name in peers)
+def find_algorithm(name: object, source: str = "algorithm.name") -> Any:
+    """What has an algorithm's ``known_utility`` and ``Config``: its class, or the entry of another library's.
+
+    ``source`` is the key of its name.
+    """
+    if isinstance(name, str) and not is_peer(name):
+        return agent_class(name)
+    peers = resolve_name("algorithms.peers:PEERS")  # of a layer above this one
+    if not isinstance(name, str) or name not in peers:
+        hint = nearest(name, [*ALGORITHMS, *peers])
+        raise ValueError(f"{source} = {name!r} is unknown; {hint}; or package.module:Class")
+    return peers[name]
 
 
 def agent_class(name: str) -> type[Any]:
     """The class of an algorithm, this project's or a user's, which is named by its path."""
-    if ":" not in name:
-        if name not in ALGORITHMS and find_algorithm(name).is_peer:
-            raise ValueError(f"algorithm {name!r} is another library's; mo-deepdrive peers runs it")
+    if name in ALGORITHMS:
         return ALGORITHMS[name]
+    if is_peer(name):
+        raise ValueError(f"algorithm {name!r} is another library's; mo-deepdrive peers runs it")
     from algorithms.agent import Agent, FrontAgent  # as late as this, because it imports torch
 
     algorithm, given = import_named("algorithm.name", name), f"algorithm.name = {name!r}"
@@ -495,12 +476,8 @@ def find_environment(env_id: str, source: str = "environment.id") -> EnvSpec:
     if module:
         import_module(f"{source} = {env_id!r}", module)
     if name not in gymnasium.registry:
-        ours = ("mo_deepdrive.", "mo_gymnasium.")
-        known = [
-            spec.id
-            for spec in gymnasium.registry.values()
-            if str(spec.entry_point or spec.vector_entry_point).startswith(ours)
-        ]
+        entry_points = {s.id: str(s.entry_point or s.vector_entry_point) for s in gymnasium.registry.values()}
+        known = [name for name, path in entry_points.items() if path.startswith(("mo_deepdrive.", "mo_gymnasium."))]
         hint = "" if module else f"for one of your own write {f'module:{name}'!r}, which imports its module; "
         raise ValueError(f"{source} = {env_id!r} is not registered; {hint}{nearest(name, known)}")
     return gymnasium.registry[name]

@@ -52,16 +52,12 @@ class Accessory:
     """A context in which any error becomes one line, after which work goes on; Ctrl-C passes.
 
     For figures, videos, pages, loggers and progress, which must never cost a result. It may be entered again and again;
-    whoever does so looks at ``works`` first, which is whether nothing has failed so far.
-
-    Args:
-        failure: what an error means, such as "no video".
-        say: prints the line.
+    whoever does so looks at ``works`` first. ``failure`` is what an error means, such as "no video".
     """
 
     def __init__(self, failure: str, say: Callable[[str], None]):
         self._failure, self._say = failure, say
-        self.works = True
+        self.works = True  # whether nothing has failed so far
 
     def __enter__(self) -> Accessory:
         return self
@@ -90,18 +86,12 @@ class Interrupts:
 
     A second SIGTERM does not, so that what the first one began can be saved: a batch system sends it to every process
     of a job, and then a parent that stops its workers sends it to them again. Only the main thread receives signals; in
-    others nothing is recorded.
-
-    Args:
-        patience: by signal, after how many seconds it acts nevertheless, as KeyboardInterrupt, unless :meth:`settle` is
-            called before; none to wait for ever.
-
-    Attributes:
-        received: the signal's number, 0 for a request to stop that is no signal, or None.
+    others nothing is recorded. ``patience`` is after how many seconds a signal acts nevertheless, as KeyboardInterrupt,
+    unless :meth:`settle` is called before.
     """
 
     def __init__(self, patience: Mapping[signal.Signals, float] = {}) -> None:
-        self.received: int | None = None
+        self.received: int | None = None  # the signal's number, 0 for a request to stop that is no signal, or None
         self._patience = patience
         self._timer: threading.Timer | None = None
         self._overdue = False
@@ -109,10 +99,9 @@ class Interrupts:
 
     def _record(self, number: int, _frame: FrameType | None) -> None:
         if not self.received:
-            self.received = number
-            if number in self._patience:
-                again = signal.Signals(number)
-                self._timer = threading.Timer(self._patience[again], self._insist, [again])
+            self.received = received = signal.Signals(number)
+            if received in self._patience:
+                self._timer = threading.Timer(self._patience[received], self._insist, [received])
                 self._timer.daemon = True
                 self._timer.start()
         elif number == signal.SIGINT or self._overdue:

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from algorithms.reporting.run_records import INCIDENTAL, Recorded, flatten
-from algorithms.runs.config import Experiment, check_loggers, find_algorithm, make_experiment, peer_running
+from algorithms.runs.config import Experiment, check_loggers, is_peer, make_experiment, peer_running
 from algorithms.runs.console import make_console, make_standard_streams_lenient, open_log
 from algorithms.runs.interrupts import DiskFull, Interrupts, JobFailed, Stopped, describe, stopped_by
-from algorithms.runs.progress import Dashboard
+from algorithms.runs.progress import ENDED, Dashboard
 from algorithms.runs.run_directory import CONFIG_FILE, InUse, Run, imported_paths, is_run, read_status
 from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.support.machine import available_cores
@@ -53,25 +53,21 @@ class Job:
     id: str | None = None
 
     @property
-    def exists(self) -> bool:
-        """Whether the run was started before."""
-        return is_run(self.path)
-
-    @property
     def done(self) -> bool:
         """Whether the run is finished (trained and evaluated) or pruned."""
-        if self.id is None and self.exists:
+        if self.id is None and is_run(self.path):
             self.open()
-        return read_status(self.path).get("state") in ("finished", "pruned")
+        return read_status(self.path).get("state") in ENDED
 
     def open(self) -> Run:
         """The run in the directory, which has this experiment, and may import what it names."""
-        mine = imported_paths(self.experiment.to_dict()).values()
-        theirs = imported_paths(read_mapping(self.path / CONFIG_FILE)) if self.exists else {}
+        wanted = self.experiment.to_dict()
+        theirs = imported_paths(read_mapping(self.path / CONFIG_FILE)) if is_run(self.path) else {}
+        mine = imported_paths(wanted).values()
         changed = [f"{key} = {name!r} there" for key, name in theirs.items() if name not in mine]
         if not changed:
             run = Run.open(self.path, trust=True)
-            changed = differences(run.experiment.to_dict(), self.experiment.to_dict())
+            changed = differences(run.experiment.to_dict(), wanted)
         if changed:
             raise ValueError(
                 f"run directory {str(self.path)!r} holds another experiment: {'; '.join(changed)}; "
@@ -81,7 +77,7 @@ class Job:
 
     def packed(self) -> dict[str, Any]:
         """Plain values to send to another process, for :meth:`unpack`."""
-        return {"name": self.name, "experiment": self.experiment.to_dict(), "path": str(self.path), "id": self.id}
+        return {**vars(self), "experiment": self.experiment.to_dict(), "path": str(self.path)}
 
     def without_code(self) -> Job:
         """The job for a process that only starts workers: without the Config, whose module imports torch."""
@@ -92,8 +88,7 @@ class Job:
     @classmethod
     def unpack(cls, values: Mapping[str, Any]) -> Job:
         """The job from the values of :meth:`packed`."""
-        experiment = make_experiment(values["experiment"])
-        return cls(values["name"], experiment, Path(values["path"]), values["id"])
+        return cls(values["name"], make_experiment(values["experiment"]), Path(values["path"]), values["id"])
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
@@ -109,10 +104,8 @@ def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str
 def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | None = None) -> JobOutcome:
     """Train a run from the beginning or its checkpoint, and evaluate it; its output goes to its train.log.
 
-    ``watch`` and ``stop`` are those of :func:`algorithms.runs.training.train`.
-
-    Returns:
-        "already there" if it was finished before; "stopped" if a signal or ``stop`` ended it early, after saving.
+    ``watch`` and ``stop`` are those of :func:`algorithms.runs.training.train`. It is "already there" if it was finished
+    before; "stopped" if a signal or ``stop`` ended it early, after saving.
     """
     if job.done:
         return "already there"
@@ -132,7 +125,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
         if job.id is not None and run.experiment.logging.wandb is not None:
             atomic_write(job.path / "wandb_id", f"{job.id}\n".encode())  # repeated attempts continue one W&B run
         with open_log(job.path / "train.log") as log:
-            if find_algorithm(run.experiment.algorithm.name).is_peer:
+            if is_peer(run.experiment.algorithm.name):
                 peer_running().run_peer(run, make_console(log))
                 return "trained"
             agent = resume(run)
@@ -141,8 +134,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     except OSError as error:
         raise stopped_by(error, f"the run cannot be written: {error}") from error
     except Exception as error:
-        with contextlib.suppress(OSError):  # it may be the reason; the original error is raised in any case
-            run.set_status("failed", run.status.get("step", 0), describe(error))
+        run.end("failed", run.status.get("step", 0), describe(error))
         raise
     finally:
         run.unlock()
@@ -151,13 +143,11 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
 
 def _lock(job: Job) -> tuple[Run, bool]:
     """The run, locked, and whether it was started before."""
-    if not job.exists:
+    if not is_run(job.path):
         try:
             return Run.create(job.experiment, job.path), False
-        except InUse:
-            raise
-        except ValueError:
-            if not job.exists:  # otherwise another process has created it in the meantime
+        except ValueError as error:
+            if isinstance(error, InUse) or not is_run(job.path):  # else another process has just created it
                 raise
     run = job.open()
     run.lock()
@@ -170,12 +160,11 @@ def _take_over_settings(run: Run, wanted: Experiment) -> None:
     The number of threads stays that of the run, because it changes last bits.
     """
     before = run.experiment
+    values = {**before.to_dict(), "logging": wanted.logging.model_dump(mode="json")}
     # Worlds that stay on a device draw other random numbers, so that their checkpoints are others.
-    stays = run.checkpoint.exists() and before.is_resident != wanted.is_resident
-    device = (before if stays else wanted).training.device
-    training = before.training.model_copy(update={"device": device})
-    after = before.model_copy(update={"training": training, "logging": wanted.logging})
-    run.experiment = make_experiment(after.to_dict(), f"experiment {str(run.path / CONFIG_FILE)!r}")
+    if before.is_resident == wanted.is_resident or not run.checkpoint.exists():
+        values["training"]["device"] = wanted.training.device
+    run.experiment = make_experiment(values, f"experiment {str(run.path / CONFIG_FILE)!r}")
     if run.experiment != before:
         run.write_config()
 
@@ -185,19 +174,12 @@ class WorkerDied(JobFailed):
 
 
 def verdict(error: BaseException, attempts: int, retries: int) -> Literal["stop", "wait", "retry", "fail"]:
-    """What happens after an error of a run.
-
-    - "stop" all runs if the disk is full: none could be saved.
-    - "wait" if another process trains the run, and try again after BUSY seconds.
-    - "retry" if its worker died, or it could not read or write: it resumes from its checkpoint.
-    - "fail" after ``retries`` of these, and for any other error, which would happen again.
-
-    ``attempts`` is how often the run has been started.
-    """
+    """What happens after an error of a run, which has been started ``attempts`` times."""
     if isinstance(error, DiskFull):
-        return "stop"
+        return "stop"  # all runs: none could be saved
     if isinstance(error, InUse):
-        return "wait"
+        return "wait"  # for the process that trains it, and try again after BUSY seconds
+    # After a death, or where it could not read or write, it resumes; any other error would happen again.
     return "retry" if isinstance(error, (WorkerDied, Stopped, OSError)) and attempts <= retries else "fail"
 
 
@@ -302,49 +284,41 @@ class _Workers:
 
 
 def perform_all(
-    jobs: Sequence[Job],
-    workers: int,
-    dashboard: Dashboard,
-    *,
-    retries: int = 0,
-    stop: Callable[[], bool] = lambda: False,
+    jobs: Sequence[Job], workers: int, dashboard: Dashboard, *, retries: int = 0, stop: Callable[[], bool] | None = None
 ) -> dict[Job, str]:
     """Make all runs that are not finished, each in a worker process; returns the jobs that failed, with their errors.
 
     Runs that other processes are making are waited for. ``retries`` are those of :func:`verdict`; ``stop`` is called
     several times a second, and True saves the running jobs and returns.
     """
-    waiting = [(0.0, job) for job in jobs if not job.done]  # each with the time from which on it may be started
+    waiting = {job: 0.0 for job in jobs if not job.done}  # the time from which on each may be started
     failed: dict[Job, str] = {}
     if not waiting:
         return failed
-    attempts: Counter[Path] = Counter()
+    attempts: Counter[Job] = Counter()
     pool = _Workers(min(workers, len(waiting)))
     try:
-        while (waiting or pool.busy) and not stop():
-            for start in [start for start in waiting if start[0] <= time.monotonic()][: len(pool.idle)]:
-                waiting.remove(start)
-                pool.start(start[1])
+        while (waiting or pool.busy) and not (stop and stop()):
+            for job in [job for job, start in waiting.items() if start <= time.monotonic()][: len(pool.idle)]:
+                del waiting[job]
+                pool.start(job)
             if not pool.busy:
                 time.sleep(POLL)
             for job, error in pool.ended(POLL):
                 if error is None:
                     continue
-                attempts[job.path] += 1
+                if not isinstance(error, InUse):
+                    attempts[job] += 1
                 if isinstance(error, BrokenProcessPool):
-                    times = f", {attempts[job.path]} times" if attempts[job.path] > 1 else ""
-                    error = WorkerDied(DIED + times)
-                outcome = verdict(error, attempts[job.path], retries)
+                    error = WorkerDied(DIED + (f", {attempts[job]} times" if attempts[job] > 1 else ""))
+                outcome = verdict(error, attempts[job], retries)
                 if outcome == "stop":
                     raise error
-                if outcome == "wait":
-                    attempts[job.path] -= 1
-                    waiting.append((time.monotonic() + BUSY, job))
-                elif outcome == "retry":
-                    waiting.append((0.0, job))
-                else:
+                if outcome == "fail":
                     failed[job] = record(job, error)
                     dashboard.failed(job, failed[job])
+                else:
+                    waiting[job] = time.monotonic() + (BUSY if outcome == "wait" else 0.0)
             dashboard.update()
     finally:
         pool.close()
@@ -355,8 +329,7 @@ def perform_all(
 def train_apart(runs: Sequence[Run], console: Console) -> int | None:
     """Train runs whose locks are held, each in a process of its own, as many at a time as there are cores for.
 
-    Returns:
-        The number of the signal that stopped training, 1 if a run failed, or None if all are finished.
+    Returns the number of the signal that stopped training, 1 if a run failed, or None if all are finished.
     """
     jobs = [Job(run.path.name, run.experiment, run.path) for run in runs]
     workers = max(1, available_cores() // runs[0].experiment.training.threads)

@@ -22,55 +22,47 @@ if TYPE_CHECKING:
 
 TENSORBOARD = "tensorboard"  # folder in a run's directory
 RESULTS_SUFFIX = ".results"  # of TensorBoard's file with the results at the end
-CONNECTION_TIMEOUT = 20.0  # s after which W&B is used offline
 
 
 class WandbRun:
     """A run in Weights & Biases, offline where it cannot be reached; a resumed one continues with the stored id.
 
-    The directory has offline data, the run's id and its project; the config and the name are shown with the run.
+    The directory has offline data, the run's id and its project; its name and the config are shown with the run.
     """
 
-    def __init__(
-        self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str, say: Callable[[str], None]
-    ):
+    def __init__(self, directory: Path, settings: WandbSettings, config: dict[str, Any], say: Callable[[str], None]):
         with needed_for("logging.wandb"):
             import wandb
 
         id_file, project_file = directory / "wandb_id", directory / "wandb_project"
         stored = id_file.read_text().strip() if id_file.exists() else None
-        entity: str | None = settings.entity
-        project: str | None = settings.project
-        ours = wandb.setup().settings  # of the user's environment
-        if ours.sweep_id:  # W&B's agent chooses them
-            entity = project = None
-        elif project_file.exists():
-            entity, _, project = project_file.read_text().strip().partition("/")
         options: dict[str, Any] = {
-            "project": project,
-            "entity": entity or None,
-            "group": settings.group,
-            "tags": settings.tags,
+            **settings.model_dump(exclude={"mode"}),
             "config": config,
-            "name": name,
+            "name": directory.name,
             "dir": str(directory),
             "id": stored,
             "resume": "allow" if stored else None,
-            "settings": wandb.Settings(console="off", init_timeout=CONNECTION_TIMEOUT),
+            "settings": wandb.Settings(console="off", init_timeout=20.0),  # s, after which it is used offline
         }
+        ours = wandb.setup().settings  # of the user's environment
+        if ours.sweep_id:  # W&B's agent chooses them
+            options |= {"entity": None, "project": None}
+        elif project_file.exists():
+            entity, _, project = project_file.read_text().strip().partition("/")
+            options |= {"entity": entity or None, "project": project}
         # WANDB_MODE, which wandb reads itself, may say offline or disabled.
         mode: Any = "offline" if settings.mode == "offline" else ours.mode
-        self._run: Any = None
-        if mode == "online":
-            try:
-                if not wandb.login(prompt=False, verify=False):
-                    raise wandb.Error("no API key")
-                self._run = wandb.init(mode=mode, **options)
-            except wandb.Error as error:
-                wandb.teardown()  # frees the run's id
-                say(f"Weights & Biases: {error}; logging offline, `wandb sync` uploads the run later")
-                mode = "offline"
-        self._run = self._run or wandb.init(mode=mode, **options)
+        try:
+            if mode == "online" and not wandb.login(prompt=False, verify=False):
+                raise wandb.Error("no API key")
+            self._run = wandb.init(mode=mode, **options)
+        except wandb.Error as error:
+            if mode != "online":
+                raise
+            wandb.teardown()  # frees the run's id
+            say(f"Weights & Biases: {error}; logging offline, `wandb sync` uploads the run later")
+            self._run = wandb.init(mode="offline", **options)
         self._run.define_metric("step")
         self._run.define_metric("*", step_metric="step")
         if mode != "disabled":  # then entity and project are placeholders
@@ -114,7 +106,7 @@ class Logger:
 
     Use it as a context manager. An error of TensorBoard or Weights & Biases is one message and ends their part alone.
     ``after`` is the step of the checkpoint that a run resumes from: later rows are dropped, since they are written
-    again. W&B shows the config and the name.
+    again. W&B shows the config.
     """
 
     def __init__(
@@ -124,21 +116,16 @@ class Logger:
         after: int | None = None,
         wandb: WandbSettings | None = None,
         config: dict[str, Any] | None = None,
-        name: str = "run",
         say: Callable[[str], None] = print,
     ):
         directory = Path(directory)
         self._file = MetricsFile(directory / "metrics.csv", after)
         self._outputs: list[tuple[Accessory, TensorBoard | WandbRun]] = []
-        makers: dict[str, Callable[[], TensorBoard | WandbRun]] = {
-            "TensorBoard": lambda: TensorBoard(directory, after=after)
-        }
-        if wandb is not None:
-            makers["Weights & Biases"] = lambda: WandbRun(directory, wandb, config or {}, name, say)
-        for title, make in makers.items():
-            accessory = Accessory(f"{title} is disabled", say)
-            with accessory:
-                self._outputs.append((accessory, make()))
+        with Accessory("TensorBoard is disabled", say) as accessory:
+            self._outputs.append((accessory, TensorBoard(directory, after=after)))
+        with Accessory("Weights & Biases is disabled", say) as accessory:
+            if wandb is not None:
+                self._outputs.append((accessory, WandbRun(directory, wandb, config or {}, say)))
 
     def _each(self, action: Callable[[TensorBoard | WandbRun], None]) -> None:
         """Do something with each output beside metrics.csv that has not failed yet."""
@@ -156,23 +143,17 @@ class Logger:
         """Make metrics.csv reach the disk, before a checkpoint."""
         self._file.sync()
 
-    def close(self, failed: bool = False) -> None:
-        """Flush and close all outputs; ``failed`` marks the W&B run as failed."""
-        self._each(lambda output: output.close(failed))
-
     def __enter__(self) -> Logger:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.close(failed=kind is not None)
+        self._each(lambda output: output.close(failed=kind is not None))
 
 
 def log_results(
     directory: Path, step: int, config: Mapping[str, Any], metrics: Mapping[str, float], video: Path | None = None
 ) -> None:
-    """Show the results of a finished run in TensorBoard: hyperparameters, final scores and the video.
-
-    They are in a file of their own, which replaces that of an earlier call: a run has one entry in the HParams tab.
+    """Show the results of a finished run in TensorBoard, in a file of their own, which replaces an earlier one.
 
     The keys of the config are hyperparameters, except those of logging; of the metrics, such as greedy/utility_esr,
     those of tables are shown, as final/...; the video, if there is such a file, becomes a GIF in the Images tab.
@@ -190,13 +171,12 @@ def log_results(
         from torch.utils.tensorboard.summary import hparams
 
         events.log(step, scores)
-        flat = flatten({key: value for key, value in config.items() if key != "logging"})
-        plain = {
+        settings = {
             key: value if isinstance(value, (bool, int, float)) else str(value)
-            for key, value in flat.items()
-            if value is not None
+            for key, value in flatten(config).items()
+            if value is not None and not key.startswith("logging.")
         }
-        summaries = [*hparams(plain, scores)]
+        summaries = [*hparams(settings, scores)]
         if video is not None and video.is_file():
             from algorithms.reporting.videos import video_as_gif
 

@@ -7,7 +7,6 @@ its discount, and the condition of a front. Scales, networks and the greedy acti
 from __future__ import annotations
 
 import importlib.util
-import inspect
 import json
 import tempfile
 import warnings
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
 OBSERVATION, ACCRUED, DISCOUNT, DECISIONS = "observation", "accrued_reward", "discount", "decisions"
 COMMAND, PREFERENCE = "command", "preference"  # conditions of PCN and of conditioned MO-PPO
 ACTION, LOGITS, MEAN, STD = "action", "logits", "mean", "std"
-OPSET = 17
 CHECKED_STATES, CHECKED_ENVS = 1000, 50
 TOLERANCE = 1e-5  # of logits, means and deviations, relative to their size where it is above 1
 
@@ -68,8 +66,6 @@ def export_onnx(
     graph = _graph(agent, condition)
     observations, past, conditions, _ = next(_visited(agent, experiment, condition))
     example = graph.inputs(observations, past, conditions)
-    # PyTorch from 2.5 on has a second exporter, which needs onnxscript and twenty times as long.
-    options: dict[str, Any] = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
     with warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
         warnings.simplefilter("ignore")  # that the exporter is the older one, and that shapes are traced
         file = Path(folder) / "policy.onnx"
@@ -81,8 +77,8 @@ def export_onnx(
                 input_names=list(example),
                 output_names=list(graph.output_names),
                 dynamic_axes={name: {0: "N"} for name in (*example, *graph.output_names)},
-                opset_version=OPSET,
-                **options,
+                opset_version=17,
+                dynamo=False,  # the other exporter needs onnxscript and twenty times as long
             )
         except Exception as error:  # of a user's network
             reason = " ".join(str(error).split())[:300]
@@ -91,14 +87,15 @@ def export_onnx(
     onnx.helper.set_model_props(model, _metadata(agent, experiment, graph, condition))
     model.producer_name, model.producer_version = "mo-deepdrive", mo_deepdrive.__version__
     content = model.SerializeToString()
-    installed = importlib.util.find_spec("onnxruntime") is not None
-    difference = _check(content, graph, agent, experiment, condition) if installed else None
+    difference = None
+    if importlib.util.find_spec("onnxruntime") is not None:
+        difference = _check(content, graph, agent, experiment, condition)
     atomic_write(path, content)
     with torch.no_grad():
-        results = dict(zip(graph.output_names, graph(*example.values()), strict=True))
+        results = graph(*example.values())
     inputs, outputs = (
-        tuple(f"{name} ({', '.join(['N', *map(str, tensor.shape[1:])])})" for name, tensor in tensors.items())
-        for tensors in (example, results)
+        tuple(f"{name} ({', '.join(['N', *map(str, tensor.shape[1:])])})" for name, tensor in tensors)
+        for tensors in (example.items(), zip(graph.output_names, results, strict=True))
     )
     return OnnxExport(inputs, outputs, difference)
 
@@ -168,22 +165,17 @@ class _Graph(nn.Module):
         return tuple(part[:, 0] for part in outputs) if self.env.vehicles == 1 else outputs
 
     def distribution(self, v: int, observations: Tensor, given: dict[str, Tensor]) -> tuple[Tensor, ...]:
-        """Logits (N, n), or mean and standard deviation (N, k), of the actions of vehicle ``v``.
-
-        ``observations`` are (N, o); the other inputs have an axis of vehicles.
-        """
+        """Logits (N, n), or mean and standard deviation (N, k), of vehicle ``v`` with ``observations`` (N, o)."""
         raise NotImplementedError
 
     def _greedy_actions(self, parameters: Tensor) -> Tensor:
         """From logits or means, in the environment's terms."""
-        shape = (1, self.env.vehicles, *((self.env.actions,) if self.env.continuous else ()))
-        # What the environment makes of 0 and 1: its first action, or the centre of its box and a corner.
-        zero, one = (self.env.environment_actions(np.full(shape, value))[:1] for value in (0, 1))
+        shape, size = (1, self.env.vehicles), self.env.actions
         if not self.env.continuous:
-            return parameters.argmax(-1) + int(zero.flat[0])
-        centre, corner = (
-            torch.from_numpy(point.reshape(-1, self.env.actions)[0].astype(np.float32)) for point in (zero, one)
-        )
+            return parameters.argmax(-1) + int(self.env.environment_actions(np.zeros(shape)).flat[0])
+        # What the environment makes of 0 and 1: the centre of its box and a corner.
+        zero, one = (self.env.environment_actions(np.full((*shape, size), value)) for value in (0, 1))
+        centre, corner = (torch.from_numpy(point.reshape(-1, size)[0].astype(np.float32)) for point in (zero, one))
         return centre + (corner - centre) * parameters.clamp(-1.0, 1.0)
 
 
@@ -220,21 +212,19 @@ class _CommandGraph(_Graph):
         self.network = agent.network
 
     def distribution(self, v: int, observations: Tensor, given: dict[str, Tensor]) -> tuple[Tensor, ...]:
-        agent, command, o = self.agent, given[COMMAND], self.env.observation_size
-        low, high = (torch.from_numpy(bound) for bound in agent.bounds)
+        command, o = given[COMMAND], self.env.observation_size
+        low, high = map(torch.from_numpy, self.agent.bounds)
         wanted = command[:, :-1]
         # As PCN.act_under: equation 4, applied t times, and then the clip.
-        left = given[DISCOUNT].clamp(min=SMALLEST_DISCOUNT)
-        desired = (wanted - given[ACCRUED][:, v]) / left
+        desired = (wanted - given[ACCRUED][:, v]) / given[DISCOUNT].clamp(min=SMALLEST_DISCOUNT)
         desired = desired.maximum(wanted.minimum(low)).minimum(wanted.maximum(high))
         horizon = (command[:, -1:] - given[DECISIONS].to(command.dtype)).clamp(min=1.0)
-        shift, scale = torch.from_numpy(agent.inputs)
-        seen = (observations - shift[:o]) / scale[:o]
+        shift, scale = torch.from_numpy(self.agent.inputs)
         asked = (torch.cat([desired, horizon], dim=1) - shift[o:]) / scale[o:]
-        outputs = self.network(seen, asked)
+        outputs = self.network((observations - shift[:o]) / scale[:o], asked)
         if not self.env.continuous:
             return (outputs,)
-        return outputs.tanh(), torch.full_like(outputs, agent.config.action_noise)
+        return outputs.tanh(), torch.full_like(outputs, self.agent.config.action_noise)
 
 
 def _graph(agent: Any, condition: NDArray[np.float32] | None) -> _Graph:
@@ -287,16 +277,15 @@ def _check(
         exported = session.run(None, {name: tensor.numpy() for name, tensor in inputs.items()})
         with torch.no_grad():
             expected = [tensor.numpy() for tensor in graph(*inputs.values())]
-        chosen = agent.env.environment_actions(actions)
-        chosen = chosen if graph.env.vehicles == 1 else chosen[:, graph.driven]
-        pairs = list(zip(exported[1:], expected[1:], strict=True))
-        if graph.env.continuous:
-            pairs.append((exported[0], chosen))
-        else:
+        expected[0] = agent.env.environment_actions(actions)
+        if graph.env.vehicles > 1:
+            expected[0] = expected[0][:, graph.driven]
+        if not graph.env.continuous:
             second, first = np.moveaxis(np.partition(exported[1], -2, axis=-1)[..., -2:], -1, 0)
-            if ((exported[0] != chosen) & (first - second > TOLERANCE * np.maximum(1.0, np.abs(first)))).any():
+            if ((exported[0] != expected[0]) & (first - second > TOLERANCE * np.maximum(1.0, np.abs(first)))).any():
                 raise ValueError("the file chooses other actions than the policy")
-        for of_file, of_agent in pairs:
+            expected[0] = exported[0]  # of actions that are as good, either may be chosen
+        for of_file, of_agent in zip(exported, expected, strict=True):
             largest = max(largest, float((np.abs(of_file - of_agent) / np.maximum(1.0, np.abs(of_agent))).max()))
     if not largest <= TOLERANCE:
         raise ValueError(f"the file differs from the policy by {largest:.2g}, more than {TOLERANCE:g}")

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
@@ -52,11 +51,11 @@ class Display(ABC):
         self._shown_time = perf_counter()
 
     @abstractmethod
-    def line(self) -> str:
+    def _line(self) -> str:
         """The progress as a line."""
 
     @abstractmethod
-    def render(self) -> RenderableType:
+    def _render(self) -> RenderableType:
         """The progress as a terminal shows it."""
 
     def say(self, message: str) -> None:
@@ -69,7 +68,7 @@ class Display(ABC):
             self._shown_time = perf_counter()
             if self._live is not None:
                 self._attempt(lambda live: live.refresh())
-            elif (line := self.line()) != self._last_line or not now:
+            elif (line := self._line()) != self._last_line or not now:
                 self.say(line)
                 self._last_line = line
 
@@ -87,7 +86,7 @@ class Display(ABC):
         self._shown_time = perf_counter()
         if self._console.is_terminal:
             # No thread refreshes it, whose errors nobody would catch.
-            self._live = Live(console=self._console, get_renderable=self.render, auto_refresh=False)
+            self._live = Live(console=self._console, get_renderable=self._render, auto_refresh=False)
             self._attempt(lambda live: live.start(refresh=True))
         return self
 
@@ -133,21 +132,14 @@ class ProgressReporter(Display):
 
     def __init__(self, total: int, step: int, console: Console, arrivals: bool = True, front: bool = False):
         super().__init__(console, "the progress bar")
-        of_front = {HYPERVOLUME: "hypervolume {:,.1f}", CARDINALITY: "{:.0f} policies"}
-        self._formats = of_front if front else {UTILITY: "utility {:.2f}"}
+        self._formats = {UTILITY: "utility {:.2f}"}
+        if front:
+            self._formats = {HYPERVOLUME: "hypervolume {:,.1f}", CARDINALITY: "{:.0f} policies"}
         if arrivals:
-            self._formats = {**self._formats, SUCCESS: "arrivals {:.0%}"}
+            self._formats[SUCCESS] = "arrivals {:.0%}"
         self._total, self._step, self._first, self._updates = total, step, step, 0
         self._start_time = perf_counter()
         self._metrics: dict[str, float] = {}
-        self._bar = Progress(
-            BarColumn(bar_width=None),
-            TextColumn(f"{{task.percentage:>3.0f}}% of {total:,}"),
-            TextColumn("{task.fields[numbers]}"),
-            TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-            console=console,
-        )
-        self._task = self._bar.add_task("training", total=total, completed=step, numbers="")
 
     def note(self, metrics: Mapping[str, float]) -> None:
         """Keep the newest values of the metrics that are shown."""
@@ -163,30 +155,22 @@ class ProgressReporter(Display):
             self._start_time, self._first = perf_counter(), step
         self.show()
 
-    def _numbers(self) -> str:
-        """The metrics as text; with several vehicles their mean."""
-        parts = []
+    def _line(self) -> str:
+        parts = [f"step {self._step:,} of {self._total:,} ({self._step / self._total:.0%})"]
         for suffix, unit in self._formats.items():
-            values = [value for name, value in self._metrics.items() if name.endswith("/" + suffix)]
-            if values:
-                parts.append(unit.format(sum(values) / len(values)))
+            if values := [value for name, value in self._metrics.items() if name.endswith("/" + suffix)]:
+                parts.append(unit.format(sum(values) / len(values)))  # the mean of several vehicles
         if STEPS_PER_SECOND in self._metrics:
             parts.append(f"{self._metrics[STEPS_PER_SECOND]:,.0f} steps/s")
-        return "  ".join(parts)
-
-    def line(self) -> str:
-        """As :meth:`Display.line`."""
-        left = ""
         if self._updates > FIRST_UPDATES and self._step < self._total:
             seconds = (perf_counter() - self._start_time) / (self._step - self._first) * (self._total - self._step)
-            left = f"  {timedelta(seconds=round(seconds))} left"
-        share = self._step / self._total
-        return f"step {self._step:,} of {self._total:,} ({share:.0%})  {self._numbers()}{left}".rstrip()
+            parts.append(f"{timedelta(seconds=round(seconds))} left")
+        return "  ".join(parts)
 
-    def render(self) -> RenderableType:
-        """As :meth:`Display.render`."""
-        self._bar.update(self._task, completed=min(self._step, self._total), numbers=self._numbers())
-        return self._bar.get_renderable()
+    def _render(self) -> RenderableType:
+        row = Table.grid(padding=(0, 2))
+        row.add_row(ProgressBar(self._total, self._step, width=30), Text(self._line()))
+        return row
 
 
 # ------------------------------------------------------------------------------------------------------------ many runs
@@ -206,16 +190,12 @@ READING_SHARE = 0.05  # largest share of the time that is spent reading director
 MOST_ROWS = 12  # running jobs that are listed
 
 
-def count_states(states: Iterable[Any]) -> Counter[str]:
-    """The number of runs in each state, by the names in the table; the states are those of status.json or None."""
-    return Counter(SHOWN_STATES[state] for state in states)
-
-
-def summary_of(counts: Counter[str]) -> str:
-    """The result of :func:`count_states` in one line."""
-    parts = [f"{counts[name]} {name}" for name in ("done", "running", "failed", "waiting")]
-    parts += [f"{counts[name]} {name}" for name in ("interrupted", "pruned") if counts[name]]
-    return f"{', '.join(parts)} of {counts.total()}"
+def summary_of(states: Iterable[Any]) -> str:
+    """The number of runs in each state, in one line; the states are those of status.json, or None without one."""
+    counts = Counter(SHOWN_STATES[state] for state in states)
+    always = ("done", "running", "failed", "waiting")
+    shown = (*always, *(name for name in ("interrupted", "pruned") if counts[name]))
+    return f"{', '.join(f'{counts[name]} {name}' for name in shown)} of {counts.total()}"
 
 
 class Dashboard(Display):
@@ -232,11 +212,6 @@ class Dashboard(Display):
         self._start_time, self._next_update = perf_counter(), 0.0
         self._read()
         self._steps_at_start = self._steps_done()
-
-    @property
-    def counts(self) -> Counter[str]:
-        """The number of runs in each state, by the names in the table."""
-        return count_states(map(self._state, self._jobs))
 
     @property
     def seconds_left(self) -> float | None:
@@ -281,14 +256,12 @@ class Dashboard(Display):
     def summary(self) -> str:
         """One line: the number of runs in each state, and the time left."""
         left = self.seconds_left
-        return summary_of(self.counts) + (f", {timedelta(seconds=round(left))} left" if left else "")
+        return summary_of(map(self._state, self._jobs)) + (f", {timedelta(seconds=round(left))} left" if left else "")
 
-    def line(self) -> str:
-        """As :meth:`Display.line`."""
+    def _line(self) -> str:
         return f"{self._title}: {self.summary()}"
 
-    def render(self) -> RenderableType:
-        """As :meth:`Display.render`."""
+    def _render(self) -> RenderableType:
         head, rows = Table.grid(padding=(0, 2)), Table.grid(padding=(0, 2))
         done, left = self._steps_done(), self._steps_left()
         head.add_row(

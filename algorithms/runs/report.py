@@ -76,8 +76,7 @@ def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
         batch = env.unwrapped.batch
         # A scenario without an obstacle has the coordinates of one that nothing reads.
         names = [name for name in batch.state.dtype.names if name != "obstacle" or batch.params["has_obstacle"].any()]
-        first, second = batch.state[names]
-        return 1 if all(np.array_equal(first[name], second[name]) for name in names) else episodes
+        return 1 if all(np.array_equal(*batch.state[name]) for name in names) else episodes
 
 
 def final_metrics(experiment: Experiment) -> list[str]:
@@ -119,9 +118,8 @@ def evaluate_front_policies(
     ):
         if of_front != of_agent:
             raise ValueError(f"the front has the {kind} {of_front}; those of the agent are {of_agent}")
-    episodes = distinct_episodes(experiment.environment, episodes)
+    episodes, gamma = distinct_episodes(experiment.environment, episodes), experiment.evaluation.gamma
     with closing(evaluation_env(experiment, FRONT_EPISODES)) as env:
-        gamma = experiment.evaluation.gamma
         return agent.evaluate_policies(front.conditions, env, episodes=episodes, seed=seed, gamma=gamma)
 
 
@@ -143,20 +141,8 @@ def report_agent(
 ) -> bool:
     """Evaluate an agent, print a table and, where a path is given, write the numbers, draw figures and film the policy.
 
-    Args:
-        agent: trained; its ``step`` is reported.
-        experiment: what it was trained on.
-        console: where to print.
-        episodes: of each policy.
-        seed: of the first episode.
-        title: beginning of the table's title.
-        directory: of evaluation.json and so on.
-        video: file of the first episodes; of a front, four policies in the first episode.
-        greedy: film the greedy policy instead of the stochastic one; of a front the greedy policies are filmed.
-        about: anything else for evaluation.json.
-
-    Returns:
-        False if anything but the numbers failed, such as the video, which is printed.
+    The title of the table begins with ``title``; ``about`` is for evaluation.json. Films show the first episodes; of a
+    front, four greedy policies in the first one. False if anything but the numbers failed, which is printed.
     """
     gamma, about = experiment.evaluation.gamma, {"step": agent.step, **about}
     if directory is not None:
@@ -182,11 +168,7 @@ def report_agent(
 def _report_front(
     front: Front, experiment: Experiment, console: Console, directory: Path | None, about: Mapping[str, Any]
 ) -> bool:
-    """Print a table of a front without dominated policies; with a directory, write and draw it, too.
-
-    Returns:
-        Whether it could be drawn; if not, the reason is printed.
-    """
+    """Print a table of a front without dominated policies; with a directory, write it and try to draw it, too."""
     front, reference_point = front.non_dominated(), experiment.evaluation.reference_point
     with closing(make_environment(experiment.environment, 1)) as env:
         best_known, scales = best_known_front(env, front.gamma), EnvAdapter(env).joint_scales
@@ -206,13 +188,9 @@ def _report_front(
 
 
 def film(
-    policy: Policy, experiment: Experiment, path: str | Path, console: Console, *, seed: int, greedy: bool = True
+    policy: Policy, experiment: Experiment, path: str | Path, console: Console, *, seed: int, greedy: bool
 ) -> bool:
-    """Record a video of a policy from the episode of ``seed`` on; print what it shows, or why there is none.
-
-    Returns:
-        Whether there is a video.
-    """
+    """Try to record a video of a policy from the episode of ``seed`` on; print what it shows, or why there is none."""
     env = experiment.environment
     with _filming(path, f"the {GREEDY if greedy else STOCHASTIC} policy from seed {seed} on", console) as filming:
         from algorithms.reporting.videos import record
@@ -231,13 +209,10 @@ def film_policies_of_front(
     seed: int,
     policies: Sequence[int] | None = None,
 ) -> bool:
-    """Record policies of a front, by index, side by side in the same scenario; None films four that cover the front.
+    """Try to film policies of a front, by index, side by side in the same scenario; None films four that cover it.
 
     An episode of more than MAX_FRAMES frames is cut off, which its last frame says. What the video shows is printed, or
     why there is none.
-
-    Returns:
-        Whether there is a video.
     """
     chosen = covering_policies(front, FILMED_POLICIES).tolist() if policies is None else list(policies)
     what = f"{'policy' if len(chosen) == 1 else 'policies'} {', '.join(map(str, chosen))} of the front, seed {seed}"
@@ -246,8 +221,8 @@ def film_policies_of_front(
 
         tracks = []
         for k in chosen:
-            render_env = make_render_env(experiment.environment.id, experiment.environment.arguments)
-            env = stack.enter_context(closing(render_env))
+            settings = experiment.environment
+            env = stack.enter_context(closing(make_render_env(settings.id, settings.arguments)))
             fps = int(env.unwrapped.metadata.get("render_fps") or DEFAULT_FPS)
             frames = episode_frames(agent.policy(front.conditions[k]), env, seed, greedy=True)
             tracks.append((caption(front, k), cut_off(frames, MAX_FRAMES, fps)))
@@ -268,6 +243,15 @@ def _filming(path: str | Path, what: str, console: Console) -> Iterator[Accessor
 
 def _beside(console: Console, failure: str) -> Accessory:
     return Accessory(failure, lambda text: print_line(console, text))
+
+
+def report_run(run: Run, agent: Any, console: Console, about: Mapping[str, Any] = {}) -> None:
+    """The final evaluation of a run, written into its directory; arguments are those of :func:`report_agent`."""
+    settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
+    episodes, seed, video = settings.final_episodes, settings.final_seed, run.path / VIDEO_FILE if figures else None
+    report_agent(
+        agent, run.experiment, console, episodes=episodes, seed=seed, directory=run.path, video=video, about=about
+    )
 
 
 def show_results(run: Run, step: int, console: Console) -> None:
@@ -302,20 +286,20 @@ def explorable(
     from algorithms.reporting.explorer.data import explorable_front
 
     front, experiment = Front.read(run.path), run.experiment
-    words = ["mo-deepdrive choose", shlex.quote(name), "{preference}"]
+    command = f"mo-deepdrive choose {shlex.quote(name)} {{preference}}"
     if imported_paths(experiment.to_dict()):
-        words.append("--trust")
+        command += " --trust"
     if episodes != CHOICE_EPISODES:
-        words.append(f"--episodes {episodes}")
+        command += f" --episodes {episodes}"
     if seed is not None:
-        words.append(f"--seed {seed}")
+        command += f" --seed {seed}"
     elif split != CHOICE_SPLIT:
-        words.append(f"--split {split}")
-    first = SPLITS[split].start if seed is None else seed
-    evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=first)
-    gamma, command = experiment.evaluation.gamma, " ".join(words)
+        command += f" --split {split}"
+    seed = SPLITS[split].start if seed is None else seed
+    evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
+    gamma = experiment.evaluation.gamma
     return explorable_front(
-        agent, front, evaluations, experiment.environment, gamma=gamma, seed=first, title=name, command=command
+        agent, front, evaluations, experiment.environment, gamma=gamma, seed=seed, title=name, command=command
     )
 
 

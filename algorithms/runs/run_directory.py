@@ -31,7 +31,7 @@ from mo_deepdrive.support.atomic_io import (
 from mo_deepdrive.support.yaml import dump, read_mapping
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from filelock import BaseFileLock
 
@@ -44,8 +44,6 @@ CONFIG_FILE, CHECKPOINT_FILE, VERSIONS_FILE = "config.yaml", "checkpoint.safeten
 METRICS_FILE, FRONTS_FILE, LOCK_FILE, STATUS_FILE = "metrics.csv", "fronts.csv", ".lock", "status.json"
 RESULTS = ("evaluation.json", "front.csv")  # of the final evaluation, which may be done again
 RECORDED = (CONFIG_FILE, CHECKPOINT_FILE, METRICS_FILE, FRONTS_FILE, *RESULTS)
-# Modules in front of the ids of their environments that are imported in any case.
-ALREADY_IMPORTED = ("gymnasium", "mo_deepdrive", "mo_gymnasium")
 
 
 class InUse(ValueError):
@@ -98,13 +96,12 @@ class Run:
         if not config.is_file():
             raise ValueError(f"{str(path)!r} is not a run directory: it has no config.yaml")
         values = read_mapping(config)
+        advice = "add --trust if you trust whoever made the run"
+        if imports is not None:
+            advice = "a run that drives in another may import only what that one's own config names"
         for key, name in imported_paths(values).items() if not trust else ():
-            if name in (imports or ()):
-                continue
-            advice = "add --trust if you trust whoever made the run"
-            if imports is not None:
-                advice = "a run that drives in another may import only what that one's own config names"
-            raise ValueError(f"{str(config)!r} has {key} = {name!r}, code that would be imported and run; {advice}")
+            if name not in (imports or ()):
+                raise ValueError(f"{str(config)!r} has {key} = {name!r}, code that would be imported and run; {advice}")
         # This machine may not have the device that it was trained on.
         return cls(path, make_experiment(values, f"experiment {str(config)!r}", here=False))
 
@@ -140,17 +137,14 @@ class Run:
         The seconds are sums over all processes; those of CPUs end with the training. A finished run also gets the
         record of its files (:func:`record_files`).
         """
-        before, clocks = self.status, (perf_counter(), process_time())
-        seconds, used = (
-            round(before.get(name, 0.0) + now - last, 3)
-            for name, now, last in zip(("seconds", "cpu_seconds"), clocks, self._clocks, strict=True)
-        )
-        self._clocks = clocks
+        before, (wall, cpu) = self.status, self._clocks
+        self._clocks = perf_counter(), process_time()
+        used = round(before.get("cpu_seconds", 0.0) + self._clocks[1] - cpu, 3)
         status: dict[str, Any] = {
             "state": state,
             "step": step,
             "total_timesteps": self.experiment.training.total_timesteps,
-            "seconds": seconds,
+            "seconds": round(before.get("seconds", 0.0) + self._clocks[0] - wall, 3),
             "cpu_seconds": before.get("cpu_seconds", used) if state == "finished" else used,
             "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
         }
@@ -160,12 +154,16 @@ class Run:
             status["files"] = record_files(self.path)
         write_json(self.path / STATUS_FILE, status)
 
+    def end(self, state: State, step: int, reason: str | None = None) -> None:
+        """:meth:`set_status` after an error, which an unwritable disk, maybe its reason, does not hide."""
+        with contextlib.suppress(OSError):
+            self.set_status(state, step, reason)
+
     def record_results(self) -> None:
         """Record the final evaluation of a finished run again, after it was written anew."""
         status = self.status
         if "files" in status:
-            record = record_files(self.path)
-            status["files"] |= {name: record[name] for name in RESULTS if name in record}
+            status["files"] |= record_files(self.path, RESULTS)
             write_json(self.path / STATUS_FILE, status)
 
     @property
@@ -205,8 +203,8 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
         **{f"utility.vehicles.{name}.name": _section(vehicles, name).get("name") for name in vehicles},
     }
     paths = {key: name for key, name in names.items() if isinstance(name, str) and ":" in name}
-    # As Gymnasium does, which would import the module "gymnasium:evil" of "gymnasium:evil:ID".
-    if paths.get("environment.id", "").rpartition(":")[0] in ALREADY_IMPORTED:
+    # These modules are imported in any case. Split as Gymnasium does: "gymnasium:evil:ID" is of "gymnasium:evil".
+    if paths.get("environment.id", "").rpartition(":")[0] in ("gymnasium", "mo_deepdrive", "mo_gymnasium"):
         del paths["environment.id"]
     return paths
 
@@ -238,12 +236,10 @@ def default_directory(root: str | Path, config: str | Path, experiment: Experime
     """Make a new, empty directory: ``root/<config's stem>/<algorithm>-seed<N>-<time>``."""
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     name = f"{directory_name(experiment.algorithm.name)}-seed{experiment.training.seed}-{stamp}"
-    for number in itertools.count(1):
-        path = Path(root) / Path(config).stem / (name if number == 1 else f"{name}-{number}")
-        if not path.exists():
-            path.mkdir(parents=True)
-            return path
-    raise AssertionError
+    names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
+    path = next(path for name in names if not (path := Path(root) / Path(config).stem / name).exists())
+    path.mkdir(parents=True)
+    return path
 
 
 def versions() -> dict[str, Any]:
@@ -274,12 +270,13 @@ def _git(*arguments: str) -> str | None:
 # ------------------------------------------------------------------------------------------- the files of finished runs
 
 
-def record_files(run: Path) -> dict[str, dict[str, Any]]:
-    """The size in bytes and the SHA-256 hash of each of :data:`RECORDED` that exists in a run's directory, by name.
+def record_files(run: Path, names: Iterable[str] = RECORDED) -> dict[str, dict[str, Any]]:
+    """The size in bytes and the SHA-256 hash of each of some files that exists in a run's directory, by name.
 
     They are under "files" in the status.json of a finished run, so that what is deleted, cut or edited is noticed.
     """
-    return {name: _record(run / name) for name in RECORDED if (run / name).is_file()}
+    contents = {name: (run / name).read_bytes() for name in names if (run / name).is_file()}
+    return {name: {"size": len(data), "sha256": hashlib.sha256(data).hexdigest()} for name, data in contents.items()}
 
 
 def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
@@ -288,8 +285,16 @@ def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
     if not status and (run / STATUS_FILE).exists():
         return [f"{STATUS_FILE}: cannot be read"]
     recorded = status.get("files", {}) if status.get("state") == "finished" else {}
-    problems = {name: _difference(run / name, recorded[name]) for name in recorded if names is None or name in names}
-    return [f"{name}: {problem}" for name, problem in problems.items() if problem]
+    compared = [name for name in recorded if names is None or name in names]
+    now, lines = record_files(run, compared), []
+    for name in compared:
+        if name not in now:
+            lines.append(f"{name}: missing")
+        elif now[name]["size"] != recorded[name]["size"]:
+            lines.append(f"{name}: {now[name]['size']} bytes, recorded {recorded[name]['size']}")
+        elif now[name] != recorded[name]:
+            lines.append(f"{name}: changed since the run finished")
+    return lines
 
 
 def diverged(run: Path) -> list[str]:
@@ -303,21 +308,3 @@ def diverged(run: Path) -> list[str]:
         return []
     wrong = [name for name, array in tensors.items() if array.dtype.kind == "f" and not np.isfinite(array).all()]
     return [f"{CHECKPOINT_FILE}: {wrong[0]!r} is not finite"] if wrong else []
-
-
-def _record(path: Path) -> dict[str, Any]:
-    content = path.read_bytes()
-    return {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-
-
-def _difference(path: Path, recorded: dict[str, Any]) -> str:
-    """How a file differs from its record; empty if it does not."""
-    try:
-        now = _record(path)
-    except FileNotFoundError:
-        return "missing"
-    except OSError as error:
-        return f"cannot be read: {error}"
-    if now["size"] != recorded["size"]:
-        return f"{now['size']} bytes, recorded {recorded['size']}"
-    return "" if now == recorded else "changed since the run finished"

@@ -7,7 +7,7 @@ import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -30,14 +30,12 @@ if TYPE_CHECKING:
     from algorithms.runs.config import Experiment
     from algorithms.runs.run_directory import Run
     from mo_deepdrive.evaluation.policy import Policy
-    from mo_deepdrive.suite import Task
 
 CHOSEN_EPISODES = 20  # of the validation split, by which the policies of a front are chosen
 OWN_NAMES = ("policy", "Policy")  # looked for in a file that is named without one
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(NamedTuple):
     """A policy that is scored; its state, seed and seconds are those of its training."""
 
     source: str  # as the user names it
@@ -65,8 +63,7 @@ class Entry:
 
 def is_own_code(source: str) -> bool:
     """Whether a source is a file or an object of the user's, which :func:`open_entry` imports and calls."""
-    path, colon, _ = source.partition(":")
-    return path.endswith(".py") or bool(colon)
+    return source.endswith(".py") or ":" in source
 
 
 def open_entry(source: str, *, trust: bool = False) -> Entry:
@@ -105,7 +102,8 @@ def _of_run(source: str, *, trust: bool) -> Entry:
     from algorithms.runs.run_directory import Run
 
     run = Run.open(source, trust=trust)
-    experiment, state = run.experiment, str(run.status.get("state", "finished"))
+    experiment, status = run.experiment, run.status
+    state = str(status.get("state", "finished"))
     load = functools.cache(lambda: load_policy(run, partners=False))
 
     def make(task_id: str) -> Any:
@@ -115,16 +113,15 @@ def _of_run(source: str, *, trust: bool) -> Entry:
         scored = experiment.evaluation.model_copy(update={"task": task_id})
         return scorable(load(), experiment.model_copy(update={"evaluation": scored}))
 
-    tasks = tuple(task_id for task_id, task in suite.load().tasks.items() if _is_of(experiment, task))
-    seconds = run.status.get("cpu_seconds")
-    return Entry(source, experiment.algorithm.name, make, experiment.training.seed, tasks, state, seconds)
-
-
-def _is_of(experiment: Experiment, task: Task) -> bool:
-    """Whether a run was trained for a task, by a utility of the same name."""
-    utilities = {settings.name if settings else None for settings in (experiment.utility, task.utility)}
-    environment = experiment.environment
-    return len(utilities) == 1 and not task.differences(environment.id, environment.arguments)
+    environment, utility = experiment.environment, experiment.utility
+    tasks = tuple(
+        task_id
+        for task_id, task in suite.load().tasks.items()
+        if (utility and utility.name) == (task.utility and task.utility.name)
+        and not task.differences(environment.id, environment.arguments)
+    )
+    name, seed = experiment.algorithm.name, experiment.training.seed
+    return Entry(source, name, make, seed, tasks, state, status.get("cpu_seconds"))
 
 
 def check_experiment(experiment: Experiment, task_id: str, source: str) -> None:
@@ -173,9 +170,10 @@ def recorded_rows(entry: str, *, trust: bool = False) -> list[Row]:
     else:
         rows = suite.read_rows(path)
         # A source that is beside the table is found from the working directory.
-        beside = {row.source: path.parent / row.source for row in rows if row.source}
-        found = {source: str(place) for source, place in beside.items() if place.exists()}
-        rows = [replace(row, source=found.get(row.source, row.source)) for row in rows]
+        rows = [
+            replace(row, source=str(beside)) if row.source and (beside := path.parent / row.source).exists() else row
+            for row in rows
+        ]
     rows = [row for row in rows if row.value is not None]
     if not rows:
         raise ValueError(f"{entry!r} has no scores")
@@ -198,20 +196,15 @@ def recorded_rows(entry: str, *, trust: bool = False) -> list[Row]:
 
 def fresh_seed(number: int, episodes: int) -> int:
     """The seed of the first of ``episodes`` fresh scenarios, which follow from a number; no split has them."""
-    room = 2**30 - episodes
-    return 2**30 + int(np.random.default_rng(number).integers(room))
+    return 2**30 + int(np.random.default_rng(number).integers(2**30 - episodes))
 
 
 def disagreement(recorded: Row, found: Row | None, *, fresh: bool) -> str:
-    """Why a recorded score does not hold; empty if it does.
+    """Why a recorded score does not hold beside the one that was found now; empty if it does.
 
-    Args:
-        recorded: what the entry says.
-        found: what the policy has now; None if the task has no such number.
-        fresh: whether it was found on other scenarios. On the same ones both must be equal, but for the last bits of
-            another kind of processor, which may change a few episodes: by a twentieth of the interval's width. On
-            others they are two samples, which differ by at most three standard errors of their difference; what has no
-            interval has no standard error, and is compared on the same ones alone.
+    On the same scenarios both must be equal, but for the last bits of another kind of processor, which may change a few
+    episodes: by a twentieth of the interval's width. On ``fresh`` ones they are two samples, which differ by at most
+    three standard errors of their difference; what has no interval has no standard error, and is not compared.
     """
     if found is None or found.value is None:
         return "the task has no such number"
@@ -248,10 +241,9 @@ class PreferenceFollower:
     def for_preference(self, weights: NDArray[np.float64]) -> Policy:
         """The policy under weights (d,) of returns divided by the nominal scales of the objectives."""
         env = self.agent.env
-        own = weights * self.agent.scales / env.objective_scales
-        condition = self.agent.preferences.condition("linear", dict(zip(env.objectives, own.tolist(), strict=True)))
-        policy: Policy = self.agent.policy(condition)
-        return policy
+        of_agent = (weights * self.agent.scales / env.objective_scales).tolist()
+        condition = self.agent.preferences.condition("linear", dict(zip(env.objectives, of_agent, strict=True)))
+        return self.agent.policy(condition)  # type: ignore[no-any-return]  # an agent of any class
 
 
 def scorable(agent: Any, experiment: Experiment) -> Any:
@@ -280,12 +272,9 @@ def score_run(run: Run, policy: Any) -> None:
     settings are chosen.
     """
     settings = run.experiment.evaluation
-    rows = suite.score(
-        policy, str(settings.task), first_episode=settings.final_seed, perturbed=settings.split == "test"
-    )
-    path = run.path / EVALUATION_FILE
+    path, perturbed = run.path / EVALUATION_FILE, settings.split == "test"
     values = json.loads(path.read_bytes())
-    for row in rows:
-        found = values["policies"].setdefault(row.policy, {})
-        found[SUITE + row.column] = {"value": row.value, "low": row.low, "high": row.high}
+    for row in suite.score(policy, str(settings.task), first_episode=settings.final_seed, perturbed=perturbed):
+        scores = values["policies"].setdefault(row.policy, {})
+        scores[SUITE + row.column] = {"value": row.value, "low": row.low, "high": row.high}
     write_json(path, {**values, "suite_version": suite.load().version})

@@ -13,15 +13,14 @@ from algorithms.reporting.training_log import rows_until
 from algorithms.runs.build import build_trainee
 from algorithms.runs.config import Experiment, check_loggers, find_environment, is_ours, make_experiment
 from algorithms.runs.console import print_line
-from algorithms.runs.interrupts import PATIENCE, Interrupts, stopped_by
+from algorithms.runs.interrupts import PATIENCE, Interrupts, describe, stopped_by
 from algorithms.runs.loggers import Logger
 from algorithms.runs.progress import ProgressReporter, compilation_noted
 from algorithms.runs.report import (
     FRONT_EPISODES,
-    VIDEO_FILE,
     distinct_episodes,
     evaluation_env,
-    report_agent,
+    report_run,
     show_results,
     write_explorer,
 )
@@ -34,8 +33,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rich.console import Console
-
-    from algorithms.agent import Log
 
 Watch = Callable[[int, Mapping[str, float]], None]
 
@@ -64,12 +61,11 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
             read_checkpoint(run.checkpoint, {}, whole=True)  # a policy of the zoo is refused before a lock is written
     for run in runs:
         run.lock()
-    side_by_side = runs[0].experiment.is_resident
-    trainees = [resume(*runs)] * len(runs) if side_by_side else [resume(run) for run in runs]
-    trainee = trainees[0]
+    trainees = [resume(*runs)] * len(runs) if runs[0].experiment.is_resident else [resume(run) for run in runs]
     for run, agent in zip(runs, trainees, strict=True):
         for name in (METRICS_FILE, FRONTS_FILE):
             rows_until(run.path / name, agent.step)
+    trainee = trainees[0]
     if total_timesteps is not None:
         if trainee.schedules:
             raise ValueError(
@@ -88,10 +84,10 @@ def _longer(experiment: Experiment, total_timesteps: Any) -> Experiment:
     """An experiment with another length of the training; itself if that is None."""
     if total_timesteps is None:
         return experiment
-    values, length = experiment.to_dict(), experiment.training.total_timesteps
+    values = experiment.to_dict()
     values["training"]["total_timesteps"] = total_timesteps
     longer = make_experiment(values)
-    if longer.training.total_timesteps <= length:
+    if longer.training.total_timesteps <= (length := experiment.training.total_timesteps):
         raise ValueError(f"training.total_timesteps = {total_timesteps} must be more than the {length:,} of the run")
     return longer
 
@@ -108,19 +104,18 @@ def train_and_finish(
     """Call :func:`train` and, unless it was stopped, :func:`finish`; arguments, result and errors are theirs."""
     runs = [runs] if isinstance(runs, Run) else runs
     received = train(runs, trainee, console, resumed=resumed, watch=watch, stop=stop)
-    if received is None:
-        for seed, run in enumerate(runs):
-            if seed in trainee.failed:
-                continue
-            if len(runs) > 1:
-                print_line(console, f"seed {run.experiment.training.seed}")
-            try:
-                finish(run, trainee.of_seed(seed), console)
-            except Fault as error:
-                if len(runs) == 1:
-                    raise
-                trainee.fail(seed, error, "after the training")
-                print_line(console, trainee.failed[seed])
+    for seed, run in enumerate(runs) if received is None else ():
+        if seed in trainee.failed:
+            continue
+        if len(runs) > 1:
+            print_line(console, f"seed {run.experiment.training.seed}")
+        try:
+            finish(run, trainee.of_seed(seed), console)
+        except Fault as error:
+            if len(runs) == 1:
+                raise
+            trainee.fail(seed, error, "after the training")
+            print_line(console, trainee.failed[seed])
     return received
 
 
@@ -135,10 +130,9 @@ class _Record:
 
     def open(self, resumed: bool, say: Callable[[str], None]) -> Logger:
         """Open the files of rows, which are continued if the run was started before; the logger is to be closed."""
-        run, after = self.run, (self.saved if self.saved > 0 else -1) if resumed else None
+        run, after = self.run, (self.saved or -1) if resumed else None
         config = {**run.experiment.to_dict(), "versions": run.versions}
-        wandb = run.experiment.logging.wandb
-        self.logger = Logger(run.path, after=after, wandb=wandb, config=config, name=run.path.name, say=say)
+        self.logger = Logger(run.path, after=after, wandb=run.experiment.logging.wandb, config=config, say=say)
         if not run.experiment.known_utility:
             self.fronts = FrontsFile(run.path / FRONTS_FILE, after)
         run.set_status("running", self.saved)
@@ -152,11 +146,6 @@ class _Record:
         write(self.run.checkpoint)
         self.saved = step
         self.run.set_status(state, step)
-
-    def end(self, state: Any, reason: str | None = None) -> None:
-        """Note the state of a run that ends early."""
-        with contextlib.suppress(OSError):  # it may be the reason; the original error is raised in any case
-            self.run.set_status(state, self.saved, reason)
 
     @property
     def rest(self) -> str:
@@ -180,47 +169,36 @@ def train(
     signal the update, or the evaluation, goes on to its end and is saved if that takes no longer than PATIENCE and
     there is no second SIGINT; else the runs resume from their last checkpoints.
 
-    Args:
-        runs: their directories receive everything that is written; several if they are trained side by side.
-        trainee: their agent, untrained or of :func:`resume`.
-        console: for the progress.
-        resumed: whether the runs were started before.
-        watch: called with the step and the metrics of every logged row.
-        stop: called after every update; True saves and stops as a signal does.
+    Several runs are trained side by side by one ``trainee``, which is untrained or of :func:`resume`. ``watch`` is
+    called with the step and the metrics of every logged row; ``stop`` after every update: True saves and stops as a
+    signal does. After Stopped, where something could not be written, and Fault the last checkpoint is intact.
 
     Returns:
         The number of the signal that stopped training, 0 if ``stop`` did, or None if training is complete.
-
-    Raises:
-        Stopped: if something could not be written; the last checkpoint is intact.
-        Fault: if something is not finite, or an episode does not end; the last checkpoint is intact.
     """
     experiment = runs[0].experiment
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
     checkpoint_interval = logging.checkpoint_interval or training.total_timesteps
-    begun, learns_front, episodes = trainee.step, not experiment.known_utility, evaluation.episodes
+    learns_front, episodes = not experiment.known_utility, evaluation.episodes
     if learns_front:
         episodes = distinct_episodes(experiment.environment, episodes)
     eval_env = evaluation_env(experiment, FRONT_EPISODES if learns_front else episodes)
     ours = is_ours(find_environment(experiment.environment.id))
     interrupts = Interrupts(PATIENCE)
-    records = [_Record(run, begun) for run in runs]
+    records = [_Record(run, trainee.step) for run in runs]
     ended: set[int] = set()  # seeds that failed while others go on
-    progress = ProgressReporter(training.total_timesteps, begun, console, arrivals=ours, front=learns_front)
+    progress = ProgressReporter(training.total_timesteps, trainee.step, console, arrivals=ours, front=learns_front)
 
-    def log_of(record: _Record) -> Log:
-        def log(step: int, metrics: Mapping[str, float]) -> None:
-            record.logger.log(step, metrics)
-            progress.note(metrics)
-            if watch is not None:
-                watch(step, metrics)
-
-        return log
+    def log(record: _Record, step: int, metrics: Mapping[str, float]) -> None:
+        record.logger.log(step, metrics)
+        progress.note(metrics)
+        if watch is not None:
+            watch(step, metrics)
 
     def note_failures() -> None:
         for seed in trainee.failed.keys() - ended:
             ended.add(seed)
-            records[seed].end("failed", trainee.failed[seed])
+            runs[seed].end("failed", records[seed].saved, trainee.failed[seed])
             progress.say(f"{trainee.failed[seed]}; {records[seed].rest}")
 
     def save(state: Any) -> None:
@@ -256,7 +234,7 @@ def train(
                 eval_gamma=evaluation.gamma,
                 reference_point=evaluation.reference_point,
                 reference_front=best_known_front(eval_env, evaluation.gamma) if learns_front else None,
-                log=[log_of(record) for record in records],
+                log=[partial(log, record) for record in records],
                 log_front=[record.fronts.write_front for record in records if record.fronts] or None,
                 log_interval=logging.interval,
                 after_update=after_update,
@@ -264,9 +242,8 @@ def train(
             save("trained" if interrupts.received is None else "interrupted")
     except BaseException as error:
         interrupted = isinstance(error, KeyboardInterrupt) and interrupts.received
-        state, reason = ("interrupted", None) if interrupted else ("failed", _reason(error))
         for record in records:
-            record.end(state, reason)
+            record.run.end(*("interrupted", record.saved) if interrupted else ("failed", record.saved, describe(error)))
         if isinstance(error, OSError):
             text = f"training stopped at step {trainee.step:,}: {error}; {records[-1].rest}"
             raise stopped_by(error, text) from error
@@ -275,11 +252,6 @@ def train(
     finally:
         eval_env.close()
     return interrupts.received
-
-
-def _reason(error: BaseException) -> str:
-    """An error as text, with its type where it is one of the program."""
-    return str(error) if isinstance(error, (OSError, Fault)) else f"{type(error).__name__}: {error}"
 
 
 def finish(run: Run, agent: Any, console: Console) -> None:
@@ -291,15 +263,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
     """
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
     try:
-        report_agent(
-            agent,
-            run.experiment,
-            console,
-            episodes=settings.final_episodes,
-            seed=settings.final_seed,
-            directory=run.path,
-            video=run.path / VIDEO_FILE if figures else None,
-        )
+        report_run(run, agent, console)
         if settings.task is not None:
             from algorithms.runs.suite_entries import scorable, score_run  # not earlier: it imports scipy.stats
 
@@ -312,8 +276,8 @@ def finish(run: Run, agent: Any, console: Console) -> None:
         raise stopped_by(error, f"the run is trained, but its results could not be written: {error}") from error
     except Fault as error:
         fault = type(error)(f"in the final evaluation: {error}")
-        _Record(run, agent.step).end("failed", str(fault))
+        run.end("failed", agent.step, str(fault))
         raise fault from None
     except Exception as error:
-        _Record(run, agent.step).end("failed", _reason(error))
+        run.end("failed", agent.step, describe(error))
         raise

@@ -19,7 +19,7 @@ from algorithms.reporting.run_records import final_metrics
 from algorithms.reporting.training_log import read_metrics
 from algorithms.runs.console import print_line
 from algorithms.runs.interrupts import Interrupts
-from algorithms.runs.progress import Dashboard, count_states, summary_of
+from algorithms.runs.progress import Dashboard, summary_of
 from algorithms.runs.run_directory import METRICS_FILE, RESULTS, STATUS_FILE, changed_files, is_run, read_status
 from algorithms.studies.manifest import Scores, is_sweep, read_manifest, write_manifest
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
@@ -252,4 +252,4 @@ def verify(sweep: Path, say: Callable[[str], None]) -> list[tuple[ManifestRow, l
 
 def progress(sweep: Path) -> str:
     """How many runs of a sweep are done, running, failed and waiting."""
-    return summary_of(count_states(read_status(sweep / row.directory).get("state") for row in read_manifest(sweep)))
+    return summary_of(read_status(sweep / row.directory).get("state") for row in read_manifest(sweep))

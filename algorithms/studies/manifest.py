@@ -19,7 +19,7 @@ from algorithms.runs.config import (
     Experiment,
     check_loggers,
     directory_name,
-    find_algorithm,
+    is_peer,
     make_experiment,
     override,
     peer_running,
@@ -161,7 +161,7 @@ def _check_buildable(experiment: Experiment, metric: str | None) -> None:
     from algorithms.runs.report import final_metrics
 
     check_loggers(experiment)
-    if find_algorithm(experiment.algorithm.name).is_peer:
+    if is_peer(experiment.algorithm.name):
         # This machine may not have the run's device.
         settings = experiment.training.model_copy(update={"device": "cpu"})
         peer_running().prepare(experiment.model_copy(update={"training": settings}), lambda _step, _metrics: None)

@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
     import optuna
 
-    from algorithms.runs.config import AlgorithmEntry
     from algorithms.studies.settings import PlanSettings, SearchRange, SearchSettings, Study, SweepSettings
 
 TASK, LEARNER = "task", "learner"  # keys of every cell of a study
@@ -362,7 +361,7 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
                 for settings in ({**study.help, **task.help}, overrides)
             )
             unused -= {*help_, *given}
-            known |= {f"algorithm.{setting}" for setting in entry.config_class.model_fields}
+            known |= {f"algorithm.{setting}" for setting in entry.Config.model_fields}
             values = _on_task(values, task)
             for changes in (study.overrides, task.overrides, help_, learner.overrides, given):
                 values = overridden(values, changes, {TASK: name, LEARNER: key})
@@ -413,10 +412,10 @@ def _on_task(values: Mapping[str, Any], task: StudyTask) -> dict[str, Any]:
     return changed
 
 
-def _has(entry: AlgorithmEntry, key: str) -> bool:
+def _has(entry: Any, key: str) -> bool:
     """Whether a key is a setting of an algorithm, or not in the section of the algorithm at all."""
     section, _, rest = key.partition(".")
-    return section != "algorithm" or rest.partition(".")[0] in entry.config_class.model_fields
+    return section != "algorithm" or rest.partition(".")[0] in entry.Config.model_fields
 
 
 def _metric(study: Study, name: str) -> str:

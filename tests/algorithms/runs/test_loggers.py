@@ -126,7 +126,7 @@ def log_with(fake: FakeWandb, path: Path, monkeypatch: pytest.MonkeyPatch, setti
     said: list[str] = []
     monkeypatch.setitem(sys.modules, "wandb", fake)
     after = 0 if (path / "metrics.csv").exists() else None
-    with Logger(path, after=after, wandb=settings, config={"x": 1}, name="n", say=said.append) as logger:
+    with Logger(path, after=after, wandb=settings, config={"x": 1}, say=said.append) as logger:
         logger.log(5, {"a": 2.0})
     return said
 
@@ -137,7 +137,7 @@ def test_wandb_gets_the_rows_and_a_resumed_run_keeps_its_id(tmp_path: Path, monk
     assert fake.rows == [{"a": 2.0, "step": 5}, {"exit_code": 0}]
     (first,) = fake.runs
     assert (first["mode"], first["project"], first["group"], first["tags"]) == ("online", "p", "g", ["t"])
-    assert (first["config"], first["name"], first["id"], first["dir"]) == ({"x": 1}, "n", None, str(tmp_path))
+    assert (first["config"], first["name"], first["id"], first["dir"]) == ({"x": 1}, tmp_path.name, None, str(tmp_path))
     log_with(fake, tmp_path, monkeypatch)
     assert (fake.runs[1]["id"], fake.runs[1]["resume"]) == ("new-id", "allow")
 

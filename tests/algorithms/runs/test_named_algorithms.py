@@ -14,6 +14,7 @@ from algorithms.runs.config import (
     agent_class,
     directory_name,
     find_algorithm,
+    is_peer,
 )
 
 
@@ -77,10 +78,9 @@ def users_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("users_module")
 def test_a_users_algorithm_is_found_by_its_path() -> None:
     cls = agent_class("users_agents:Learner")
-    entry = find_algorithm("users_agents:Learner")
-    assert (entry.name, entry.known_utility, entry.is_peer) == ("users_agents:Learner", True, False)
-    assert entry.config_class is cls.Config
-    assert directory_name(entry.name) == "Learner"
+    assert find_algorithm("users_agents:Learner") is cls
+    assert not is_peer("users_agents:Learner")
+    assert directory_name("users_agents:Learner") == "Learner"
     assert directory_name("morl_baselines.pcn") == "morl_baselines.pcn"
 
 
