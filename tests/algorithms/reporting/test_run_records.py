@@ -16,7 +16,6 @@ from algorithms.reporting.run_records import (
     group_by_experiment,
 )
 
-TWO = "mo-deepdrive-intersection-v0"
 CONFIG: dict[str, Any] = {
     "environment": {"id": "a-v0", "arguments": {"time_limit": 60.0}},
     "utility": {"name": "linear", "arguments": {}, "vehicles": {}},

@@ -18,24 +18,19 @@ def experiment_with(**sections: Any) -> Any:
     return make_experiment({**VALUES, **sections})
 
 
-def test_vehicles_have_their_own_utilities() -> None:
-    environment = {"id": "mo-deepdrive-intersection-v0"}
-    weights = {"weights": [1, 0, 0, 0, 0, 0]}
-    utility: dict[str, Any] = {
-        "name": "intersection_linear",
-        "vehicles": {"vehicle_1": {"name": "linear", "arguments": weights}},
-    }
-    agent = build(experiment_with(environment=environment, utility=utility))
-    assert [each.name for each in agent.utilities] == ["intersection_linear", "linear"]
-    utility["vehicles"] = {"vehicle_2": {"name": "linear"}}
-    with pytest.raises(ValueError, match=r"utility\.vehicles has 'vehicle_2'; did you mean 'vehicle_1'"):
-        build(experiment_with(environment=environment, utility=utility))
-
-
-UTILITIES = {
+TWO = {"id": "mo-deepdrive-intersection-v0"}
+UTILITIES: dict[str, Any] = {
     "name": "intersection_linear",
     "vehicles": {"vehicle_1": {"name": "linear", "arguments": {"weights": [1, 0, 0, 0, 0, 0]}}},
 }
+
+
+def test_vehicles_have_their_own_utilities() -> None:
+    agent = build(experiment_with(environment=TWO, utility=UTILITIES))
+    assert [utility.name for utility in agent.utilities] == ["intersection_linear", "linear"]
+    unknown = {**UTILITIES, "vehicles": {"vehicle_2": {"name": "linear"}}}
+    with pytest.raises(ValueError, match=r"utility\.vehicles has 'vehicle_2'; did you mean 'vehicle_1'"):
+        build(experiment_with(environment=TWO, utility=unknown))
 
 
 @pytest.mark.parametrize(
@@ -43,7 +38,7 @@ UTILITIES = {
     [
         ({}, "share_policy = True needs several vehicles that learn; mo-deepdrive-one-waypoint-v0 has one"),
         (
-            {"environment": {"id": "mo-deepdrive-intersection-v0"}, "utility": UTILITIES},
+            {"environment": TWO, "utility": UTILITIES},
             "share_policy = True needs one utility for all vehicles, not 'intersection_linear', 'linear'",
         ),
         (

@@ -171,10 +171,3 @@ def test_errors_end_a_script_with_a_message_and_a_code(
         raise error
     assert caught.value.code == code
     assert capsys.readouterr().err == message
-
-
-def test_errors_of_the_program_keep_their_traceback() -> None:
-    with pytest.raises(ValueError, match="bug"), exit_on_error():
-        raise ValueError("bug")
-    with exit_on_error(ValueError):
-        pass

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import signal
 import time
 
 import pytest
 
-from algorithms.runs.interrupts import DiskFull, Interrupts, Stopped, no_space, stopped_by
+from algorithms.runs.interrupts import Interrupts
 
 needs_signals = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
@@ -60,13 +59,3 @@ def test_what_does_not_end_in_time_is_interrupted_unless_it_is_settled(number: s
         signal.raise_signal(number)
         interrupts.settle()
         time.sleep(0.1)
-
-
-@pytest.mark.parametrize(
-    ("number", "kind"), [(errno.ENOSPC, DiskFull), (errno.EDQUOT, DiskFull), (errno.EACCES, Stopped)]
-)
-def test_only_a_full_disk_raises_disk_full(number: int, kind: type[Stopped]) -> None:
-    error = OSError(number, "reason")
-    assert no_space(error) is (kind is DiskFull)
-    assert type(stopped_by(error, "message")) is kind
-    assert str(stopped_by(error, "message")) == "message"

@@ -4,31 +4,16 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from algorithms import ALGORITHMS
 from algorithms.runs.config import (
     agent_class,
     directory_name,
     find_algorithm,
     is_peer,
 )
-
-
-def test_names_are_known_without_importing_an_algorithm(run_python: Callable[[str], str]) -> None:
-    loaded = run_python(
-        "import sys\n"
-        "from algorithms.runs.config import ALGORITHMS\n"
-        "print(sorted(ALGORITHMS))\n"
-        "packages = ('algorithms.runs', 'algorithms.hyperparameters')\n"
-        "print([name for name in sys.modules if name.startswith('algorithms.') and not name.startswith(packages)], "
-        "'torch' in sys.modules)"
-    )
-    assert loaded.splitlines() == [str(sorted(ALGORITHMS)), "[] False"]
-
 
 # ------------------------------------------------------------------------------------------------- a user's algorithm
 
@@ -93,10 +78,6 @@ def test_a_users_algorithm_is_found_by_its_path() -> None:
         ("users_agents:Lerner", "= 'users_agents:Lerner': 'users_agents' has no 'Lerner'; did you mean 'Learner'?"),
         (":Learner", "= ':Learner' must have the form package.module:name"),
         ("users_agents:function", "must be a subclass of algorithms.Agent; it is <function function"),
-        (
-            "users_agents:Settings",
-            "must be a subclass of algorithms.Agent; it is <class 'mo_deepdrive.world.config.Settings'>",
-        ),
         ("users_agents:Partial", "= 'users_agents:Partial' does not define get_state, set_state"),
         ("users_agents:Front", "= 'users_agents:Front' does not define condition_names, conditions, policies"),
         ("users_agents:Unknown", "known_utility = False needs a subclass of algorithms.FrontAgent"),

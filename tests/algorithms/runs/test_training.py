@@ -113,9 +113,6 @@ def test_a_finished_run_is_trained_longer_as_if_it_had_been_to_be_so_long(tmp_pa
     ("algorithm", "settings", "steps", "message"),
     [
         ("mo_a2c", {"learning_rate_end": 0.0}, 960, "cannot be trained longer, .*: algorithm.learning_rate_end = 0.0"),
-        ("a2c", {"entropy_end": 0.1}, 960, "algorithm.entropy_end = 0.1"),
-        ("mocac", {"cost_growth": 0.5}, 960, "algorithm.cost_growth = 0.5"),
-        ("pcn", {"hidden": [8, 8], "learning_rate_end": 0.1}, 960, "algorithm.learning_rate_end = 0.1"),
         ("conditioned_mo_ppo", {}, 960, "algorithm.entropy_end = 0.001, algorithm.cost_growth = 0.15"),
         ("ppo", {"guides": GUIDES}, 960, "training.guides.vehicle_0.until = 0.5"),
         ("mo_a2c", {}, 96, "training.total_timesteps = 96 must be more than the 320 of the run"),

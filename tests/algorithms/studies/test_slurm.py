@@ -34,14 +34,7 @@ from algorithms.studies.settings import SweepSettings, load_sweep
 
 @dataclass
 class FakeSlurm:
-    """Slurm's queue: what is submitted, and states by id of the job.
-
-    Attributes:
-        arrays: the tasks of every job array.
-        states: what squeue prints; a job that is not in it is unknown.
-        after_submission: called after every submission with the ids of the jobs.
-        commands: the calls of squeue and scontrol.
-    """
+    """Slurm's queue: the tasks of every array, and what squeue prints; a job without a state is unknown."""
 
     sweep: Path
     arrays: list[list[slurm.ArrayTask]] = field(default_factory=list)

@@ -30,16 +30,11 @@ def refused(folder: Path, **settings: Any) -> str:
         ({"overrides": {RATE: 0.1}}, [f"'{RATE}' is in overrides and in grid"]),
         ({"grid": {"seed": [1, 2]}}, ["'seed' in grid: set seeds with the key 'seeds'"]),
         ({"overrides": {"training": {"seed": 1}}}, ["'training.seed' in overrides: set seeds with the key 'seeds'"]),
-        ({"grid": {"training": [{"seeds": [1]}]}}, ["'training.seeds' in grid: set seeds with the key 'seeds'"]),
-        ({"overrides": {"algorithm": {"learning_rate": 1}}}, [f"'{RATE}' is in overrides and in grid"]),
-        ({"grid": {RATE: [1], "algorithm": [{"learning_rate": 2}]}}, [f"'{RATE}' is in grid twice"]),
         (
             {"search": {"space": {RATE: [1, 2]}, "metric": METRIC, "trials": 1, "sampler": "random", "batch": 2}},
             ["'batch' has no effect with the sampler 'random'"],
         ),
         ({"seeds": [3, 5, 3]}, ["'seeds' = [3, 5, 3]: it has a duplicate"]),
-        ({"seeds": [2**31]}, [f"'seeds.0' = {2**31}"]),
-        ({"seeds": True}, ["'seeds' = True"]),
         ({"grid": {RATE: []}}, [f"'grid.{RATE}' = []"]),
         ({"resources": {"cpus": 0}}, ["'resources.cpus' = 0"]),
         (
@@ -62,11 +57,9 @@ def test_an_invalid_setting_is_refused_with_its_name(
     ("values", "message"),
     [
         ({"low": 3, "high": 2}, "(low=3, high=2)"),
-        ({"low": 0, "high": 2, "log": True}, "but got (low=0, high=2)"),
         ({"low": 1.0, "high": 8, "log": True, "step": 2}, "log"),
         ({"low": 1, "high": 8, "step": 0}, "step"),
         ({"choices": [1, 2], "low": 0}, "'choices' excludes the other keys"),
-        ([], "choices' = []"),
         ({"low": 1}, "needs 'low' and 'high'"),
     ],
 )

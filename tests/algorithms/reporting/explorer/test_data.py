@@ -120,18 +120,3 @@ def test_a_car_may_be_absent_for_a_while_or_throughout() -> None:
     stored = drive_to_json(Drive(np.zeros((5, 1, len(READINGS))), cars, ("arrived",)))
     assert stored["cars"][0] == {name: [None, 2 / step, None, 3 / step] for name, step in list(RESOLUTION.items())[:3]}
     assert stored["cars"][1] == {name: [] for name in POSE}
-
-
-def test_what_is_not_known_is_left_out() -> None:
-    front = made_up_front(2, 3)
-    bare = dataclasses.replace(
-        front, success=np.full(2, np.nan), best_known=None, scenes=(), budget=None, numbers=(40, 7)
-    ).to_json()
-    assert (bare["success"], bare["returns"][0]["bestKnown"], bare["scenes"], bare["budget"]) == (
-        [None, None],
-        [],
-        [],
-        None,
-    )
-    assert bare["numbers"] == [40, 7]
-    assert front.to_json()["numbers"] == [0, 1]

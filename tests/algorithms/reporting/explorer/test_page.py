@@ -74,10 +74,6 @@ def test_hostile_text_stays_inside_of_the_data(page: str) -> None:
     assert "&lt;script&gt;alert(1)" in page.partition("</title>")[0]
 
 
-def test_the_page_takes_less_than_a_megabyte_besides_its_data(page: str) -> None:
-    assert len(page.encode()) < 1e6
-
-
 def test_json_cannot_end_its_script_and_has_only_numbers() -> None:
     text = as_json({"a": "</script>&<!--", "b": [1.5]})
     assert json.loads(text) == {"a": "</script>&<!--", "b": [1.5]}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
-from collections.abc import Iterator
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -25,11 +23,7 @@ from tests.helpers.fronts import driving, front_of
 FIGURES = ("importance", "reduction", "scatter")
 
 
-@pytest.fixture(autouse=True)
-def _warnings_are_errors() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
+pytestmark = pytest.mark.filterwarnings("error")
 
 
 @pytest.mark.slow
