@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import random  # noqa: TID251  (the libraries draw from the global generators)
+from functools import partial
 from importlib import metadata
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mo_gymnasium
 import numpy as np
@@ -48,18 +49,12 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
         if given:
             raise ValueError(f"training.{key}: algorithm {name!r} cannot train with {key}")
     env = EnvAdapter(make_environment(settings, training.num_envs))
-    utility = None
-    if experiment.utility is None:
-        check_reference_point(experiment.evaluation.reference_point, env.objectives)
-    else:
-        utility = make_utilities(experiment.utility, env)[0]
     point = experiment.evaluation.reference_point
-
-    def make_single_env(render_mode: str | None = None) -> Any:
-        return mo_gymnasium.make(settings.id, render_mode=render_mode, **settings.arguments)
-
+    utility = make_utilities(experiment.utility, env)[0] if experiment.utility is not None else None
+    if utility is None:
+        check_reference_point(point, env.objectives)
     task = PeerTask(
-        make_single_env=make_single_env,
+        make_single_env=partial(mo_gymnasium.make, settings.id, **settings.arguments),
         env=env,
         config=experiment.algorithm.config,
         utility=utility,
@@ -73,23 +68,19 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
     return task
 
 
-def seed_everything(seed: int) -> None:
-    """Seed the global generators: the libraries draw from them whatever seed they are given."""
-    random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002  (the libraries use the legacy generator)
-    torch.manual_seed(seed)  # noqa: TID251
-
-
 def run_peer(run: Run, console: Console) -> None:
     """Train a peer, evaluate its policies on unmodified environments and our seeds, and write all results.
 
     Its output goes to ``peer.log``, the recorder's metrics to ``metrics.csv``. A run that was interrupted begins anew.
     Peers use the global random generators of this process, which are seeded.
     """
-    experiment = run.experiment
+    experiment, seed = run.experiment, run.experiment.training.seed
     peer = PEERS[experiment.algorithm.name]
     set_threads(experiment.training.threads)
-    seed_everything(experiment.training.seed)
+    # The libraries draw from the global generators whatever seed they are given.
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002  (the libraries use the legacy generator)
+    torch.manual_seed(seed)  # noqa: TID251
     with Logger(
         run.path,
         after=-1 if (run.path / METRICS_FILE).exists() else None,
@@ -102,17 +93,9 @@ def run_peer(run: Run, console: Console) -> None:
             started, used = perf_counter(), process_time()
             policies = peer.train(task)
             seconds, used = perf_counter() - started, process_time() - used
-        steps = task.recorder.steps
+        steps, settings = task.recorder.steps, experiment.evaluation
         run.set_status("trained", steps)
         console.print(f"{steps:,} steps in {seconds:,.1f} s; evaluating {len(policies):,} policies")
-        about = {
-            "wall_clock": seconds,
-            "cpu_time": used,
-            "package": peer.package,
-            "version": metadata.version(peer.package),
-            "evaluated_policies": len(policies),
-        }
-        settings = experiment.evaluation
         report_agent(
             policies,
             experiment,
@@ -121,7 +104,13 @@ def run_peer(run: Run, console: Console) -> None:
             seed=settings.final_seed,
             directory=run.path,
             video=run.path / VIDEO_FILE if experiment.logging.save_figures else None,
-            about=about,
+            about={
+                "wall_clock": seconds,
+                "cpu_time": used,
+                "package": peer.package,
+                "version": metadata.version(peer.package),
+                "evaluated_policies": len(policies),
+            },
         )
         if not peer.known_utility:
             FrontsFile(run.path / FRONTS_FILE).write_front(steps, Front.read(run.path))
