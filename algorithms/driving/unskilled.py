@@ -7,6 +7,7 @@ fixed time. Those of the left turn and of the roundabout know the road, and are 
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,10 +86,9 @@ def unskilled_policies(config: EnvConfig) -> dict[str, Function]:
         "acts at random": partial(_random, np.random.default_rng(0), action_type, axes),
     }
     if action_type == CONTINUOUS:
-        for steer in STEERS:
-            for acceleration in ACCELERATIONS:
-                action = np.array([steer, acceleration, -1.0], dtype=np.float32)
-                found[f"holds steer {steer:g}, acceleration {acceleration:g}"] = _holding(action, axes)
+        for steer, acceleration in product(STEERS, ACCELERATIONS):
+            action = np.array([steer, acceleration, -1.0], dtype=np.float32)
+            found[f"holds steer {steer:g}, acceleration {acceleration:g}"] = _holding(action, axes)
     else:
         names = action_names(action_type)
         found |= {f"holds '{name}'": _holding(np.array(i), axes) for i, name in enumerate(names) if i}

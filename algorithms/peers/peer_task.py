@@ -217,7 +217,7 @@ class PeerTask:
         return _with_arrays({**common, **defaults, **self.config.arguments})
 
     def train_arguments(self, **defaults: Any) -> dict[str, Any]:
-        """Arguments of the training method: the adapter's ``defaults``, overridden by the user's."""
+        """Arguments of the training method: likewise, without common ones."""
         return _with_arrays({**defaults, **self.config.train_arguments})
 
     def tensor(self, array: Any) -> torch.Tensor:
