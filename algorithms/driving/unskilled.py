@@ -34,16 +34,13 @@ STEERS, ACCELERATIONS = (-1.0, -0.3, 0.0, 0.3, 1.0), (0.25, 0.5, 1.0)  # of cont
 
 
 class Timed:
-    """Goes after a fixed time ``wait`` (s), whatever comes.
+    """Goes after a fixed time ``wait`` (s), whatever comes; a ``decision`` takes some time (s), too.
 
-    ``drives`` gives actions for observations (N, o) or (N, V, o) and whether to go, else it waits; ``decision`` is the
-    time (s) of one.
+    ``drives`` gives actions for observations (N, o) or (N, V, o) and whether to go, else it waits.
     """
 
     def __init__(self, wait: float, decision: float, drives: Callable[[NDArray[Any], bool], NDArray[Any]]):
-        self._decisions = round(wait / decision)
-        self._drives = drives
-        self._past = 0
+        self._decisions, self._past, self._drives = round(wait / decision), 0, drives
 
     def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], _discounts: NDArray[Any]) -> NDArray[Any]:
         """Actions for observations (N, o) or (N, V, o)."""

@@ -32,11 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 EVALUATION_EPISODES = 1  # of the algorithms' own evaluations during training, which are not reported
-# Number of weights for evaluations that the algorithms only log; computing them at the start is slow.
-LOGGED_WEIGHTS = 10
-HORIZON_SCALE = 0.1  # of PCN's and LCN's horizons, as in the library's examples
-NORMAL_EPSILON = 1e-8  # of Gymnasium's normalisation of observations
-UNBOUNDED = 100.0  # the library's own limit of desired returns without a bound
+LOGGED_WEIGHTS = 10  # for evaluations that the algorithms only log; computing them at the start is slow
 
 
 def _arguments(task: PeerTask, **defaults: Any) -> dict[str, Any]:
@@ -107,21 +103,17 @@ def conditioned_on_returns(task: PeerTask, algorithm: Any) -> PeerPolicies:
     There is one policy per non-dominated episode in the replay buffer.
     """
     env = task.make()
-    scaling = np.array([*(task.reward_scales / task.env.objective_scales), HORIZON_SCALE])
+    # Horizons are scaled as in the library's examples.
+    scaling = np.array([*(task.reward_scales / task.env.objective_scales), 0.1])
     agent = algorithm(env, **_arguments(task, scaling_factor=scaling))
     # It would write its network into the working directory hundreds of times.
     agent.save = lambda *_, **__: None
-    # The return of a cost is at most 0, as in the library's example; otherwise it desires impossible returns.
+    # The return of a cost is at most 0, as in the library's example; otherwise it desires impossible returns. 100 is
+    # the library's own limit. It evaluates its desired returns up to a thousand times, only to log them: 1 is enough.
     high = np.asarray(env.unwrapped.reward_space.high, dtype=np.float32)  # type: ignore[attr-defined]
-    max_return = _train(
-        task,
-        agent,
-        max_return=np.where(high <= 0.0, 0.0, UNBOUNDED),
-        # It evaluates this many desired returns up to a thousand times, only to log them.
-        num_points_pf=1,
-    )["max_return"]
+    limits = np.where(high <= 0.0, 0.0, 100.0)
+    max_return = _train(task, agent, max_return=limits, num_points_pf=1)["max_return"]
 
-    # Desired returns and horizons are those of the non-dominated episodes in the replay buffer.
     returns = np.array([episode[2][0].reward for episode in agent.experience_replay])
     horizons = np.array([len(episode[2]) for episode in agent.experience_replay], dtype=np.float32)
     kept = non_dominated(returns)
@@ -243,7 +235,7 @@ def pgmorl(task: PeerTask, algorithm: Any) -> PeerPolicies:
     statistics = agent.env.envs[0].get_wrapper_attr("obs_rms")
 
     def normalise(observations: NDArray[Any]) -> NDArray[np.float32]:
-        normal = (observations - statistics.mean) / np.sqrt(statistics.var + NORMAL_EPSILON)
+        normal = (observations - statistics.mean) / np.sqrt(statistics.var + 1e-8)  # as Gymnasium
         return np.asarray(np.clip(normal, -10.0, 10.0), dtype=np.float32)
 
     env = task.make(recorded=False)
@@ -313,14 +305,9 @@ def eupg(task: PeerTask, algorithm: Any) -> PeerPolicies:
     # It calls the utility for a NumPy return with weights, and for an episode's torch returns without weights.
     agent = algorithm(task.make(), scalarization=task.utility_of_scaled, **_arguments(task))
     # Its default buffer stores observations as integers.
-    agent.buffer = AccruedRewardReplayBuffer(
-        obs_shape=agent.observation_shape,
-        action_shape=agent.action_shape,
-        rew_dim=agent.reward_dim,
-        max_size=agent.buffer_size,
-        obs_dtype=np.float32,
-        action_dtype=np.int32,
-    )
+    shapes = {"obs_shape": agent.observation_shape, "action_shape": agent.action_shape, "rew_dim": agent.reward_dim}
+    kinds = {"obs_dtype": np.float32, "action_dtype": np.int32}
+    agent.buffer = AccruedRewardReplayBuffer(**shapes, **kinds, max_size=agent.buffer_size)
     agent.train(task.steps, **task.train_arguments())
 
     def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> torch.Tensor:

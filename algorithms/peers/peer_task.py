@@ -133,15 +133,12 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         return np.asarray(observations[0, 0] / self._observation_scales, dtype=np.float32)
 
 
-# Arguments that are lists in YAML, but have to be arrays for morl-baselines.
-ARRAYS = ("scaling_factor", "max_return", "ref_point", "origin")
-
-
 def _with_arrays(arguments: dict[str, Any]) -> dict[str, Any]:
-    return {
-        name: np.asarray(value, dtype=np.float32) if name in ARRAYS and value is not None else value
-        for name, value in arguments.items()
-    }
+    """Arguments that are lists in YAML, but have to be arrays for morl-baselines, as such."""
+    for name in ("scaling_factor", "max_return", "ref_point", "origin"):
+        if arguments.get(name) is not None:
+            arguments[name] = np.asarray(arguments[name], dtype=np.float32)
+    return arguments
 
 
 class PeerConfig(Settings):
@@ -228,9 +225,10 @@ class PeerTask:
         """The utility of returns (..., d) in the peer's units, for NumPy and torch; ``weights`` are ignored."""
         del weights  # some libraries pass them to every scalarisation
         assert self.utility is not None, "checked before the adapter is called"
-        scales = self.reward_scales
-        unit = torch.as_tensor(scales, device=returns.device) if isinstance(returns, torch.Tensor) else scales
-        return self.utility(returns * unit)
+        scales: Any = self.reward_scales
+        if isinstance(returns, torch.Tensor):
+            scales = torch.as_tensor(scales, device=returns.device)
+        return self.utility(returns * scales)
 
 
 class PolicyInputs(NamedTuple):
