@@ -539,12 +539,13 @@ class Agent(ABC):
                 numbers that are not finite, or holds the policy alone where more is needed; or the files are of
                 different steps.
         """
-        may_differ = ("num_envs", RESIDENT, PARTNERS, GUIDES) if policy_only else ()
-        expected = self.get_policy() if policy_only else {**self.get_seed_state(0), EPISODES: self.episodes.totals[0]}
+        whole = not policy_only
+        may_differ = () if whole else ("num_envs", RESIDENT, PARTNERS, GUIDES)
+        expected = {**self.get_seed_state(0), EPISODES: self.episodes.totals[0]} if whole else self.get_policy()
         found, states = [], []
         for path in paths:
-            tensors, about = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
-            states.append(check_tensors(path, tensors, expected, self.varying_shapes, whole=not policy_only))
+            tensors, about = read_checkpoint(path, self.identity(), may_differ, whole=whole)
+            states.append(check_tensors(path, tensors, expected, self.varying_shapes, whole=whole))
             found.append(about)
         if len(steps := {about[STEP] for about in found}) > 1:
             named = ", ".join(f"{step:,}" for step in sorted(steps))
@@ -640,10 +641,10 @@ class FrontAgent(Agent):
         front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
         points = {"reference_point": plan.reference_point, "reference_front": plan.reference_front}
         metrics = measure_front(front, **points, scales=self.env.joint_scales)
-        vehicles = self.env.vehicles
-        for v, best in enumerate(front.returns.max(axis=0).reshape(vehicles, -1)):
-            names = (vehicle_prefix(v, vehicles) + return_of(name) for name in self.env.objectives)
-            metrics |= dict(zip(names, best.tolist(), strict=True))
+        vehicles = range(self.env.vehicles)
+        prefixes = [vehicle_prefix(v, len(vehicles)) for v in vehicles]
+        names = (prefix + return_of(name) for prefix in prefixes for name in self.env.objectives)
+        metrics |= dict(zip(names, front.returns.max(axis=0).tolist(), strict=True))
         return {evaluation_prefix(FRONT) + name: value for name, value in metrics.items()}, front
 
 

@@ -198,10 +198,10 @@ class Collector:
 
     def reset(self) -> None:
         """Begin the first episodes."""
-        observations, accrued, discounts, returns, lengths = self.now
-        observations.copy_(self.worlds.reset())
-        discounts.fill_(1.0)
-        for each in (accrued, returns, lengths):
+        now = self.now
+        now.observations.copy_(self.worlds.reset())
+        now.discounts.fill_(1.0)
+        for each in (now.accrued, now.returns, now.lengths):
             each.zero_()
 
     def collect(self) -> None:
@@ -211,13 +211,13 @@ class Collector:
             self._collect()
 
     def _collect(self) -> None:
-        storage, now, policy, preference = self.storage, self.now, self.policy, None
-        if self.preferences is not None:
-            self.preferences.begin_rollout()
+        storage, now, policy, preferences, preference = self.storage, self.now, self.policy, self.preferences, None
+        if preferences is not None:
+            preferences.begin_rollout()
         for t, at in enumerate(self._steps):
-            if self.preferences is not None:
-                at.preferences.copy_(self.preferences.follow(t, now.lengths))
-                preference = at.preferences, self.preferences.ideal[:, None, None]
+            if preferences is not None:
+                at.preferences.copy_(preferences.follow(t, now.lengths))
+                preference = at.preferences, preferences.ideal[:, None, None]
             at.inputs.copy_(policy.inputs(now.observations, now.accrued, now.discounts, preference))
             at.accrued.copy_(now.accrued)
             at.discounts.copy_(now.discounts)
@@ -227,9 +227,9 @@ class Collector:
             self._keep(at, step)
         storage.inputs[:, -1] = policy.inputs(now.observations, now.accrued, now.discounts, preference)
         storage.accrued[:, -1], storage.discounts[:, -1] = now.accrued, now.discounts
-        if self.static or self.preferences is not None or storage.truncated.any():
-            if self.preferences is not None:
-                preference = storage.preferences, self.preferences.ideal[:, None, None, None]
+        if self.static or preferences is not None or storage.truncated.any():
+            if preferences is not None:
+                preference = storage.preferences, preferences.ideal[:, None, None, None]
             discounts = storage.discounts[:, :-1] * self.accrued_discounts
             storage.final_inputs.copy_(policy.inputs(self._final, storage.ended_values, discounts, preference))
         self.sums.add(storage.ended, storage.ended_sums)

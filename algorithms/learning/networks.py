@@ -72,7 +72,6 @@ def make_network(
 
 def _users_network(path: str, inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
     function = import_named("algorithm.network", path)
-    call = f"algorithm.network = {path!r}: ({inputs}, {outputs}, generator)"
     # Layers initialise themselves from the global generator, which is seeded for the call and then restored.
     with torch.random.fork_rng(devices=()), torch.enable_grad():  # noqa: TID251
         torch.manual_seed(int(torch.randint(2**62, (1,), generator=generator)))  # noqa: TID251
@@ -92,6 +91,7 @@ def _users_network(path: str, inputs: int, outputs: int, generator: torch.Genera
                 raise TypeError(f"the network does not learn its parameters {', '.join(unused)}")
         except Exception as error:
             reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            call = f"algorithm.network = {path!r}: ({inputs}, {outputs}, generator)"
             raise ValueError(f"{call} cannot be used: {reason}") from error
     network.zero_grad()
     return network

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from algorithms.runs.config import Experiment
     from algorithms.runs.run_directory import Run
 
-LOGGED_ROWS = 100  # of training metrics in a run
-
 
 def prepare(experiment: Experiment, log: Log) -> PeerTask:
     """The task of the peer in an experiment, which calls ``log(step, metrics)`` during training."""
@@ -62,7 +60,8 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
         seed=training.seed,
         device=training.device,
         reference_point=None if point is None else np.array(point),
-        recorder=Recorder(env.objectives, utility, max(1, training.total_timesteps // LOGGED_ROWS), log),
+        # It logs a hundred rows of metrics.
+        recorder=Recorder(env.objectives, utility, max(1, training.total_timesteps // 100), log),
     )
     peer.check(name, task)
     return task
