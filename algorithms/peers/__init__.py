@@ -7,9 +7,9 @@ algorithms. The libraries are only imported when a peer is trained: ``pip instal
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
 from functools import partial
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from algorithms.peers import adapters
@@ -37,15 +37,11 @@ class Peer:
     objectives: tuple[int, int] | None = None  # least and greatest number that it supports; None for any
     parallel: bool = False  # whether it trains in several environments at a time
 
-    def _algorithm(self) -> Any:
-        module, _, name = self.path.partition(":")
-        return getattr(importlib.import_module(module), name)
-
     def unavailable_reason(self) -> str | None:
         """Why it cannot run here, which is the error of its import; None if it can."""
         try:
             with needed_for("it"):
-                self._algorithm()
+                resolve_name(self.path)
         except MissingExtraError as error:
             return str(error)
         except Exception as error:  # other libraries may raise anything on import
@@ -69,7 +65,7 @@ class Peer:
 
     def train(self, task: PeerTask) -> PeerPolicies:
         """The policies that it learns on a task which :meth:`check` takes."""
-        return self.adapter(task, self._algorithm())
+        return self.adapter(task, resolve_name(self.path))
 
 
 BOTH = (DISCRETE, CONTINUOUS)
