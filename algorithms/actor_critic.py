@@ -30,7 +30,7 @@ from torch import Tensor
 
 from algorithms.agent import ACTIONS, LEARNING, Agent
 from algorithms.hyperparameters import geometric_schedule, linear_schedule, schedules
-from algorithms.learning.actors import make_actor
+from algorithms.learning.actors import check_outputs, make_actor
 from algorithms.learning.advantages import bootstrapped, normalise
 from algorithms.learning.checkpoints import GUIDES, PARTNERS, strip_prefix
 from algorithms.learning.collector import Collector, DeviceWorlds, EnvWorlds
@@ -64,39 +64,22 @@ WARM_UP = 2  # updates before one is captured: what is compiled or allocated onc
 
 
 class PolicyLearner(Learner):
-    """The learner of one policy, for S seeds.
+    """The learner of one policy, an actor and a critic, for S seeds.
 
-    Args:
-        networks: an actor and a critic per seed.
-        max_grad_norm: see Learner.
-        vehicles: the indices of those with this policy, each of which is to it as if in an environment alone.
-        objectives: their number.
-
-    Attributes:
-        noise: (S, T, N, k, n) random numbers of the actions of a rollout.
-        order: (S, epochs, T N k) in which the samples of an epoch are learnt from; no epochs where all are at once.
-        prepare: makes samples of a rollout.
-        expected_return: (S, d) E[R], running mean of the accrued rewards of episodes.
-        episodes: (S,) their number.
+    Each of the ``vehicles`` with this policy is to it as if in an environment alone.
     """
 
-    noise: Tensor
-    order: Tensor
-    prepare: Callable[..., dict[str, Tensor]]
+    noise: Tensor  # (S, T, N, k, n) random numbers of the actions of a rollout
+    order: Tensor  # (S, epochs, T N k) in which an epoch takes the samples; no epochs where it takes all at once
+    prepare: Callable[..., dict[str, Tensor]]  # makes samples of a rollout
 
-    def __init__(
-        self,
-        networks: Sequence[Networks],
-        max_grad_norm: float,
-        vehicles: tuple[int, ...],
-        objectives: int,
-    ):
+    def __init__(self, networks: Sequence[Networks], max_grad_norm: float, vehicles: tuple[int, ...], objectives: int):
         # ``vehicle_0``, or ``vehicles`` of several that share it.
         super().__init__(networks, max_grad_norm, vehicle_name(vehicles[0]) if len(vehicles) == 1 else "vehicles")
         self.vehicles = vehicles
+        # (S, d) E[R], running mean of the accrued rewards of episodes, and (S,) their number.
         self.expected_return = self.vector.new_zeros(self.seeds, objectives)
         self.episodes = torch.zeros(self.seeds, dtype=torch.int64, device=self.vector.device)
-
         self.actor: Actor = self.networks.actor  # of the first seed
         self.critic: torch.nn.Module = self.networks.critic
 
@@ -110,11 +93,8 @@ class PolicyLearner(Learner):
 
     def get_state(self, seed: int = 0) -> dict[str, Tensor]:
         """Networks, optimiser and E[R]."""
-        return {
-            **super().get_state(seed),
-            "expected_return": self.expected_return[seed],
-            "episodes": self.episodes[seed],
-        }
+        own = {"expected_return": self.expected_return[seed], "episodes": self.episodes[seed]}
+        return {**super().get_state(seed), **own}
 
     def set_state(self, state: Mapping[str, Tensor], seed: int = 0) -> None:
         """Resume from :meth:`get_state`."""
@@ -169,11 +149,7 @@ class ActorCritic(Agent):
     ):
         super().__init__(env, utility, **options)
         config = self.config
-        self.partners = dict(partners or {})
-        if guides and not self.trains_with_guides:
-            raise ValueError(f"algorithm {self.name!r} cannot train with guides")
-        self.guides = tuple(guides)
-        check_guides(self.guides, self.accrued_discount)
+        self.partners, self.guides = dict(partners or {}), tuple(guides)
         self._driving = [torch.Generator(self.device) for _ in self.seeds]  # of partners' and guides' random numbers
         self._check_drivers()
         if config.centralised_critic and self.env.vehicles == 1:
@@ -211,12 +187,13 @@ class ActorCritic(Agent):
         """Called before networks are made; a subclass may prepare here what they depend on."""
 
     def _check_drivers(self) -> None:
+        if self.guides and not self.trains_with_guides:
+            raise ValueError(f"algorithm {self.name!r} cannot train with guides")
+        check_guides(self.guides, self.accrued_discount)
         for driver in (*self.partners.values(), *(guide.driver for guide in self.guides)):
             check_same_task(driver.members[0].env, self.env)
-        for guide in self.guides:
-            if guide.vehicle in self.partners:
-                vehicle = vehicle_name(guide.vehicle)
-                raise ValueError(f"{vehicle} has a guide, but does not learn: partners drive it")
+        if both := [vehicle_name(guide.vehicle) for guide in self.guides if guide.vehicle in self.partners]:
+            raise ValueError(f"{both[0]} has a guide, but does not learn: partners drive it")
         growth = self.config.cost_growth
         if growth and self.known_utility and any(guide.driver.observes_accrued_reward for guide in self.guides):
             raise ValueError(
@@ -248,12 +225,10 @@ class ActorCritic(Agent):
     def inputs(self, observations: Tensor, accrued: Tensor, discounts: Tensor, preference: Any = None) -> Tensor:
         """What an actor sees, scaled, (..., input_size): s_t, and R_t and g^t where it observes them."""
         del preference
-        parts = [observations / self.observation_scales]
-        if self.observes_accrued:
-            parts.append(accrued / self.objective_scales)
-        if self.observes_discount:
-            parts.append(discounts.unsqueeze(-1))
-        return torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]
+        seen = observations / self.observation_scales
+        past = [accrued / self.objective_scales] if self.observes_accrued else []
+        past += [discounts.unsqueeze(-1)] if self.observes_discount else []
+        return torch.cat([seen, *past], dim=-1) if past else seen
 
     @property
     def state_size(self) -> int:
@@ -271,11 +246,8 @@ class ActorCritic(Agent):
             return {}
 
         def seen(inputs: Tensor) -> Tensor:
-            observed = inputs[..., : self.env.observation_size]
-            others = [
-                torch.cat([observed[:, :, :, v] for v in range(self.env.vehicles) if v != vehicle], dim=-1)
-                for vehicle in vehicles
-            ]
+            observed = inputs[..., : self.env.observation_size].unbind(3)
+            others = [torch.cat([*observed[:v], *observed[v + 1 :]], dim=-1) for v in vehicles]
             return torch.cat([storage.of_vehicles(inputs, vehicles), torch.stack(others, dim=3).flatten(2, 3)], dim=-1)
 
         return {"states": seen(storage.inputs), "final_states": seen(storage.final_inputs)}
@@ -305,16 +277,15 @@ class ActorCritic(Agent):
         """Discount of the accrued rewards that :meth:`act` is given: one number, or with partners one per vehicle."""
         if not self.partners:
             return self.accrued_discount
-        discounts = np.full(self.env.vehicles, self.accrued_discount, dtype=np.float32)
-        for v, partner in self.partners.items():
-            discounts[v] = partner.gamma
-        return discounts
+        drivers = [self.partners.get(v) for v in range(self.env.vehicles)]
+        return np.array([each.gamma if each else self.accrued_discount for each in drivers], dtype=np.float32)
 
     @property
     def schedules(self) -> list[str]:
         """Those of learning rate, entropy and costs, and guides, which withdraw."""
-        until = {vehicle_name(guide.vehicle): guide.settings.until for guide in self.guides}
-        return [*schedules(self.config), *(f"training.guides.{name}.until = {share}" for name, share in until.items())]
+        return schedules(self.config) + [
+            f"training.guides.{vehicle_name(guide.vehicle)}.until = {guide.settings.until}" for guide in self.guides
+        ]
 
     @property
     def observes_accrued_reward(self) -> bool:
@@ -374,11 +345,8 @@ class ActorCritic(Agent):
         self._run()
         self.step += config.steps * self.env.num_envs
         self.updates += 1
-        return {
-            LEARNING_RATE: learning_rate,
-            ENTROPY_COEFFICIENT: entropy,
-            **{name: loss for name, loss in self._losses.items() if not name.endswith(NORM)},
-        }
+        losses = {name: loss for name, loss in self._losses.items() if not name.endswith(NORM)}
+        return {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy, **losses}
 
     def grow_costs(self, share: float) -> None:
         """Multiply the costs among the rewards that are learnt from by a share."""
@@ -446,11 +414,10 @@ class ActorCritic(Agent):
 
         Without ``states`` and ``final_states`` those are ``inputs`` and ``final_inputs``.
         """
-        names = {"final_inputs", *(field.name for field in fields(Rollout))}
-        parts = {name: tensor for name, tensor in vars(storage).items() if name in names}
+        vehicles, names = learner.vehicles, {"final_inputs", *(field.name for field in fields(Rollout))}
         return {
-            **{name: storage.of_vehicles(tensor, learner.vehicles) for name, tensor in parts.items()},
-            **self.states(storage, learner.vehicles),
+            **{name: storage.of_vehicles(each, vehicles) for name, each in vars(storage).items() if name in names},
+            **self.states(storage, vehicles),
             "expected_return": learner.expected_return,
             "ideal": learner.expected_return if self.preferences_now is None else self.preferences_now.ideal,
         }
@@ -459,14 +426,14 @@ class ActorCritic(Agent):
         self, utility: Utility | None, always: bool, networks: Networks, tensors: dict[str, Tensor]
     ) -> dict[str, Tensor]:
         """What one seed learns from its rollout, (T N, ...), by the fields of Samples."""
-        seen = {"states": tensors["inputs"], "final_states": tensors["final_inputs"]}
-        parts = {name: tensor for name, tensor in {**seen, **tensors}.items() if name != "final_inputs"}
-        samples = self.samples(networks, Rollout(**parts, utility=utility))
+        parts = {"states": tensors["inputs"], "final_states": tensors["final_inputs"], **tensors}
+        del parts["final_inputs"]
+        samples = self.samples(networks, Rollout(**parts, utility=utility))._asdict()
         if always:
-            samples = samples._replace(weights=None)
+            del samples["weights"]
         if "states" not in tensors:
-            samples = samples._replace(states=None)
-        return {name: each.flatten(0, 1) for name, each in samples._asdict().items() if each is not None}
+            del samples["states"]
+        return {name: each.flatten(0, 1) for name, each in samples.items() if each is not None}
 
     def samples(self, networks: Networks, rollout: Rollout) -> Any:
         """What one seed learns from its rollout, (T, N, ...): A_t, y_t and log pi_old of the networks as they are."""
@@ -478,10 +445,8 @@ class ActorCritic(Agent):
         if self.config.normalise_advantages:
             advantages = normalise(advantages, weights)
         log_prob = networks.actor.evaluate(rollout.outputs, rollout.actions)[0] if self.compares_policies else None
-        targets = targets / scales
-        return Samples(
-            rollout.inputs[:-1], rollout.states[:-1], rollout.actions, advantages, targets, log_prob, weights
-        )
+        seen = rollout.inputs[:-1], rollout.states[:-1]
+        return Samples(*seen, rollout.actions, advantages, targets / scales, log_prob, weights)
 
     def next_values(self, networks: Networks, rollout: Rollout, values: Tensor) -> Tensor:
         """v(S_{t+1}) (T, N, K) from v (T + 1, N, K) of S_0 to S_T and of the true final states."""
@@ -498,11 +463,11 @@ class ActorCritic(Agent):
 
     def _minibatches(self, order: Tensor) -> Iterator[list[Tensor]]:
         """The samples of every gradient step: [(S, m)] indices, or [] for all."""
+        if order.shape[1] == 0:
+            yield []
         for epoch in order.unbind(1):
             parts = min(self.config.minibatches, epoch.shape[-1])
             yield from ([rows.contiguous()] for rows in epoch.tensor_split(parts, dim=-1))
-        if order.shape[1] == 0:
-            yield []
 
     # ------------------------------------------------------------------------------------------------------ collecting
 
@@ -510,30 +475,28 @@ class ActorCritic(Agent):
     def collector(self) -> Collector:
         """What collects, made when it is first needed: an agent that only acts needs none."""
         if self._collector is None:
-            config, env, seeds = self.config, self.env, len(self.seeds)
-            shape = seeds, config.steps, env.num_envs
-            if self.resident:
-                inner: Any = env.vector_env.unwrapped
-                worlds: Any = DeviceWorlds(inner.config, self.env_seeds, env.num_envs, self.device)
-            else:
-                worlds = EnvWorlds(env, self.env_seed)
+            config, env = self.config, self.env
+            shape = seeds, steps, num_envs = len(self.seeds), config.steps, env.num_envs
+            inner: Any = env.vector_env.unwrapped
+            worlds: DeviceWorlds | EnvWorlds = (
+                DeviceWorlds(inner.config, self.env_seeds, num_envs, self.device)
+                if self.resident
+                else EnvWorlds(env, self.env_seed)
+            )
             self.preferences_now = self.training_preferences(shape)
             outputs = env.actions * (2 if env.continuous and config.state_dependent_std else 1)
             self._collector = Collector(
                 self, env, worlds, shape, outputs, self.episodes, self.preferences_now, static=self.resident
             )
-            self._collector.accrued_discounts[:] = torch.from_numpy(
-                np.broadcast_to(np.float32(self.gamma), env.vehicles).copy()
-            )
+            self._collector.accrued_discounts[:] = torch.as_tensor(self.gamma, dtype=torch.float32)
             # Whether all samples count: no vehicle waits for another's end, and no guide drives.
             always = env.native and env.vehicles == 1 and not self.guides
             for learner in self.learners:
+                k = len(learner.vehicles)
                 utility = self.utilities[learner.vehicles[0]].unchecked() if self.utilities else None
                 learner.prepare = partial(self._samples, utility, always)
-                rows = env.num_envs * len(learner.vehicles)
-                noise = (seeds, config.steps, env.num_envs, len(learner.vehicles), learner.actor.noise)
-                learner.noise = torch.zeros(noise, device=self.device)
-                order = seeds, getattr(config, "epochs", 0), config.steps * rows
+                learner.noise = torch.zeros(*shape, k, learner.actor.noise, device=self.device)
+                order = seeds, getattr(config, "epochs", 0), steps * num_envs * k
                 learner.order = torch.zeros(order, dtype=torch.int64, device=self.device)
         return self._collector
 
@@ -545,15 +508,10 @@ class ActorCritic(Agent):
     def decide(self, t: int, at: RolloutStorage, now: Running) -> None:
         """Write the actions of step t: those of all policies, then those of partners and guides."""
         for learner in self.learners:
-            if self.env.vehicles == 1:
-                chosen, outputs = learner.compute(_choose, (at.inputs, learner.noise[:, t]))
-                at.actions.copy_(chosen)
-                at.outputs.copy_(outputs)
-                continue
-            vehicles = list(learner.vehicles)
-            seen = torch.stack([at.inputs[:, :, v] for v in vehicles], dim=2)
+            one = self.env.vehicles == 1
+            seen = at.inputs if one else torch.stack([at.inputs[:, :, v] for v in learner.vehicles], dim=2)
             chosen, outputs = learner.compute(_choose, (seen, learner.noise[:, t]))
-            for j, v in enumerate(vehicles):
+            for j, v in enumerate(learner.vehicles):
                 at.actions[:, :, v], at.outputs[:, :, v] = chosen[:, :, j], outputs[:, :, j]
         if self.partners or self.guides:
             self._drive(at, now)
@@ -574,32 +532,29 @@ class ActorCritic(Agent):
         """Refuse what the seed with this index has computed, if it is not finite, with its origin."""
         storage = self.collector.storage
         self.collector.check(seed)
-        finite = storage.outputs[seed].isfinite().all(-1)
-        if not finite.all():
-            environment = int((~finite).nonzero()[0, 1])
-            raise NotFinite(f"environment {environment}: an output of the policy's network is not finite")
+        check_outputs(storage.outputs[seed].transpose(0, 1))
         self._problems |= self.collector.worlds.check()
         if seed in self._problems:
             raise NotFinite(self._problems[seed])
         for name, loss in self._losses.items():
-            if name.endswith(NORM) and not loss[seed].isfinite():
-                for learner in self.learners:
-                    self.diagnose(learner, seed)
-                prefix = name.removesuffix(NORM)
-                named = ", ".join(
-                    f"{part.removeprefix(prefix)} = {float(value[seed]):g}"
-                    for part, value in self._losses.items()
-                    if part.startswith(prefix) and part != name
-                )
-                raise NotFinite(f"{name} = {float(loss[seed])} in single precision ({named})")
+            if not name.endswith(NORM) or loss[seed].isfinite():
+                continue
+            for learner in self.learners:
+                self.diagnose(learner, seed)
+            prefix = name.removesuffix(NORM)
+            named = ", ".join(
+                f"{part.removeprefix(prefix)} = {float(value[seed]):g}"
+                for part, value in self._losses.items()
+                if part.startswith(prefix) and part != name
+            )
+            raise NotFinite(f"{name} = {float(loss[seed])} in single precision ({named})")
 
     # ----------------------------------------------------------------------------------------------------------- seeds
 
     def gradient_steps(self, total_timesteps: int) -> int:
         """How many there are in a training."""
-        config = self.config
-        updates = total_timesteps // (config.steps * self.env.num_envs)
-        return int(updates * getattr(config, "epochs", 1) * getattr(config, "minibatches", 1))
+        updates = total_timesteps // (self.config.steps * self.env.num_envs)
+        return int(updates * getattr(self.config, "epochs", 1) * getattr(self.config, "minibatches", 1))
 
     def of_seed(self, index: int) -> Any:
         """The agent of the seed with this index, on the CPU, with what it has learnt; itself if there is no other."""
@@ -622,7 +577,6 @@ class ActorCritic(Agent):
 
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
-        shared = any(len(learner.vehicles) > 1 for learner in self.learners)
         return {
             **super().identity(),
             **self.config.identity(continuous=self.env.continuous),
@@ -631,7 +585,7 @@ class ActorCritic(Agent):
             # What the policies observe the accrued reward in units of.
             **({"objective_scales": self.scales.tolist()} if self.observes_accrued else {}),
             **({"accrued_gamma": self.accrued_discount} if self.observes_accrued_reward else {}),
-            **({"share_policy": True} if shared else {}),
+            **({"share_policy": True} if self.share_policy else {}),
             PARTNERS: {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()},
             GUIDES: {vehicle_name(guide.vehicle): guide.identity for guide in self.guides},
         }
@@ -652,11 +606,10 @@ class ActorCritic(Agent):
     def get_seed_state(self, seed: int) -> dict[str, Tensor]:
         """Learners, guides, worlds and running episodes of the seed with this index."""
         parts = {learner.name: learner.get_state(seed) for learner in self.learners}
-        parts |= {
-            f"guide_{guide.vehicle}": {"handover": torch.from_numpy(guide.handovers[seed])} for guide in self.guides
-        }
         parts["collector"] = self.collector.get_state(seed)
         state = {f"{part}.{name}": tensor for part, tensors in parts.items() for name, tensor in tensors.items()}
+        for guide in self.guides:
+            state[f"guide_{guide.vehicle}.handover"] = torch.from_numpy(guide.handovers[seed])
         return state | {name: tensor[seed] for name, tensor in self.running.items()}
 
     def set_seed_states(self, states: Sequence[dict[str, Tensor]]) -> None:

@@ -168,8 +168,8 @@ class Agent(ABC):
             raise ValueError(f"{', '.join(hyperparameters)}: give either config or single hyperparameters")
         self.config = config or parse(self.Config, hyperparameters, f"hyperparameters of {self.name}")
         if not isinstance(self.config, self.Config):
-            found, needed = type(config).__qualname__, self.Config.__qualname__
-            raise ValueError(f"config of class {found} must be an instance of {needed}")
+            needed = self.Config.__qualname__
+            raise ValueError(f"config of class {type(config).__qualname__} must be an instance of {needed}")
         if self.known_utility and utility is None:
             raise ValueError(f"utility is missing: algorithm {self.name!r} learns for a known utility")
         self.env = EnvAdapter(env)
@@ -177,8 +177,7 @@ class Agent(ABC):
         self.seeds = (seed,) if isinstance(seed, int) else tuple(seed)
         self.device, self.compiled = torch.device(device), compiled
         self.learners: Sequence[Any] = ()
-        on_gpu = self.device.type != "cpu"
-        if not self.seeds or ((len(self.seeds) > 1 or on_gpu) and not (self.trains_on_devices and self.env.native)):
+        if not self.seeds or (self.resident and not (self.trains_on_devices and self.env.native)):
             raise ValueError(
                 f"seed = {seed!r}, device = {device!r}: algorithm {self.name!r} in {self.env.name} trains one seed, on "
                 "the CPU"
@@ -186,14 +185,12 @@ class Agent(ABC):
         self.utilities: list[Utility] = list(vehicle_utilities(utility, self.env))
         if self.resident:
             self._check_utilities()
-        self.initial = self.initial_generator(0)
-        self.generator = torch.Generator(self.device)
-        self.step = 0
-        self.updates = 0
+        self.step, self.updates = 0, 0
         self.failed: dict[int, str] = {}
+        self.initial = self.initial_generator(0)
+        self.generator = torch.Generator(self.device).manual_seed(self.seed_of(ACTIONS))
         unchecked = [each.unchecked() for each in self.utilities]
         self.episodes = EpisodeSums(len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device)
-        self.generator.manual_seed(self.seed_of(ACTIONS))
 
     def _check_utilities(self) -> None:
         """Refuse utilities that cannot be called for all seeds at once."""
@@ -250,9 +247,9 @@ class Agent(ABC):
             return [(v,) for v in learning]
         if len(learning) == 1:
             raise ValueError(f"share_policy = True needs several vehicles that learn; {self.env.name} has one")
-        utilities = [self.utilities[v] for v in learning] if self.utilities else []
-        if any((each.name, each.arguments) != (utilities[0].name, utilities[0].arguments) for each in utilities):
-            names = ", ".join(repr(each.name) for each in utilities)
+        utilities = [(self.utilities[v].name, self.utilities[v].arguments) for v in learning if self.utilities]
+        if any(each != utilities[0] for each in utilities):
+            names = ", ".join(repr(name) for name, _ in utilities)
             raise ValueError(f"share_policy = True needs one utility for all vehicles, not {names}")
         return [tuple(learning)]
 
@@ -318,10 +315,9 @@ class Agent(ABC):
     def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front | None]:
         """Metrics of the current policy, greedy and stochastic; a front too where the agent learns one."""
         metrics: dict[str, float] = {}
+        options: dict[str, Any] = {"episodes": plan.episodes, "seed": plan.seed, "gamma": plan.gamma}
         for policy in (GREEDY, STOCHASTIC):
-            result = evaluate(
-                self, plan.env, episodes=plan.episodes, seed=plan.seed, greedy=policy == GREEDY, gamma=plan.gamma
-            )
+            result = evaluate(self, plan.env, greedy=policy == GREEDY, **options)
             metrics |= {evaluation_prefix(policy) + name: value for name, value in result.metrics().items()}
         return metrics, None
 
@@ -399,11 +395,11 @@ class Agent(ABC):
             with self._located("before the first update"):
                 self.begin()
             self._log_evaluations(plan, logs, log_fronts)
-        begun = self.step
-        started, first = perf_counter(), begun
+        begun = first = self.step
+        started = perf_counter()
         while self.step < total_timesteps:
-            before = self.step
-            with self._located(f"in the update after step {before:,}"):
+            before, when = self.step, f"in the update after step {self.step:,}"
+            with self._located(when):
                 self.generator.manual_seed(self.seed_of(ACTIONS))
                 losses = self.update(before / total_timesteps)
             if self.step <= before:
@@ -411,7 +407,7 @@ class Agent(ABC):
             last = self.step >= total_timesteps
             due = self.updates % log_interval == 0 or last
             if due or self.device.type == "cpu":  # on a GPU a check has to wait for it
-                self._check(losses, f"in the update after step {before:,}")
+                self._check(losses, when)
             if due:
                 rows, now = self._training_metrics(losses), perf_counter()
                 for seed, row in rows.items() if logs else ():
@@ -498,13 +494,11 @@ class Agent(ABC):
     def _training_metrics(self, losses: Mapping[str, Any]) -> dict[int, dict[str, float]]:
         """By seed that has not failed: means over the episodes that ended since the last call, and the losses."""
         rows, episodes = {}, self.episodes.take()
+        prefixes = [TRAIN + vehicle_prefix(v, self.env.vehicles) for v in range(self.env.vehicles)]
         for seed in self._alive():
             with self._alone(seed, f"in the episodes up to step {self.step:,}"):
-                means = {
-                    TRAIN + vehicle_prefix(v, self.env.vehicles) + name: value
-                    for v, of_vehicle in enumerate(episodes[seed])
-                    for name, value in of_vehicle.items()
-                }
+                vehicles = zip(prefixes, episodes[seed], strict=True)
+                means = {prefix + name: value for prefix, sums in vehicles for name, value in sums.items()}
                 check_numbers(means)
                 rows[seed] = {**means, **_of_seed(losses, seed)}
         return rows
@@ -545,16 +539,16 @@ class Agent(ABC):
                 numbers that are not finite, or holds the policy alone where more is needed; or the files are of
                 different steps.
         """
-        may_differ = ("num_envs", RESIDENT, PARTNERS, GUIDES) if policy_only else ()
-        expected = self.get_policy() if policy_only else {**self.get_seed_state(0), EPISODES: self.episodes.totals[0]}
+        whole = not policy_only
+        may_differ = () if whole else ("num_envs", RESIDENT, PARTNERS, GUIDES)
+        expected = {**self.get_seed_state(0), EPISODES: self.episodes.totals[0]} if whole else self.get_policy()
         found, states = [], []
         for path in paths:
-            tensors, about = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
-            states.append(check_tensors(path, tensors, expected, self.varying_shapes, whole=not policy_only))
+            tensors, about = read_checkpoint(path, self.identity(), may_differ, whole=whole)
+            states.append(check_tensors(path, tensors, expected, self.varying_shapes, whole=whole))
             found.append(about)
-        steps = sorted({about[STEP] for about in found})
-        if len(steps) > 1:
-            named = ", ".join(f"{step:,}" for step in steps)
+        if len(steps := {about[STEP] for about in found}) > 1:
+            named = ", ".join(f"{step:,}" for step in sorted(steps))
             raise ValueError(f"the checkpoints are of the steps {named}; resume those of the same step together")
         if policy_only:
             self.set_policy(states[0])
@@ -626,9 +620,8 @@ class FrontAgent(Agent):
     ) -> list[Evaluation]:
         """Evaluate the greedy policy under each of ``conditions`` (K, m), all on the same seeds, as :meth:`front`."""
         rows = np.asarray(conditions, dtype=np.float32)
-        return evaluate_each(
-            lambda chosen: self.policies(rows[chosen]), len(rows), env, episodes=episodes, seed=seed, gamma=gamma
-        )
+        options: dict[str, Any] = {"episodes": episodes, "seed": seed, "gamma": gamma}
+        return evaluate_each(lambda chosen: self.policies(rows[chosen]), len(rows), env, **options)
 
     def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
         """Evaluate the greedy policy under each of :meth:`conditions` and keep the non-dominated policies.
@@ -648,40 +641,29 @@ class FrontAgent(Agent):
         front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
         points = {"reference_point": plan.reference_point, "reference_front": plan.reference_front}
         metrics = measure_front(front, **points, scales=self.env.joint_scales)
-        vehicles = self.env.vehicles
-        for v, best in enumerate(front.returns.max(axis=0).reshape(vehicles, -1)):
-            names = (vehicle_prefix(v, vehicles) + return_of(name) for name in self.env.objectives)
-            metrics |= dict(zip(names, best.tolist(), strict=True))
+        vehicles = range(self.env.vehicles)
+        prefixes = [vehicle_prefix(v, len(vehicles)) for v in vehicles]
+        names = (prefix + return_of(name) for prefix in prefixes for name in self.env.objectives)
+        metrics |= dict(zip(names, front.returns.max(axis=0).tolist(), strict=True))
         return {evaluation_prefix(FRONT) + name: value for name, value in metrics.items()}, front
 
 
-@dataclass(frozen=True)
 class PolicyOfFront:
-    """An agent that learns a front, under conditions: a policy (:class:`mo_deepdrive.evaluation.policy.Policy`)."""
+    """An agent that learns a front, under conditions: a policy (:class:`mo_deepdrive.evaluation.policy.Policy`).
 
-    agent: FrontAgent  # which acts by ``agent.act_under(conditions, observations, accrued_reward, generator)``
-    conditions: NDArray[np.float32]  # (N, ...), one per environment, or (1, ...) for all
-    utilities: ClassVar[tuple[Utility, ...]] = ()
+    It acts by ``agent.act_under(conditions, observations, accrued_reward, generator)``; the conditions (N, ...) are one
+    per environment, or (1, ...) for all.
+    """
 
-    @property
-    def env(self) -> EnvAdapter:
-        """The agent's training environment."""
-        return self.agent.env
+    utilities: tuple[Utility, ...] = ()
 
-    @property
-    def gamma(self) -> float | NDArray[np.float32]:
-        """Discount of the accrued reward."""
-        return self.agent.gamma
-
-    @property
-    def device(self) -> torch.device:
-        """Device of the networks."""
-        return self.agent.device
+    def __init__(self, agent: Any, conditions: NDArray[np.float32]):
+        self.agent, self.conditions = agent, conditions
+        self.env, self.gamma, self.device = agent.env, agent.gamma, agent.device
 
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
-        agent: Any = self.agent
-        actions: NDArray[Any] = agent.act_under(self.conditions, observations, accrued_reward, generator)
+        actions: NDArray[Any] = self.agent.act_under(self.conditions, observations, accrued_reward, generator)
         return actions

@@ -243,15 +243,15 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):  # type: ignore[misc]  # it act
         self.ideal = made.ideal.copy_(self.ideal)
         return made
 
-    def grow_costs(self, share: float) -> None:
-        """Set c of eq. 12."""
-        self.training.cost_share.fill_(share)
-
     @property
     def training(self) -> TrainingPreferences:
         """The preferences of the training."""
         assert self.collector.preferences is not None
         return self.collector.preferences
+
+    def grow_costs(self, share: float) -> None:
+        """Set c of eq. 12."""
+        self.training.cost_share.fill_(share)
 
     def _draw(self, seed: int) -> None:
         super()._draw(seed)
@@ -274,14 +274,13 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):  # type: ignore[misc]  # it act
     @property
     def condition_names(self) -> tuple[str, ...]:
         """The components of a preference, of each vehicle in turn."""
-        vehicles = self.env.vehicles
-        return tuple(vehicle_prefix(v, vehicles) + name for v in range(vehicles) for name in self.preferences.names)
+        prefixes = [vehicle_prefix(v, self.env.vehicles) for v in range(self.env.vehicles)]
+        return tuple(prefix + name for prefix in prefixes for name in self.preferences.names)
 
     def conditions(self) -> NDArray[np.float32]:
         """(K, V m) preferences from the distribution of training, the same ones every time."""
-        count, vehicles = self.config.max_policies, self.env.vehicles
-        rows = self.preferences.draw(count * vehicles, np.random.default_rng(0))
-        return rows.reshape(count, -1)
+        count = self.config.max_policies
+        return self.preferences.draw(count * self.env.vehicles, np.random.default_rng(0)).reshape(count, -1)
 
     def policies(self, conditions: NDArray[np.float32]) -> PolicyOfFront:
         """What acts under preferences of every vehicle, (N, V m) or (N, V, m), or under the same (1, ...) everywhere.

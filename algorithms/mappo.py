@@ -140,13 +140,10 @@ class MAPPO(PPO):
 
     def before_learning(self, storage: RolloutStorage) -> None:
         """Follow the teams' episodes through a rollout that continues the last one: r_t, S_t and where they end."""
-        shape = storage.rewards.shape
-        steps = shape[1]
-        before, after = (self.returns.new_empty(shape) for _ in range(2))
-        ended = self.team_ended.new_empty(shape[0], steps + 1, *shape[2:-1])
-        finally_ended = torch.empty_like(ended[:, 1:])
-        terminated, truncated = (self.team_ended.new_zeros(shape[:3]) for _ in range(2))
-        for t in range(steps):
+        before, after = torch.empty_like(storage.rewards), torch.empty_like(storage.rewards)
+        ended, finally_ended = torch.empty_like(storage.acted), torch.empty_like(storage.acted)
+        terminated, truncated = (torch.zeros_like(storage.acted[..., 0]) for _ in range(2))
+        for t in range(storage.rewards.shape[1]):
             acted, cut = storage.acted[:, t], storage.truncated[:, t] & ~storage.terminated[:, t]
             before[:, t], ended[:, t] = self.returns, self.team_ended
             after[:, t] = self.returns + storage.rewards[:, t] * acted.unsqueeze(-1)
@@ -158,7 +155,7 @@ class MAPPO(PPO):
             terminated[:, t] = over & ~truncated[:, t]
             self.returns.copy_(after[:, t].masked_fill(over[..., None, None], 0.0))
             self.team_ended &= ~over.unsqueeze(-1)
-        ended[:, steps] = self.team_ended
+        ended = torch.cat([ended, self.team_ended.unsqueeze(1)], dim=1)
         utilities = [each.unchecked() for each in self.utilities]
         gains = [joint_utility(self.config.joint, utilities, returns) for returns in (after, before)]
         self._team = {

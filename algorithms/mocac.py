@@ -143,11 +143,13 @@ class MOCAC(ActorCritic):
         reach = self.objective_scales * (WIDE if config.critic == "particles" else 1.0)
         low = (-reach).tolist() if config.v_min is None else config.v_min
         high = reach.tolist() if config.v_max is None else config.v_max
-        self.distribution: ReturnDistribution = (
-            Particles(config.particles, self.objective_scales, low, high)
-            if config.critic == "particles"
-            else CategoricalGrid(low, high, config.atoms, self.device)
-        )
+        if any(least >= most for least, most in zip(low, high, strict=True)):
+            raise ValueError(f"v_min = {low} must be below v_max = {high} in every objective")
+        self.distribution: ReturnDistribution
+        if config.critic == "particles":
+            self.distribution = Particles(config.particles, self.objective_scales, low, high)
+        else:
+            self.distribution = CategoricalGrid(low, high, config.atoms, self.device)
 
     @property
     def value_scales(self) -> Tensor:
@@ -180,7 +182,7 @@ class MOCAC(ActorCritic):
             final = self._expected(rollout, outputs, rollout.next_accrued, discounts)
             next_values = torch.where(rollout.truncated, final, next_values)
         next_values = torch.where(rollout.terminated, rollout.utility(rollout.next_accrued), next_values)
-        advantages, _ = self.advantages(rollout, expected[:-1], next_values)
+        advantages = self.advantages(rollout, expected[:-1], next_values)[0]
         weights = rollout.acted.to(advantages.dtype)
         if self.config.normalise_advantages:
             advantages = normalise(advantages, weights)
@@ -189,9 +191,8 @@ class MOCAC(ActorCritic):
             rollout.truncated[-1:, :, None], following[-1:], networks.target_critic(rollout.states[-1:])
         )
         targets = self.targets(rollout, torch.cat([following[:-1], at_end]))
-        return MOCACSamples(
-            rollout.inputs[:-1], rollout.states[:-1], rollout.actions, advantages, *targets, weights=weights
-        )
+        seen = rollout.inputs[:-1], rollout.states[:-1]
+        return MOCACSamples(*seen, rollout.actions, advantages, *targets, weights=weights)
 
     def _expected(self, rollout: Rollout, outputs: Tensor, accrued: Tensor, discounts: Tensor) -> Tensor:
         """E[u(R + D Z)] (T, N) for outputs (T, N, K) of the critic, R (T, N, d) and D (T, N)."""
@@ -239,11 +240,6 @@ class MOCAC(ActorCritic):
 # ------------------------------------------------------------------------------------------ distributions of the return
 
 
-def _check_bounds(minimum: Sequence[float], maximum: Sequence[float]) -> None:
-    if any(low >= high for low, high in zip(minimum, maximum, strict=True)):
-        raise ValueError(f"v_min = {list(minimum)} must be below v_max = {list(maximum)} in every objective")
-
-
 class ReturnDistribution(ABC):
     """A family of joint distributions of d returns, parametrised by the outputs of a network."""
 
@@ -264,13 +260,13 @@ class ReturnDistribution(ABC):
         """E[u(R + D Z)] (M,), from the outputs (M, outputs) for Z, R (M, d) and D (M,)."""
         returns, masses = self.support(outputs)
         rows = max(1, MAX_RETURNS // returns[0].numel())
-        found = []
-        for first in range(0, len(outputs), rows):
-            part = slice(first, first + rows)
-            rest = returns if len(returns) == 1 else returns[part]
-            final = accrued[part].unsqueeze(1) + discounts[part, None, None] * rest
-            found.append((masses[part] * utility(final)).sum(-1))
-        return torch.cat(found)
+        parts = [each.split(rows) for each in (returns.expand(len(outputs), -1, -1), masses, accrued, discounts)]
+        return torch.cat(
+            [
+                (mass * utility(past.unsqueeze(1) + discount[:, None, None] * rest)).sum(-1)
+                for rest, mass, past, discount in zip(*parts, strict=True)
+            ]
+        )
 
 
 class CategoricalGrid(ReturnDistribution):
@@ -288,7 +284,6 @@ class CategoricalGrid(ReturnDistribution):
                 f"atoms = {atoms} for {self.objectives} objectives makes a grid of {atoms}^{self.objectives} = "
                 f"{self.outputs:,} cells; at most {MAX_CELLS:,} are allowed: choose fewer atoms, or critic: particles"
             )
-        _check_bounds(minimum, maximum)
         # (A, d): one column of atoms per objective, and all their combinations (1, A^d, d).
         columns = [torch.linspace(low, high, atoms) for low, high in zip(minimum, maximum, strict=True)]
         self.values = torch.stack(columns, dim=1).to(device)
@@ -334,7 +329,6 @@ class Particles(ReturnDistribution):
     """
 
     def __init__(self, number: int, scales: Tensor, minimum: Sequence[float], maximum: Sequence[float]):
-        _check_bounds(minimum, maximum)
         self.number, self.scales = number, scales
         self.minimum, self.maximum = (scales.new_tensor(bound) / scales for bound in (minimum, maximum))
         self.outputs = number * len(scales)

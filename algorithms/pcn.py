@@ -34,8 +34,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -134,15 +133,13 @@ class PCN(FrontAgent):
     def __init__(self, env: VectorEnv, **options: Any):
         super().__init__(env, **options)
         if HORIZON in self.env.objectives:
-            raise ValueError(
-                f"an objective is named {HORIZON!r}, as a part of the commands of {self.name!r}; rename it"
-            )
+            raise ValueError(f"an objective is named {HORIZON!r}, as a part of the commands of 'pcn'; rename it")
         if self.env.repeats is False:
-            message = (
+            warnings.warn(
                 f"{self.env.name} draws its scenarios: PCN imitates single episodes, whose returns may be luck, so fix "
-                "them (fixed_destination, fixed_obstacle), or take conditioned_mo_ppo"
+                "them (fixed_destination, fixed_obstacle), or take conditioned_mo_ppo",
+                stacklevel=2,
             )
-            warnings.warn(message, stacklevel=2)
         if self.env.vehicles != 1:
             raise ValueError(f"algorithm 'pcn' drives one vehicle; the environment has {self.env.vehicles}")
         config, d = self.config, len(self.env.objectives)
@@ -155,8 +152,7 @@ class PCN(FrontAgent):
         self.learners = [self.learner]
         self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
         self.bounds = np.zeros((2, d), dtype=np.float32)
-        # Draws commands, random actions and batches.
-        self.draws = torch.Generator().manual_seed(self.seed_of(DRAWS))
+        self.draws = torch.Generator().manual_seed(self.seed_of(DRAWS))  # of commands, random actions and batches
         self._collected = 0  # episodes
         # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
@@ -194,9 +190,9 @@ class PCN(FrontAgent):
         """
         config = self.config
         self.draws.manual_seed(self.seed_of(DRAWS))
-        learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
         commands = self._sample_commands()
         attained = self._collect(commands)
+        learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
         rate = torch.tensor(learning_rate)
         steps = [self.learner.minimise(self.loss, self._batch(), [], rate) for _ in range(config.gradient_steps)]
         losses = {name: float(torch.cat([step[name] for step in steps]).mean()) for name in steps[0]}
@@ -212,17 +208,17 @@ class PCN(FrontAgent):
     def _batch(self) -> dict[str, Tensor]:
         """A batch of the buffer (1, n, ...), as :meth:`loss` takes it."""
         observations, actions, returns, left = self.buffer.sample(self.config.batch_size, self.draws)
-        seen, asked = self._scaled(observations, returns, left)
-        batch = {"observations": seen, "commands": asked, "actions": actions}
-        return {name: torch.from_numpy(each).unsqueeze(0) for name, each in batch.items()}
+        batch = (*self._scaled(observations, returns, left), actions)
+        names = "observations", "commands", "actions"
+        return {name: torch.from_numpy(each).unsqueeze(0) for name, each in zip(names, batch, strict=True)}
 
     def loss(self, networks: Networks, samples: dict[str, Tensor]) -> Loss:
         """L of eq. 1 or 2."""
-        outputs = networks.network(samples["observations"], samples["commands"])
+        outputs, actions = networks.network(samples["observations"], samples["commands"]), samples["actions"]
         if self.env.continuous:
-            total = nn.functional.mse_loss(outputs.tanh(), samples["actions"])
+            total = nn.functional.mse_loss(outputs.tanh(), actions)
         else:
-            total = nn.functional.cross_entropy(outputs, samples["actions"])
+            total = nn.functional.cross_entropy(outputs, actions)
         return Loss(total, {metrics.POLICY_LOSS: total})
 
     def gradient_steps(self, total_timesteps: int) -> int:
@@ -273,12 +269,8 @@ class PCN(FrontAgent):
         lengths = last + 1
         rewards[np.arange(len(steps)) > last[:, None]] = 0.0
         to_go = returns_to_go(rewards, self.accrued_discount)
-        episodes = [
-            Episode(*(column[i, :length].copy() for column in (seen, taken, to_go)))
-            for i, length in enumerate(lengths.tolist())
-        ]
-        discounted = to_go[:, 0]
-        self.buffer.add(episodes)
+        columns = seen, taken, to_go
+        self.buffer.add([Episode(*(each[i, :length].copy() for each in columns)) for i, length in enumerate(lengths)])
         self.bounds = self.buffer.bounds()
         self.step += int(lengths.sum())
         self.updates += 1
@@ -286,7 +278,7 @@ class PCN(FrontAgent):
         returns, succeeded = rewards.sum(axis=1, dtype=np.float64), succeeded[np.arange(n), last]
         sums = torch.from_numpy(np.column_stack([succeeded, lengths, returns]))[None, :, None]
         self.episodes.add(torch.ones(sums.shape[:-1], dtype=torch.bool), sums)
-        return discounted
+        return to_go[:, 0]
 
     def _random_from(self, horizon: NDArray[np.float32]) -> NDArray[np.float64]:
         """(N,) the decision from which on actions are random; infinite where they follow the command to the end."""
@@ -328,12 +320,10 @@ class PCN(FrontAgent):
 
         The commands (N, d + 1), or (1, d + 1) for all, are the return and the decisions of the whole episode.
         """
-        asked = commands[:, :-1]
+        asked, (low, high) = commands[:, :-1], self.bounds
         # Equation 4, applied t times, and then the clip.
-        discounts = accrued_reward.discounts.clip(min=SMALLEST_DISCOUNT)
-        desired = (asked - accrued_reward.value[:, 0]) / discounts
+        desired = (asked - accrued_reward.value[:, 0]) / accrued_reward.discounts.clip(min=SMALLEST_DISCOUNT)
         horizon = np.maximum(commands[:, -1] - accrued_reward.decisions[:, 0], 1.0)
-        low, high = self.bounds
         desired = np.minimum(np.maximum(desired, np.minimum(low, asked)), np.maximum(high, asked))
         return self.choose_actions(observations[:, 0], desired, horizon, generator)[:, None]
 
@@ -381,7 +371,7 @@ class PCN(FrontAgent):
 
     @property
     def condition_names(self) -> tuple[str, ...]:
-        """A command: desired discounted returns and horizon."""
+        """Of a command: desired discounted returns and horizon."""
         return (*self.env.objectives, HORIZON)
 
     def conditions(self) -> NDArray[np.float32]:
@@ -397,20 +387,20 @@ class PCN(FrontAgent):
             ValueError: if a command has the wrong shape, or asks for returns far outside those of the buffer.
         """
         commands = np.asarray(conditions, dtype=np.float32)
-        if commands.ndim != 2 or commands.shape[1] != len(self.scales) + 1:
-            names = ", ".join(self.condition_names)
-            raise ValueError(f"commands of shape {commands.shape} must be (n, {len(self.scales) + 1}): {names}")
+        names = self.condition_names
+        if commands.ndim != 2 or commands.shape[1] != len(names):
+            raise ValueError(f"commands of shape {commands.shape} must be (n, {len(names)}): {', '.join(names)}")
         if not (commands[:, -1] >= 1.0).all():
             raise ValueError(f"horizon = {commands[:, -1].min():g} must be at least 1 decision")
-        for desired, objective, scale, low, high in zip(
-            commands.T, self.env.objectives, self.scales, *self.bounds, strict=False
-        ):
-            outside = desired[~((desired >= low - scale) & (desired <= high + scale))]
-            if len(outside):
-                raise ValueError(
-                    f"desired return of {objective} = {outside[0]:g} is outside the range of past episodes; "
-                    f"it must be between {low - scale:g} and {high + scale:g}"
-                )
+        low, high = self.bounds[0] - self.scales, self.bounds[1] + self.scales
+        desired = commands[:, :-1]
+        outside = np.argwhere(~((desired >= low) & (desired <= high)))
+        if len(outside):
+            row, k = outside[0]
+            raise ValueError(
+                f"desired return of {names[k]} = {desired[row, k]:g} is outside the range of past episodes; "
+                f"it must be between {low[k]:g} and {high[k]:g}"
+            )
         return PolicyOfFront(self, commands)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
@@ -441,17 +431,15 @@ class PCN(FrontAgent):
 
     def _policy_tensors(self) -> dict[str, Tensor]:
         """What acting under a command needs."""
-        network = self.learner.get_weights("network")
         inputs = {"inputs": torch.from_numpy(self.inputs)} if self._standardises else {}
-        return {"bounds": torch.from_numpy(self.bounds), **inputs, **network}
+        return {"bounds": torch.from_numpy(self.bounds), **inputs, **self.learner.get_weights("network")}
 
     def get_policy(self) -> dict[str, Tensor]:
         """The network, and in place of the buffer the returns and lengths that commands are made of."""
         if self._attained is None and not len(self.buffer):
             return self._policy_tensors()
-        returns, lengths = self._best_episodes()
-        attained = {"returns": torch.from_numpy(returns.astype(np.float32)), "lengths": torch.from_numpy(lengths)}
-        return {**self._policy_tensors(), **{f"attained.{name}": tensor for name, tensor in attained.items()}}
+        returns, lengths = map(torch.from_numpy, self._best_episodes())
+        return {**self._policy_tensors(), "attained.returns": returns.float(), "attained.lengths": lengths}
 
     def save_policy(self, path: str | Any) -> None:
         """Write only what acting needs, as :meth:`Agent.save_policy`; an empty buffer is refused."""
@@ -474,16 +462,12 @@ class PCN(FrontAgent):
 # ----------------------------------------------------------------------------------------------- the buffer (section 4)
 
 
-@dataclass(frozen=True)
-class Episode:
+class Episode(NamedTuple):
     """One episode of T decisions."""
 
     observations: NDArray[np.float32]  # (T, o) before each action
     actions: NDArray[Any]  # (T,) or (T, k)
     returns: NDArray[np.float32]  # (T, d) discounted returns-to-go; the first is the return of the episode
-
-    def __len__(self) -> int:
-        return len(self.returns)
 
 
 def returns_to_go(rewards: NDArray[np.float32], gamma: float) -> NDArray[np.float32]:
@@ -506,9 +490,8 @@ class EpisodeBuffer:
     REPEATED = 1e-5  # units of ``scales``
 
     def __init__(self, capacity: int, scales: NDArray[np.float32], crowding: float):
-        self.capacity = capacity
+        self.capacity, self.crowding = capacity, crowding
         self.scales = np.asarray(scales, dtype=np.float64)
-        self.crowding = crowding
         self.episodes: list[Episode] = []
         self._arrays: dict[str, NDArray[Any]] = {}
 
@@ -523,7 +506,7 @@ class EpisodeBuffer:
     @property
     def lengths(self) -> NDArray[np.int64]:
         """(E,) decisions of every episode."""
-        return np.array([len(episode) for episode in self.episodes], dtype=np.int64)
+        return np.array([len(episode.returns) for episode in self.episodes], dtype=np.int64)
 
     def add(self, episodes: list[Episode]) -> None:
         """Add ``episodes``, then remove the worst."""
@@ -572,34 +555,28 @@ class EpisodeBuffer:
         Every episode is equally likely, whatever its length.
         """
         flat = self._flat()
-        lengths = flat["lengths"]
-        chosen = torch.randint(len(lengths), (count,), generator=generator).numpy()
-        t = (torch.rand(count, generator=generator).numpy() * lengths[chosen]).astype(np.int64)
+        chosen = torch.randint(len(self), (count,), generator=generator).numpy()
+        lengths = flat["lengths"][chosen]
+        t = (torch.rand(count, generator=generator).numpy() * lengths).astype(np.int64)
         rows = flat["starts"][chosen] + t
-        left = (lengths[chosen] - t).astype(np.float32)
-        return flat["observations"][rows], flat["actions"][rows], flat["returns"][rows], left
+        return *(flat[name][rows] for name in Episode._fields), (lengths - t).astype(np.float32)
 
     def _flat(self) -> dict[str, NDArray[Any]]:
         if not self._arrays:
-            lengths = self.lengths
-            self._arrays = {
-                name: np.concatenate([getattr(episode, name) for episode in self.episodes])
-                for name in ("observations", "actions", "returns")
-            }
+            columns, lengths = map(np.concatenate, zip(*self.episodes, strict=True)), self.lengths
+            self._arrays = dict(zip(Episode._fields, columns, strict=True))
             self._arrays |= {"lengths": lengths, "starts": np.cumsum(lengths) - lengths}
         return self._arrays
 
     def get_state(self) -> dict[str, Tensor]:
         """All episodes as a few tensors."""
-        if not self.episodes:
-            return {}
-        names = ("observations", "actions", "returns", "lengths")
-        return {name: torch.from_numpy(np.ascontiguousarray(self._flat()[name])) for name in names}
+        flat = self._flat() if self.episodes else {}
+        return {name: torch.from_numpy(np.ascontiguousarray(flat[name])) for name in flat if name != "starts"}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Resume from :meth:`get_state`."""
         self.episodes, self._arrays = [], {}
         if state:
             lengths = state["lengths"].tolist()
-            columns = [state[name].split(lengths) for name in ("observations", "actions", "returns")]
+            columns = [state[name].split(lengths) for name in Episode._fields]
             self.episodes = [Episode(*(part.numpy() for part in parts)) for parts in zip(*columns, strict=True)]

@@ -54,19 +54,11 @@ class Rule:
 
 
 class Driver:
-    """Base of scripted drivers, which give actions (N,), or (N, 3) if they are continuous, for observations (N, size).
+    """Base of scripted drivers: actions (N,), or (N, 3) if they are continuous, for observations (N, size)."""
 
-    Args:
-        action_type: "discrete", "discrete-16" or "continuous".
-
-    Attributes:
-        vehicle: the index of the vehicle that it drives; None for any.
-        slack: share of the target speed that may be lost before the vehicle speeds up again.
-        calm: by how much a change of the steering counts, where 1 is as much as what it is off.
-    """
-
-    vehicle: int | None = None
-    slack, calm = 0.04, 0.0
+    vehicle: int | None = None  # that it drives; None for any
+    slack = 0.04  # share of the target speed that may be lost before the vehicle speeds up again
+    calm = 0.0  # by how much a change of the steering counts, where 1 is as much as what it is off
 
     def __init__(self, action_type: str = "discrete"):
         self._table = None if action_type == CONTINUOUS else action_table(action_type)
@@ -107,7 +99,7 @@ class Driver:
 def make_driver(forms: Mapping[str, Callable[..., Driver]], name: str, action_type: str) -> Any:
     """The scripted driver of a name, of the form "kind" or "kind_NUMBER"."""
     for form, make in forms.items():
-        found = re.fullmatch(PREFIX + form.replace("NUMBER", r"(\d+(?:\.\d+)?)").replace("INTEGER", r"(\d+)"), name)
-        if found:
+        pattern = form.replace("NUMBER", r"(\d+(?:\.\d+)?)").replace("INTEGER", r"(\d+)")
+        if found := re.fullmatch(PREFIX + pattern, name):
             return make(*map(float, found.groups()), action_type)
     raise ValueError(f"there is no scripted driver {name!r}; write {', '.join(PREFIX + form for form in forms)}")

@@ -140,11 +140,10 @@ def locate(seen: Floats) -> tuple[Floats, Floats]:
 
 def _seen_from(seen: Floats, which: str) -> Floats:
     """The next waypoint or the one after it as seen from the front (N, 2): metres ahead, and to the left."""
-    distance = seen[:, COLUMN["next_distance"]]
-    if which == "after":
-        # It is observed by way of the next one; the same entries twice are the destination.
-        same = seen[:, COLUMN["after_distance"]] == distance
-        distance = seen[:, COLUMN["after_distance"]] - np.where(same, 0.0, distance)
+    distance = seen[:, COLUMN[f"{which}_distance"]]
+    if which == "after":  # it is observed by way of the next one; the same entries twice are the destination
+        by_way = seen[:, COLUMN["next_distance"]]
+        distance = distance - np.where(distance == by_way, 0.0, by_way)
     angle = -seen[:, COLUMN[f"{which}_angle"]]
     return np.asarray(distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 

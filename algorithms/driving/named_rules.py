@@ -20,14 +20,9 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.evaluation.policy import AccruedReward
 
-MAKERS = {
-    env_id: made_by
-    for scenario, made_by in (
-        ("intersection", intersection_rules.make_rule),
-        *((name, roundabout_rules.make_rule) for name in roundabout_rules.ROUNDABOUTS),
-    )
-    for env_id in SCENARIOS[scenario].ids
-}
+_MAKERS = {"intersection": intersection_rules.make_rule}
+_MAKERS |= dict.fromkeys(roundabout_rules.ROUNDABOUTS, roundabout_rules.make_rule)
+MAKERS = {env_id: make for scenario, make in _MAKERS.items() for env_id in SCENARIOS[scenario].ids}
 
 
 class ScriptedPolicy:

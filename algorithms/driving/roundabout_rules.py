@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -72,18 +72,15 @@ class RoundaboutRule(Rule):
 
 def _tables() -> Floats:
     """(4, routes, M) x, y, heading and curvature of the lines of the routes."""
-    found = []
+    tables, along = [], np.arange(-BEFORE, LENGTHS.max() + BEYOND, STEP)
     for route in ROUTES:
-        along = np.arange(-BEFORE, LENGTHS.max() + BEYOND, STEP)
-        joints = route.joints()
-        starts = np.cumsum([0.0, *(segment.length for segment in route.segments[:-1])])
-        numbers = np.maximum(np.searchsorted(starts, along, side="right") - 1, 0)
-        poses = [
-            replace(route.segments[k], length=distance - starts[k]).end(joints[k])
-            for distance, k in zip(along.tolist(), numbers.tolist(), strict=True)
-        ]
-        found.append([*np.array(poses).T, np.array([route.segments[k].curvature for k in numbers])])
-    return np.array(found).transpose(1, 0, 2)
+        joints, segments = route.joints(), route.segments
+        starts = np.cumsum([0.0, *(segment.length for segment in segments[:-1])])
+        numbers = np.maximum(np.searchsorted(starts, along, side="right") - 1, 0).tolist()
+        places = zip(along.tolist(), numbers, strict=True)
+        poses = [replace(segments[k], length=distance - starts[k]).end(joints[k]) for distance, k in places]
+        tables.append([*np.array(poses).T, np.array([segments[k].curvature for k in numbers])])
+    return np.array(tables).transpose(1, 0, 2)
 
 
 TABLES = _tables()
@@ -97,19 +94,13 @@ def lane(route: NDArray[np.intp], along: Floats) -> Floats:
     return np.asarray(TABLES[:, route, cell] * (1.0 - part) + TABLES[:, route, cell + 1] * part)
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """Where N vehicles are, in the coordinates of the routes from the first arm."""
 
     route: NDArray[np.intp]  # (N,) indices of routes
     along: Floats  # (N,) from the start of the route to the projection of the front (m)
     front: Floats  # (N, 2) (m)
     heading: Floats  # (N,) (rad)
-
-    @property
-    def forward(self) -> Floats:
-        """(N, 2)."""
-        return forward(self.heading)
 
 
 def locate(seen: Floats) -> Place:
@@ -145,7 +136,7 @@ def _point(seen: Floats, which: str, error: Floats) -> tuple[Floats, Floats]:
 
 
 def _from(here: Floats, there: Floats) -> tuple[Floats, Floats]:
-    """How far points of a lane are ahead and to the left of other ones, both as of :func:`lane`."""
+    """How far points (2 or more, ...) are ahead and to the left of those ``here``, which are as of :func:`lane`."""
     dx, dy, cos, sin = there[0] - here[0], there[1] - here[1], np.cos(here[2]), np.sin(here[2])
     return dy * cos - dx * sin, -dx * cos - dy * sin
 
@@ -153,21 +144,17 @@ def _from(here: Floats, there: Floats) -> tuple[Floats, Floats]:
 def lane_curvature(place: Place, speed: Floats) -> Floats:
     """The curvature (N,) (1/m) that leads vehicles with a speed (N,) (m/s) along their lane."""
     ahead = PREVIEW * speed - HALF_LENGTH
-    point = place.front + ahead[:, None] * place.forward
+    point = (place.front + ahead[:, None] * forward(place.heading)).T
     along = place.along + ahead
+    for _ in range(2):  # to where the lane is the nearest to the point
+        along = along + _from(lane(place.route, along), point)[0]
     line = lane(place.route, along)
-    for _ in range(2):  # to where it is the nearest to the point
-        forward, left = _from(line, np.stack([*point.T, along, along]))
-        along = along + forward
-        line = lane(place.route, along)
-    left = _from(line, np.stack([*point.T, along, along]))[1]
-    angle = line[2] - place.heading
+    angle, left = line[2] - place.heading, _from(line, point)[1]
     wanted = line[3] + HEADING_GAIN * angle - OFFSET_GAIN * left
     return np.asarray(np.clip(wanted, -MAX_CURVATURE, MAX_CURVATURE))
 
 
-@dataclass(frozen=True)
-class Others:
+class Others(NamedTuple):
     """The nearest others of N vehicles, in the coordinates of :class:`Place`."""
 
     centre: Floats  # (N, 5, 2) (m)
@@ -183,14 +170,13 @@ def locate_others(seen: Floats, place: Place) -> Others:
     def of(name: str) -> Floats:
         return seen[:, [COLUMN[f"near_{number}_{name}"] for number in range(1, NEIGHBOURS + 1)]]
 
-    forward = place.forward[:, None]
-    right = np.stack([forward[..., 1], -forward[..., 0]], axis=-1)
-    centre = (place.front - HALF_LENGTH * place.forward)[:, None]
-    centre = centre + of("ahead")[..., None] * forward + of("right")[..., None] * right
+    ahead = forward(place.heading)[:, None]
+    right = np.stack([ahead[..., 1], -ahead[..., 0]], axis=-1)
+    centre = place.front[:, None] - HALF_LENGTH * ahead
+    centre = centre + of("ahead")[..., None] * ahead + of("right")[..., None] * right
     turned = np.arctan2(of("sin_heading"), of("cos_heading"))
     speed = of("v_ahead") * np.cos(turned) - of("v_right") * np.sin(turned)
-    present = of("present") > 0.5
-    return Others(centre, place.heading[:, None] + turned, speed, of("right_of_way") > 0.5, present)
+    return Others(centre, place.heading[:, None] + turned, speed, of("right_of_way") > 0.5, of("present") > 0.5)
 
 
 def room_ahead(place: Place, others: Others) -> Floats:
@@ -201,12 +187,11 @@ def room_ahead(place: Place, others: Others) -> Floats:
     least = np.full(len(place.along), np.inf)
     reach = HALF_LENGTH * forward(others.heading)
     for point, half in ((others.centre, HALF_LENGTH), (others.centre + reach, REACH), (others.centre - reach, REACH)):
-        dx = point[..., 0, None] - line[0][:, None]
-        dy = point[..., 1, None] - line[1][:, None]
+        x, y = np.moveaxis(point, -1, 0)
+        dx, dy = x[..., None] - line[0][:, None], y[..., None] - line[1][:, None]
         nearest = (dx * dx + dy * dy).argmin(axis=-1)
-        here = lane(rows, np.take_along_axis(stations, nearest, axis=1))
-        ahead, left = _from(here, np.stack([point[..., 0], point[..., 1], here[2], here[3]]))
-        along = np.take_along_axis(np.broadcast_to(LOOK_AHEAD, stations.shape), nearest, axis=1) + ahead
+        ahead, left = _from(lane(rows, np.take_along_axis(stations, nearest, axis=1)), np.stack([x, y]))
+        along = LOOK_AHEAD[nearest] + ahead
         inside = others.present & (np.abs(left) < SCENARIO.routes[0].lane_width / 2)
         inside &= (along > 0.0) & (along < LOOK_AHEAD[-1])
         least = np.minimum(least, np.where(inside, along - half, np.inf).min(axis=1))

@@ -7,6 +7,7 @@ fixed time. Those of the left turn and of the roundabout know the road, and are 
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,16 +34,13 @@ STEERS, ACCELERATIONS = (-1.0, -0.3, 0.0, 0.3, 1.0), (0.25, 0.5, 1.0)  # of cont
 
 
 class Timed:
-    """Goes after a fixed time ``wait`` (s), whatever comes.
+    """Goes after a fixed time ``wait`` (s), whatever comes; a ``decision`` takes some time (s), too.
 
-    ``drives`` gives actions for observations (N, o) or (N, V, o) and whether to go, else it waits; ``decision`` is the
-    time (s) of one.
+    ``drives`` gives actions for observations (N, o) or (N, V, o) and whether to go, else it waits.
     """
 
     def __init__(self, wait: float, decision: float, drives: Callable[[NDArray[Any], bool], NDArray[Any]]):
-        self._decisions = round(wait / decision)
-        self._drives = drives
-        self._past = 0
+        self._decisions, self._past, self._drives = round(wait / decision), 0, drives
 
     def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], _discounts: NDArray[Any]) -> NDArray[Any]:
         """Actions for observations (N, o) or (N, V, o)."""
@@ -85,10 +83,9 @@ def unskilled_policies(config: EnvConfig) -> dict[str, Function]:
         "acts at random": partial(_random, np.random.default_rng(0), action_type, axes),
     }
     if action_type == CONTINUOUS:
-        for steer in STEERS:
-            for acceleration in ACCELERATIONS:
-                action = np.array([steer, acceleration, -1.0], dtype=np.float32)
-                found[f"holds steer {steer:g}, acceleration {acceleration:g}"] = _holding(action, axes)
+        for steer, acceleration in product(STEERS, ACCELERATIONS):
+            action = np.array([steer, acceleration, -1.0], dtype=np.float32)
+            found[f"holds steer {steer:g}, acceleration {acceleration:g}"] = _holding(action, axes)
     else:
         names = action_names(action_type)
         found |= {f"holds '{name}'": _holding(np.array(i), axes) for i, name in enumerate(names) if i}

@@ -38,19 +38,13 @@ def check_outputs(outputs: Tensor) -> None:
 
 
 class Actor(nn.Module, ABC):
-    """A policy; calling it gives the log-probability of actions and its entropy.
+    """A policy; calling it gives the log-probability of actions and its entropy."""
 
-    Args:
-        body: network from (..., inputs) to the parameters (..., n) of the distribution, its outputs.
-        noise: how many random numbers :meth:`choose` takes for an action.
-    """
-
-    body: Any
+    body: Any  # network from (..., inputs) to the parameters (..., n) of the distribution, its outputs
 
     def __init__(self, body: nn.Module, noise: int):
         super().__init__()
-        self.body = body
-        self.noise = noise
+        self.body, self.noise = body, noise  # how many random numbers :meth:`choose` takes for an action
 
     @abstractmethod
     def draw(self, noise: Tensor, generator: torch.Generator) -> None:
@@ -69,11 +63,7 @@ class Actor(nn.Module, ABC):
         """Log-probability of ``actions`` and entropy, each (...)."""
 
     def act(self, x: Tensor, generator: torch.Generator | None) -> Tensor:
-        """One action per row of x (N, ..., inputs): the most probable one without a generator.
-
-        Raises:
-            NotFinite: naming the environment, for outputs of the network that are not finite.
-        """
+        """One action per row of x (N, ..., inputs): the most probable one without a generator."""
         outputs: Tensor = self.body(x)
         check_outputs(outputs)
         if generator is None:
@@ -112,15 +102,20 @@ class CategoricalActor(Actor):
         return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), -(log_p.exp() * log_p).sum(-1)
 
 
-class _Gaussian(Actor):
-    """Diagonal Gaussian policy; actions are float tensors (..., k).
+class GaussianActor(Actor):
+    """Diagonal Gaussian policy over k axes; actions are float tensors (..., k).
 
-    The environment clips actions to its box; the log-probability is that of the unclipped sample.
+    The outputs are the means, and each axis has one log standard deviation. The environment clips actions to its box;
+    the log-probability is that of the unclipped sample.
     """
 
-    @abstractmethod
+    def __init__(self, body: nn.Module, actions: int):
+        super().__init__(body, noise=actions)
+        self.log_std = nn.Parameter(torch.full((actions,), INITIAL_LOG_STD))
+
     def mean_and_log_std(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """Means (..., k) and log standard deviations (..., k) or (k,) that outputs (..., n) stand for."""
+        return outputs, self.log_std
 
     def draw(self, noise: Tensor, generator: torch.Generator) -> None:
         """Standard normal."""
@@ -143,26 +138,14 @@ class _Gaussian(Actor):
         return log_density, (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1).expand_as(log_density)
 
 
-class GaussianActor(_Gaussian):
-    """Gaussian policy over k axes: the outputs are the means, and each axis has one log standard deviation."""
-
-    def __init__(self, body: nn.Module, actions: int):
-        super().__init__(body, noise=actions)
-        self.log_std = nn.Parameter(torch.full((actions,), INITIAL_LOG_STD))
-
-    def mean_and_log_std(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
-        """The outputs, and a parameter."""
-        return outputs, self.log_std
-
-
-class StateGaussianActor(_Gaussian):
+class StateGaussianActor(GaussianActor):
     """Gaussian policy over k axes whose standard deviation, too, depends on the state.
 
     What explores in one state, or under one preference, can be certain in another.
     """
 
     def __init__(self, body: nn.Module, actions: int):
-        super().__init__(body, noise=actions)
+        Actor.__init__(self, body, noise=actions)
 
     def mean_and_log_std(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
         """Both halves of the outputs (..., 2 k)."""
@@ -173,11 +156,7 @@ class StateGaussianActor(_Gaussian):
 def make_actor(
     config: NetworkSettings, inputs: int, actions: int, generator: torch.Generator, *, continuous: bool
 ) -> Actor:
-    """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many.
-
-    Raises:
-        ValueError: as :func:`algorithms.learning.networks.make_network`.
-    """
+    """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many."""
     of_state = continuous and config.state_dependent_std
     body = make_network(config, inputs, 2 * actions if of_state else actions, generator, output_gain=0.01)
     if not continuous:

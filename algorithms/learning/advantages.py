@@ -16,10 +16,8 @@ if TYPE_CHECKING:
 def generalised_advantages(deltas: Tensor, ended: Tensor, decay: float) -> Tensor:
     """A_t = delta_t + decay A_{t+1}, or delta_t where the episode ends at t (Schulman et al. 2016, eq. 16).
 
-    Args:
-        deltas: (T, ...) temporal differences, without a gradient.
-        ended: (T, ...) whether the episode ends at t, by termination or truncation; the last axis may be 1.
-        decay: gamma * lambda, or lambda where the differences are discounted already.
+    ``deltas`` (T, ...) are temporal differences, ``ended`` (T, ...) says whether the episode ends at t, by termination
+    or truncation; its last axis may be 1. ``decay`` is gamma * lambda, or lambda if the differences are discounted.
     """
     decays = decay * (~ended).to(deltas.dtype)
     advantages = [deltas[-1]]
@@ -59,7 +57,5 @@ def check_utility_gradient(utility: Utility, expected_return: Tensor) -> None:
     gradient = utility_gradient(utility, expected_return)
     if not gradient.isfinite().all():
         at = dict(zip(utility.objectives, expected_return.tolist(), strict=True))
-        raise NotFinite(
-            f"the gradient of utility {utility.name!r} = {gradient.tolist()} at the expected return {at}; it must be "
-            "finite"
-        )
+        where = f"the gradient of utility {utility.name!r} = {gradient.tolist()} at the expected return {at}"
+        raise NotFinite(f"{where}; it must be finite")

@@ -43,13 +43,9 @@ def write_checkpoint(path: str | Path, tensors: Mapping[str, Tensor], identity: 
 def read_checkpoint(
     path: str | Path, identity: Mapping[str, Any], may_differ: tuple[str, ...] = (), *, whole: bool = False
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """The tensors of a checkpoint and the identity of the agent that wrote it.
+    """The tensors of a checkpoint and the identity of the agent that wrote it, which must be that of the reader.
 
-    Args:
-        path: the file.
-        identity: of the agent that reads; every entry must equal that in the file.
-        may_differ: entries that need not be equal.
-        whole: refuse a file that holds the policy alone.
+    Entries in ``may_differ`` need not be equal; ``whole`` refuses a file that holds the policy alone.
     """
     try:
         with safe_open(path, framework="pt") as file:
@@ -78,31 +74,21 @@ def check_tensors(
     *,
     whole: bool,
 ) -> dict[str, Tensor]:
-    """The tensors of a checkpoint that are expected, whose shapes and types must be, or whose names vary.
+    """The tensors of a checkpoint that the reader expects, of the same shapes and types unless a part of a name varies.
 
-    Args:
-        path: the file, for messages.
-        tensors: of the checkpoint.
-        expected: those of the agent that reads.
-        varying: parts of the names of tensors whose shapes and types are not checked.
-        whole: refuse tensors that are not expected.
+    ``whole`` refuses tensors that are not expected.
     """
 
     def varies(name: str) -> bool:
         return any(part in name for part in varying)
 
-    for name, tensor in expected.items():
-        if varies(name):
-            continue
-        stored = tuple(tensors[name].shape) if name in tensors else None
-        if stored != tuple(tensor.shape):
-            raise ValueError(
-                f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {tuple(tensor.shape)}"
-            )
-        if tensors[name].dtype != tensor.dtype:
-            raise ValueError(
-                f"checkpoint {path} has {name!r} of {tensors[name].dtype}; this agent needs {tensor.dtype}"
-            )
+    for name in [name for name in expected if not varies(name)]:
+        found, needed, where = tensors.get(name), expected[name], f"checkpoint {path} has {name!r} of"
+        if found is None or found.shape != needed.shape:
+            shape = None if found is None else tuple(found.shape)
+            raise ValueError(f"{where} shape {shape}; this agent needs {tuple(needed.shape)}")
+        if found.dtype != needed.dtype:
+            raise ValueError(f"{where} {found.dtype}; this agent needs {needed.dtype}")
     known = {name: tensor for name, tensor in tensors.items() if name in expected or varies(name)}
     if whole and len(known) < len(tensors):
         unknown = min(tensors.keys() - known.keys())

@@ -5,6 +5,7 @@ The worlds of S seeds, N for each, are tensors (S, N, V, ...): a vector environm
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -55,8 +56,8 @@ class EnvWorlds:
     def step(self, actions: Tensor) -> WorldStep:
         """Act: indices (1, N, V), or (1, N, V, k) with each axis in [-1, 1], to which it is clipped."""
         step = self._env.step(actions[0].numpy())
-        taken = (step.observations, step.final, step.rewards, step.terminated, step.truncated, step.acted)
-        return WorldStep(*(torch.from_numpy(np.asarray(each)).unsqueeze(0) for each in (*taken, step.succeeded)))
+        taken = (getattr(step, name) for name in WorldStep._fields)
+        return WorldStep(*(torch.from_numpy(np.asarray(each)).unsqueeze(0) for each in taken))
 
     def check(self) -> dict[int, str]:
         """Nothing: a step refuses what it cannot do."""
@@ -144,45 +145,25 @@ class Running(NamedTuple):
 
 
 class Collector:
-    """Steps worlds and keeps what continues from one rollout to the next: observations and running episodes.
-
-    Args:
-        policy: an :class:`algorithms.actor_critic.ActorCritic`, of which ``inputs`` gives what actors see, and
-            ``decide`` writes actions, outputs and who is led into their place in the rollout.
-        env: one with the shapes of the worlds.
-        worlds: of S seeds.
-        shape: S, T (the length of a rollout) and N.
-        outputs: of an actor's network.
-        sums: to which the episodes are added that end.
-
-    Attributes:
-        accrued_discounts: (V,) g, discount of the accrued rewards.
-        shares: (V, d) by which rewards are multiplied before they are accrued and learnt from; the returns of episodes
-            are the environment's.
-        static: whether the same is done in every rollout, as on a device; else only what is needed.
-    """
+    """Steps worlds and keeps what continues from one rollout to the next: observations and running episodes."""
 
     def __init__(
         self,
-        policy: Any,
-        env: EnvAdapter,
+        policy: Any,  # an ActorCritic: ``inputs`` gives what actors see, ``decide`` writes what they do
+        env: EnvAdapter,  # one with the shapes of the worlds
         worlds: EnvWorlds | DeviceWorlds,
-        shape: tuple[int, int, int],
-        outputs: int,
-        sums: EpisodeSums,
+        shape: tuple[int, int, int],  # S, T and N
+        outputs: int,  # of an actor's network
+        sums: EpisodeSums,  # to which the episodes are added that end
         preferences: TrainingPreferences | None = None,
         *,
-        static: bool,
+        static: bool,  # whether the same is done in every rollout, as on a device; else only what is needed
     ):
         seeds, steps, num_envs = shape
         v, o, d, i = env.vehicles, env.observation_size, len(env.objectives), policy.input_size
-        self.policy, self.env, self.worlds, self.steps = policy, env, worlds, steps
+        self.policy, self.env, self.worlds = policy, env, worlds
         self.sums, self.preferences, self.static = sums, preferences, static
-        device = sums.totals.device
-
-        def zeros(*sizes: int, dtype: torch.dtype = torch.float32) -> Tensor:
-            return torch.zeros(sizes, dtype=dtype, device=device)
-
+        zeros = partial(torch.zeros, device=sums.totals.device)
         step, longer, flags = (seeds, steps, num_envs, v), (seeds, steps + 1, num_envs, v), {"dtype": torch.bool}
         self.storage = RolloutStorage(
             inputs=zeros(*longer, i),
@@ -211,14 +192,16 @@ class Collector:
             returns=zeros(*now, d, dtype=torch.float64),
             lengths=zeros(*now, dtype=torch.int64),
         )
-        self.accrued_discounts, self.shares = zeros(v) + 1.0, zeros(v, d) + 1.0
+        self.accrued_discounts = zeros(v) + 1.0  # (V,) g
+        # (V, d) by which rewards are multiplied before they are accrued and learnt from; returns are as they are.
+        self.shares = zeros(v, d) + 1.0
 
     def reset(self) -> None:
         """Begin the first episodes."""
-        observations, accrued, discounts, returns, lengths = self.now
-        observations.copy_(self.worlds.reset())
-        discounts.fill_(1.0)
-        for each in (accrued, returns, lengths):
+        now = self.now
+        now.observations.copy_(self.worlds.reset())
+        now.discounts.fill_(1.0)
+        for each in (now.accrued, now.returns, now.lengths):
             each.zero_()
 
     def collect(self) -> None:
@@ -228,13 +211,13 @@ class Collector:
             self._collect()
 
     def _collect(self) -> None:
-        storage, now, policy, preference = self.storage, self.now, self.policy, None
-        if self.preferences is not None:
-            self.preferences.begin_rollout()
+        storage, now, policy, preferences, preference = self.storage, self.now, self.policy, self.preferences, None
+        if preferences is not None:
+            preferences.begin_rollout()
         for t, at in enumerate(self._steps):
-            if self.preferences is not None:
-                at.preferences.copy_(self.preferences.follow(t, now.lengths))
-                preference = at.preferences, self.preferences.ideal[:, None, None]
+            if preferences is not None:
+                at.preferences.copy_(preferences.follow(t, now.lengths))
+                preference = at.preferences, preferences.ideal[:, None, None]
             at.inputs.copy_(policy.inputs(now.observations, now.accrued, now.discounts, preference))
             at.accrued.copy_(now.accrued)
             at.discounts.copy_(now.discounts)
@@ -244,9 +227,9 @@ class Collector:
             self._keep(at, step)
         storage.inputs[:, -1] = policy.inputs(now.observations, now.accrued, now.discounts, preference)
         storage.accrued[:, -1], storage.discounts[:, -1] = now.accrued, now.discounts
-        if self.static or self.preferences is not None or storage.truncated.any():
-            if self.preferences is not None:
-                preference = storage.preferences, self.preferences.ideal[:, None, None, None]
+        if self.static or preferences is not None or storage.truncated.any():
+            if preferences is not None:
+                preference = storage.preferences, preferences.ideal[:, None, None, None]
             discounts = storage.discounts[:, :-1] * self.accrued_discounts
             storage.final_inputs.copy_(policy.inputs(self._final, storage.ended_values, discounts, preference))
         self.sums.add(storage.ended, storage.ended_sums)

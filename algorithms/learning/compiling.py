@@ -103,11 +103,9 @@ class Compiled:
 def origin(error: Exception) -> str:
     """The last line outside of torch in which an error arose, and what it says, as one line."""
     inside = str(Path(torch.__file__).parent)
-    frames = [each for each in extract_tb(error.__traceback__) if not each.filename.startswith(inside)]
+    last = [frame for frame in extract_tb(error.__traceback__) if not frame.filename.startswith(inside)][-1]
     reason = " ".join(str(error).split())[:300].partition(". ")[0]  # the rest asks for a report to torch
-    return (
-        f"{Path(frames[-1].filename).name}:{frames[-1].lineno} `{frames[-1].line}` ({type(error).__name__}: {reason})"
-    )
+    return f"{Path(last.filename).name}:{last.lineno} `{last.line}` ({type(error).__name__}: {reason})"
 
 
 def _copy(tensor: Tensor) -> Tensor:

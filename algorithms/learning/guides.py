@@ -26,16 +26,13 @@ if TYPE_CHECKING:
 
 
 class Guide:
-    """Drives one vehicle of N environments of every seed at the start of some episodes.
-
-    Attributes:
-        handovers: by seed, (N,) the decisions after which the learner drives in the running episodes.
-    """
+    """Drives one vehicle of N environments of every seed at the start of some episodes."""
 
     def __init__(self, driver: Population, settings: GuideSettings, num_envs: int):
         if len(driver.members) > 1:
             raise ValueError(f"a guide is one driver, not {len(driver.members)} that take turns")
         self.driver, self.settings, self.vehicle = driver, settings, driver.vehicle
+        # By seed, (N,) the decisions after which the learner drives in the running episodes.
         self.handovers = [np.zeros(num_envs, dtype=np.int64)]
         self._share = 0.0
 

@@ -10,7 +10,6 @@ from torch import Tensor, nn
 from torch.func import functional_call, vmap
 from torch.utils._pytree import tree_map
 
-from algorithms.learning.checkpoints import strip_prefix
 from algorithms.learning.compiling import Compiled, origin, pure
 
 if TYPE_CHECKING:
@@ -51,16 +50,9 @@ class Learner:
     parameters are views of one matrix, so that a step of Adam is one operation.
 
     Args:
-        networks: of each seed, alike but for their parameters, on the device.
+        networks: of each seed, alike but for their parameters, on the device; those of the first lend the structure.
         max_grad_norm: to which the norm of a seed's gradient is clipped; infinite for no limit.
         name: in checkpoints.
-
-    Attributes:
-        networks: of the first seed, in the matrix; for the others they lend their structure.
-        vector: (S, P) the parameters.
-        count: (S, 1) steps of Adam; the rest of its state is ``mean`` and ``mean_square``, as ``vector``.
-        compiled, computes_compiled: whether gradient steps, and what :meth:`compute` computes, go through
-            ``torch.compile``; "auto" where that is possible.
     """
 
     def __init__(self, networks: Sequence[Networks], max_grad_norm: float, name: str):
@@ -76,13 +68,15 @@ class Learner:
         size = sum(self._sizes)
         # Padded, so that every number of a seed is in the lane of a vector instruction in which it is alone.
         self._padding = -size % LANES if self.seeds > 1 else 0
+        # (S, P) the parameters, and the moments of Adam; (S, 1) its steps.
         self.vector, self.mean, self.mean_square = torch.zeros(3, self.seeds, size + self._padding, device=first.device)
+        self.count = torch.zeros(self.seeds, 1, device=first.device)
         for row, each in zip(self.vector, networks, strict=True):
             row[:size] = torch.cat([parameter.detach().flatten() for parameter in each.parameters()])
         for parameter, data in zip(self.networks.parameters(), self._views(self.vector[0]).values(), strict=True):
             parameter.data = data
-        self.count = torch.zeros(self.seeds, 1, device=first.device)
         self._rows = torch.arange(self.seeds, device=first.device).unsqueeze(1)
+        # Whether gradient steps, and what `compute` computes, go through torch.compile; "auto" where that is possible.
         self.compiled: bool | Literal["auto"] = False
         self.computes_compiled: bool | Literal["auto"] = False
         self._functions: dict[Any, Compiled] = {}
@@ -123,13 +117,15 @@ class Learner:
 
         The networks have a seed's row of ``vector`` (S, P), and its part of ``arguments``, a tree of tensors (S, ...).
         """
+
+        def of_one(own: Any, part: Any) -> Any:
+            return functional_call(self.networks, own, (function, part, *shared))
+
         parameters = self._views(vector)
         if self.seeds == 1:
-            own, part = tree_map(_only, (parameters, arguments))
-            return tree_map(_with_axis, functional_call(self.networks, own, (function, part, *shared)))
-        every = vmap(lambda own, part: functional_call(self.networks, own, (function, part, *shared)))
+            return tree_map(_with_axis, of_one(*tree_map(_only, (parameters, arguments))))
         try:
-            found = every(parameters, arguments)
+            found = vmap(of_one)(parameters, arguments)
         except (RuntimeError, TypeError) as error:
             if function in self._mapped or isinstance(error, torch.OutOfMemoryError):
                 raise
@@ -150,21 +146,12 @@ class Learner:
     ) -> dict[str, Tensor]:
         """One step of every seed down the gradient of its loss, whose norm is clipped.
 
-        A seed whose gradient is 0, or not finite, stays where it is.
-
-        Args:
-            loss: ``loss(networks, samples, *shared)`` of one seed, which must not change its samples in place.
-            samples: by name, (S, M, ...).
-            rows: [(S, m)] which of the samples the loss is of; empty for all.
-            learning_rate: of Adam, a scalar.
-            *shared: what the loss is also given.
-
-        Returns:
-            The parts of the loss and the norm of the gradient, (S,).
+        A seed whose gradient is 0, or not finite, stays where it is. ``loss(networks, samples, *shared)`` is that of
+        one seed and must not change its samples in place, which are (S, M, ...) by name. Of them it takes those at
+        ``rows`` [(S, m)], or all if that is empty. Gives the parts of the loss and the norm of the gradient, (S,).
         """
-        step = self._function(self._step, loss, self.compiled)
-        found: dict[str, Tensor] = step(self.state, dict(samples), list(rows), learning_rate, *shared)
-        return found
+        step: Any = self._function(self._step, loss, self.compiled)
+        return dict(step(self.state, dict(samples), list(rows), learning_rate, *shared))
 
     def _step(
         self,
@@ -207,26 +194,32 @@ class Learner:
     def get_state(self, seed: int = 0) -> dict[str, Tensor]:
         """Weights and the optimiser's state of the seed with this index, as named tensors."""
         size = sum(self._sizes)
-        state = dict(self._views(self.vector[seed]))
-        state |= dict(self.networks.named_buffers())
-        adam = {"step": self.count[seed, 0], "exp_avg": self.mean[seed], "exp_avg_sq": self.mean_square[seed]}
-        return state | {f"optimiser.{name}": each[:size] if each.dim() else each for name, each in adam.items()}
+        return {
+            **self._weights(seed),
+            "optimiser.step": self.count[seed, 0],
+            "optimiser.exp_avg": self.mean[seed, :size],
+            "optimiser.exp_avg_sq": self.mean_square[seed, :size],
+        }
 
     def set_state(self, state: Mapping[str, Tensor], seed: int = 0) -> None:
         """Resume from :meth:`get_state`."""
-        adam, size = strip_prefix(state, "optimiser."), sum(self._sizes)
         self.set_weights(state, seed)
-        self.count[seed] = adam["step"]
-        self.mean[seed, :size], self.mean_square[seed, :size] = adam["exp_avg"], adam["exp_avg_sq"]
+        self.count[seed] = state["optimiser.step"]
+        for moments, name in ((self.mean, "exp_avg"), (self.mean_square, "exp_avg_sq")):
+            moments[seed, : sum(self._sizes)] = state[f"optimiser.{name}"]
+
+    def _weights(self, seed: int) -> dict[str, Tensor]:
+        """Parameters and buffers by name."""
+        return {**self._views(self.vector[seed]), **dict(self.networks.named_buffers())}
 
     def get_weights(self, network: str, seed: int = 0) -> dict[str, Tensor]:
         """The part of :meth:`get_state` that one network consists of."""
-        return {name: each for name, each in self.get_state(seed).items() if name.startswith(f"{network}.")}
+        return {name: each for name, each in self._weights(seed).items() if name.startswith(f"{network}.")}
 
     def set_weights(self, state: Mapping[str, Tensor], seed: int = 0) -> None:
         """Take those weights that are in a state."""
         with torch.no_grad():
-            for name, each in {**self._views(self.vector[seed]), **dict(self.networks.named_buffers())}.items():
+            for name, each in self._weights(seed).items():
                 if name in state:
                     each.copy_(state[name])
 

@@ -47,17 +47,14 @@ def mlp(
     activation: Activation = "relu",
 ) -> nn.Sequential:
     """Linear layers, orthogonally initialised from ``generator``, with ReLU (paper, appendix A) or another function."""
-    sizes = [inputs, *hidden, outputs]
     layers: list[nn.Module] = []
-    for i, (fan_in, fan_out) in enumerate(pairwise(sizes)):
+    gains = [math.sqrt(2)] * len(hidden) + [output_gain]
+    for (fan_in, fan_out), gain in zip(pairwise([inputs, *hidden, outputs]), gains, strict=True):
         layer = _Linear(fan_in, fan_out)
-        last = i == len(sizes) - 2
-        nn.init.orthogonal_(layer.weight, gain=output_gain if last else math.sqrt(2), generator=generator)
+        nn.init.orthogonal_(layer.weight, gain=gain, generator=generator)
         nn.init.zeros_(layer.bias)
-        layers.append(layer)
-        if not last:
-            layers.append(ACTIVATIONS[activation]())
-    return nn.Sequential(*layers)
+        layers += [layer, ACTIVATIONS[activation]()]
+    return nn.Sequential(*layers[:-1])
 
 
 @limited_threads()
@@ -66,15 +63,7 @@ def make_network(
 ) -> nn.Module:
     """A network from (..., inputs) to (..., outputs): ``config.network``'s, else a multilayer perceptron.
 
-    Args:
-        config: hidden, activation and network.
-        inputs: width of the input.
-        outputs: width of the output.
-        generator: draws the initial weights.
-        output_gain: scales the initial weights of the last layer; a user's network has its own initialisation.
-
-    Raises:
-        ValueError: if the user's function cannot be imported, or does not return such a network.
+    ``output_gain`` scales the initial weights of the last layer; a user's network has its own initialisation.
     """
     if config.network is None:
         return mlp(inputs, config.hidden, outputs, generator, output_gain, config.activation)
@@ -83,7 +72,6 @@ def make_network(
 
 def _users_network(path: str, inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
     function = import_named("algorithm.network", path)
-    call = f"algorithm.network = {path!r}: ({inputs}, {outputs}, generator)"
     # Layers initialise themselves from the global generator, which is seeded for the call and then restored.
     with torch.random.fork_rng(devices=()), torch.enable_grad():  # noqa: TID251
         torch.manual_seed(int(torch.randint(2**62, (1,), generator=generator)))  # noqa: TID251
@@ -103,6 +91,7 @@ def _users_network(path: str, inputs: int, outputs: int, generator: torch.Genera
                 raise TypeError(f"the network does not learn its parameters {', '.join(unused)}")
         except Exception as error:
             reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            call = f"algorithm.network = {path!r}: ({inputs}, {outputs}, generator)"
             raise ValueError(f"{call} cannot be used: {reason}") from error
     network.zero_grad()
     return network
@@ -111,11 +100,9 @@ def _users_network(path: str, inputs: int, outputs: int, generator: torch.Genera
 class CommandNetwork(nn.Module):
     """The network of Pareto Conditioned Networks: f(s, c) = MLP(sigmoid(W_s s) * sigmoid(W_c c)), W with biases.
 
-    Observation and command each pass a linear layer and a sigmoid; their product passes a multilayer perceptron
-    (Reymond et al. 2022, figure 2).
-
-    ``hidden`` are the widths of the embeddings, then of the layers after them. With ``standardised`` inputs, of mean 0
-    and standard deviation 1, the embeddings before the sigmoid begin with a variance near 1, else with a smaller one.
+    That is figure 2 of Reymond et al. (2022). ``hidden`` are the widths of the embeddings, then of the layers after
+    them. With ``standardised`` inputs, of mean 0 and standard deviation 1, the embeddings before the sigmoid begin with
+    a variance near 1, else with a smaller one.
     """
 
     FEW_ROWS = 64

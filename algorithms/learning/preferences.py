@@ -64,25 +64,17 @@ class Preferences:
 
     A preference is a row (m,) of numbers: an indicator of each family of the mixture if there are several, d weights
     unless all are budgets, and a budget for each budgeted objective. What a family does not use is 0.
-
-    Attributes:
-        names: of the m components.
-        weight_columns, budget_columns: of a row.
-        factors, divisors: (m,) by which networks see the components multiplied and divided.
     """
 
     def __init__(self, config: PreferenceSettings, objectives: Sequence[str], scales: NDArray[np.float32]):
-        shares = np.array([config.families.get(family, 0.0) for family in FAMILIES])
-        for key in ("budgets", "emphasis"):
-            for name in getattr(config, key):
-                if name not in objectives:
-                    raise ValueError(f"{key} has {name!r}; the objectives are {tuple(objectives)}")
-        self.objectives = tuple(objectives)
-        self.config = config
+        for key, names in (("budgets", config.budgets), ("emphasis", config.emphasis)):
+            if unknown := [name for name in names if name not in objectives]:
+                raise ValueError(f"{key} has {unknown[0]!r}; the objectives are {tuple(objectives)}")
+        self.config, self.objectives = config, tuple(objectives)
         self.emphasis = np.array([config.emphasis.get(name, 1.0) for name in objectives])
         self.scales = torch.from_numpy(scales)
-        self.shares = shares / shares.sum()
-        self.used = np.flatnonzero(shares).tolist()
+        shares = np.array([config.families.get(family, 0.0) for family in FAMILIES])
+        self.shares, self.used = shares / shares.sum(), np.flatnonzero(shares).tolist()
         self.budgeted = [self.objectives.index(name) for name in config.budgets]
         # Indices as tensors: lists would have to be copied to a device whenever they are used.
         self._with_budget = torch.tensor(self.budgeted, dtype=torch.int64)
@@ -153,9 +145,6 @@ class Preferences:
         if family not in families:
             raise ValueError(f"family = {family!r} was not trained; it must be one of {', '.join(families)}")
         chosen = FAMILIES.index(family)
-        row = np.zeros(len(self.names), dtype=np.float32)
-        if len(self.used) > 1:
-            row[self.used.index(chosen)] = 1.0
         budgeted = chosen == COMFORT_BUDGET
         key, given, other = ("budgets", budgets, weights) if budgeted else ("weights", weights, budgets)
         if given is None or other is not None:
@@ -169,12 +158,12 @@ class Preferences:
             if budgeted and value > self.config.budgets[name]:
                 raise ValueError(f"{key} of {name!r} = {value} must be at most {self.config.budgets[name]}")
         numbers = np.array([given.get(name, 0.0) for name in allowed])
-        if budgeted:
-            row[self.budget_columns] = numbers
-        elif numbers.any():
-            row[self.weight_columns] = numbers / numbers.sum()
-        else:
+        if not (budgeted or numbers.any()):
             raise ValueError(f"weights = {dict(given)} must have a positive number")
+        row = np.zeros(len(self.names), dtype=np.float32)
+        if len(self.used) > 1:
+            row[self.used.index(chosen)] = 1.0
+        row[self.budget_columns if budgeted else self.weight_columns] = numbers if budgeted else numbers / numbers.sum()
         return row
 
     def check(self, rows: NDArray[np.float32]) -> None:
@@ -193,11 +182,10 @@ class Preferences:
 
     def is_family(self, preferences: Tensor, family: int) -> Tensor:
         """Mask (...) of the preferences (..., m) of a family."""
-        if family not in self.used:
-            return torch.zeros(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
-        if len(self.used) == 1:
-            return torch.ones(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
-        return preferences[..., self.used.index(family)] > 0.5
+        if len(self.used) > 1 and family in self.used:
+            return preferences[..., self.used.index(family)] > 0.5
+        shape = preferences.shape[:-1]
+        return torch.full(shape, family in self.used, dtype=torch.bool, device=preferences.device)
 
     def weights(self, preferences: Tensor) -> Tensor:
         """The weights w (..., d) of preferences (..., m); 0 under budgets."""
@@ -249,17 +237,7 @@ class Preferences:
 class TrainingPreferences:
     """The preferences of N environments of S seeds while they train, and the best returns that they have seen.
 
-    Args:
-        preferences: what they are; its tensors are on the device.
-        shape: S, T, N and V.
-        switching: probability per decision that a preference changes within an episode.
-        device: of the tensors.
-
-    Attributes:
-        current: (S, N, V, m) of the running episodes.
-        ideal: (S, d) z, the best accrued rewards of any episode; 0 before one has ended.
-        seen_any: (S,) whether one has.
-        cost_share: c of eq. 12.
+    The shape is S, T, N and V; a preference changes within an episode with the probability ``switching`` per decision.
     """
 
     def __init__(
@@ -268,10 +246,10 @@ class TrainingPreferences:
         seeds, _, num_envs, vehicles = shape
         d, self.width = len(preferences.objectives), len(preferences.names)
         self._preferences, self._switching = preferences, switching
-        self.current = torch.zeros(seeds, num_envs, vehicles, self.width, device=device)
-        self.ideal = torch.zeros(seeds, d, device=device)
-        self.seen_any = torch.zeros(seeds, dtype=torch.bool, device=device)
-        self.cost_share = torch.ones((), device=device)
+        self.current = torch.zeros(seeds, num_envs, vehicles, self.width, device=device)  # of the running episodes
+        self.ideal = torch.zeros(seeds, d, device=device)  # z, the best accrued rewards; 0 before an episode has ended
+        self.seen_any = torch.zeros(seeds, dtype=torch.bool, device=device)  # whether one has
+        self.cost_share = torch.ones((), device=device)  # c of eq. 12
         concentration = torch.from_numpy(preferences.config.concentration * preferences.emphasis)
         self._concentration = concentration.float().to(device)
         shares = torch.from_numpy(preferences.shares[preferences.used]).float()

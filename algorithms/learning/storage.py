@@ -100,27 +100,22 @@ class EpisodeSums:
     """Sums over the episodes that ended since they were last taken, of each vehicle of S seeds.
 
     ``utilities`` are one per vehicle, unchecked; none where none is known.
-
-    Attributes:
-        totals: (S, V, 4 + d) their number, utilities, arrivals, decisions and undiscounted returns.
     """
 
     def __init__(
         self, seeds: int, vehicles: int, objectives: Sequence[str], utilities: Sequence[Utility], device: torch.device
     ):
         self._objectives, self._utilities = tuple(objectives), list(utilities)
+        # (S, V, 4 + d) their number, utilities, arrivals, decisions and undiscounted returns.
         self.totals = torch.zeros(seeds, vehicles, 4 + len(objectives), dtype=torch.float64, device=device)
 
     def add(self, ended: Tensor, sums: Tensor) -> None:
         """Add the episodes that ended where a mask (S, ..., V) says, of sums (S, ..., V, 2 + d) as in the storage."""
-        returns = sums[..., 2:]
+        utility = torch.zeros_like(sums[..., 0])
         if self._utilities:
-            utility = torch.stack([u(returns[..., v, :]) for v, u in enumerate(self._utilities)], dim=-1)
-        else:
-            utility = torch.zeros_like(sums[..., 0])
+            utility = torch.stack([u(sums[..., v, 2:]) for v, u in enumerate(self._utilities)], dim=-1)
         episodes = torch.cat([torch.stack([torch.ones_like(utility), utility], dim=-1), sums], dim=-1)
-        episodes = episodes.masked_fill(~ended.unsqueeze(-1), 0.0)
-        self.totals += episodes.flatten(1, -3).sum(1)
+        self.totals += episodes.masked_fill(~ended.unsqueeze(-1), 0.0).flatten(1, -3).sum(1)
 
     def take(self) -> list[list[dict[str, float]]]:
         """Means over the episodes since the last call, of every seed and vehicle; empty without any."""

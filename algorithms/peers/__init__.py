@@ -7,9 +7,9 @@ algorithms. The libraries are only imported when a peer is trained: ``pip instal
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
 from functools import partial
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from algorithms.peers import adapters
@@ -41,40 +41,31 @@ class Peer:
         """Why it cannot run here, which is the error of its import; None if it can."""
         try:
             with needed_for("it"):
-                self._algorithm()
+                resolve_name(self.path)
         except MissingExtraError as error:
             return str(error)
         except Exception as error:  # other libraries may raise anything on import
             return f"{type(error).__name__}: {error}"
         return None
 
-    def _algorithm(self) -> Any:
-        module, _, name = self.path.partition(":")
-        return getattr(importlib.import_module(module), name)
-
-    def train(self, task: PeerTask) -> PeerPolicies:
-        """The policies that it learns on a task which :meth:`check` takes."""
-        return self.adapter(task, self._algorithm())
-
     def check(self, name: str, task: PeerTask) -> None:
         """Check that the peer of this name supports a task."""
-        env, d = task.env, len(task.env.objectives)
-        if env.vehicles != 1:
-            raise ValueError(f"algorithm {name!r} supports one vehicle; the environment has {env.vehicles}")
+        env, d, known = task.env, len(task.env.objectives), task.utility is not None
         kind, (least, most) = CONTINUOUS if env.continuous else DISCRETE, self.objectives or (d, d)
-        known = task.utility is not None
         for fits, reason in (
+            (env.vehicles == 1, f"supports one vehicle; the environment has {env.vehicles}"),
             (kind in self.actions, f"supports {self.actions[0]} actions; the environment has {kind} actions"),
             (least <= d <= most, f"supports {least} to {most} objectives; the environment has {d}"),
-            (
-                not self.known_utility or task.utility is not None,
-                "needs a known utility; set one in the section 'utility'",
-            ),
+            (known or not self.known_utility, "needs a known utility; set one in the section 'utility'"),
             (self.known_utility or not known, "learns a front; remove the section 'utility'"),
             (env.num_envs == 1 or self.parallel, f"has one environment: training.num_envs = {env.num_envs} must be 1"),
         ):
             if not fits:
                 raise ValueError(f"algorithm {name!r} {reason}")
+
+    def train(self, task: PeerTask) -> PeerPolicies:
+        """The policies that it learns on a task which :meth:`check` takes."""
+        return self.adapter(task, resolve_name(self.path))
 
 
 BOTH = (DISCRETE, CONTINUOUS)
@@ -85,15 +76,12 @@ def _morl(path: str, adapter: Any, actions: tuple[str, ...], **options: Any) -> 
 
 
 _weighted = partial(_morl, Config=WeightedConfig)
-_sb3 = partial(
-    Peer,
-    adapter=adapters.scalar,
-    actions=BOTH,
-    package="stable-baselines3",
-    known_utility=True,
-    Config=ScalarConfig,
-    parallel=True,
-)
+
+
+def _sb3(path: str) -> Peer:
+    options: dict[str, Any] = {"known_utility": True, "Config": ScalarConfig, "parallel": True}
+    return Peer(f"stable_baselines3.{path}", adapters.scalar, BOTH, "stable-baselines3", **options)
+
 
 PEERS: dict[str, Peer] = {
     "morl_baselines.pcn": _morl("multi_policy.pcn.pcn:PCN", adapters.conditioned_on_returns, BOTH),
@@ -113,6 +101,6 @@ PEERS: dict[str, Peer] = {
     "morl_baselines.nl_mo_ppo": _morl(
         "single_policy.ser.nl_mo_ppo:NLMOPPO", adapters.nl_mo_ppo, (DISCRETE,), known_utility=True, parallel=True
     ),
-    "stable_baselines3.a2c": _sb3("stable_baselines3.a2c.a2c:A2C"),
-    "stable_baselines3.ppo": _sb3("stable_baselines3.ppo.ppo:PPO"),
+    "stable_baselines3.a2c": _sb3("a2c.a2c:A2C"),
+    "stable_baselines3.ppo": _sb3("ppo.ppo:PPO"),
 }

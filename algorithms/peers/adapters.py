@@ -31,14 +31,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mo_deepdrive.utilities import Utility
-
 EVALUATION_EPISODES = 1  # of the algorithms' own evaluations during training, which are not reported
-# Number of weights for evaluations that the algorithms only log; computing them at the start is slow.
-LOGGED_WEIGHTS = 10
-HORIZON_SCALE = 0.1  # of PCN's and LCN's horizons, as in the library's examples
-NORMAL_EPSILON = 1e-8  # of Gymnasium's normalisation of observations
-UNBOUNDED = 100.0  # the library's own limit of desired returns without a bound
+LOGGED_WEIGHTS = 10  # for evaluations that the algorithms only log; computing them at the start is slow
 
 
 def _arguments(task: PeerTask, **defaults: Any) -> dict[str, Any]:
@@ -69,38 +63,33 @@ def _sample(probabilities: torch.Tensor, generator: torch.Generator | None) -> t
 
 
 def _networks(
-    task: PeerTask,
-    acts: Sequence[Callable[[PolicyInputs], Any]],
-    prefix: str,
-    vectors: Sequence[Any],
-    gamma: float = 1.0,
+    task: PeerTask, act: Callable[..., Any], networks: Sequence[tuple[Any, Any]], prefix: str, gamma: float = 1.0
 ) -> PeerPolicies:
-    """One policy per network, of which ``acts`` has the actions for inputs, and ``vectors`` (d,) the weights.
+    """One policy per network and the vector (d,) that it was trained for; ``act(network, vector, inputs)`` acts.
 
     ``gamma`` is the discount of the accrued rewards in the inputs, ``prefix`` that of the names of the conditions.
     """
-    shape = (task.env.actions,) if task.env.continuous else ()
-    kind = np.float32 if task.env.continuous else np.int64
+    shape, kind = ((task.env.actions,), np.float32) if task.env.continuous else ((), np.int64)
 
     def choose(rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
-        actions = np.zeros((len(rows), *shape), dtype=kind)
+        actions: NDArray[Any] = np.zeros((len(rows), *shape), dtype=kind)
         for policy in np.unique(rows):
             mine = rows == policy
-            actions[mine] = as_array(acts[policy](inputs.select(mine)))
+            part = PolicyInputs(*(each[mine] for each in inputs[:3]), inputs.generator)
+            actions[mine] = as_array(act(*networks[policy], part))
         return actions
 
     # Several networks may have been trained for the same vector, so conditions start with a number.
-    conditions = np.column_stack([np.arange(len(acts)), np.array(vectors, dtype=np.float64)])
+    vectors = np.array([vector for _, vector in networks], dtype=np.float64)
     names = ("network", *(f"{prefix}/{name}" for name in task.env.objectives))
-    return PeerPolicies(task, choose, conditions, names, gamma)
+    return PeerPolicies(task, choose, np.column_stack([np.arange(len(networks)), vectors]), names, gamma)
 
 
 def _weighted(task: PeerTask, act: Callable[[torch.Tensor, torch.Tensor], Any]) -> PeerPolicies:
     """One policy per weight vector of a network that takes weights; ``act`` takes (N, o) and (N, d)."""
-    config = task.config
-    assert isinstance(config, WeightedConfig)
+    assert isinstance(task.config, WeightedConfig)
     d = len(task.env.objectives)
-    weights = evenly_spaced_weights(d, max(config.policies, d))
+    weights = evenly_spaced_weights(d, max(task.config.policies, d))
 
     def choose(rows: NDArray[np.intp], inputs: PolicyInputs) -> Any:
         return act(task.tensor(inputs.observations), task.tensor(weights[rows]))
@@ -114,21 +103,17 @@ def conditioned_on_returns(task: PeerTask, algorithm: Any) -> PeerPolicies:
     There is one policy per non-dominated episode in the replay buffer.
     """
     env = task.make()
-    scaling = np.array([*(task.reward_scales / task.env.objective_scales), HORIZON_SCALE])
+    # Horizons are scaled as in the library's examples.
+    scaling = np.array([*(task.reward_scales / task.env.objective_scales), 0.1])
     agent = algorithm(env, **_arguments(task, scaling_factor=scaling))
     # It would write its network into the working directory hundreds of times.
     agent.save = lambda *_, **__: None
-    # The return of a cost is at most 0, as in the library's example; otherwise it desires impossible returns.
+    # The return of a cost is at most 0, as in the library's example; otherwise it desires impossible returns. 100 is
+    # the library's own limit. It evaluates its desired returns up to a thousand times, only to log them: 1 is enough.
     high = np.asarray(env.unwrapped.reward_space.high, dtype=np.float32)  # type: ignore[attr-defined]
-    max_return = _train(
-        task,
-        agent,
-        max_return=np.where(high <= 0.0, 0.0, UNBOUNDED),
-        # It evaluates this many desired returns up to a thousand times, only to log them.
-        num_points_pf=1,
-    )["max_return"]
+    limits = np.where(high <= 0.0, 0.0, 100.0)
+    max_return = _train(task, agent, max_return=limits, num_points_pf=1)["max_return"]
 
-    # Desired returns and horizons are those of the non-dominated episodes in the replay buffer.
     returns = np.array([episode[2][0].reward for episode in agent.experience_replay])
     horizons = np.array([len(episode[2]) for episode in agent.experience_replay], dtype=np.float32)
     kept = non_dominated(returns)
@@ -158,11 +143,23 @@ def envelope(task: PeerTask, algorithm: Any) -> PeerPolicies:
 
 
 def gpi_ls(task: PeerTask, algorithm: Any) -> PeerPolicies:
-    """Generalised policy improvement with linear support, discrete or continuous actions (Alegre et al. 2023)."""
+    """Generalised policy improvement with linear support, discrete or continuous actions (Alegre et al. 2023).
+
+    To choose a weight, it evaluates all corner weights anew for each corner weight, of which there may be hundreds;
+    here once per weight and number of steps that the agent has made.
+    """
     from morl_baselines.multi_policy.linear_support import linear_support
 
     agent = algorithm(task.make(), **_arguments(task, buffer_size=task.steps))
-    with patch.object(linear_support, "policy_evaluation_mo", _evaluated_once(linear_support.policy_evaluation_mo)):
+    evaluate, results = linear_support.policy_evaluation_mo, {}
+
+    def evaluate_once(agent: Any, env: Any, weight: NDArray[Any], rep: int) -> Any:
+        key = agent.global_step, weight.tobytes()
+        if key not in results:
+            results[key] = evaluate(agent, env, weight, rep=rep)
+        return results[key]
+
+    with patch.object(linear_support, "policy_evaluation_mo", evaluate_once):
         _train(
             task,
             agent,
@@ -181,22 +178,6 @@ def gpi_ls(task: PeerTask, algorithm: Any) -> PeerPolicies:
         return np.array([agent.eval(observation, weight) for observation, weight in pairs])
 
     return _weighted(task, act)
-
-
-def _evaluated_once(evaluate: Callable[..., Any]) -> Callable[..., Any]:
-    """``evaluate(agent, env, weight, rep)``, once per weight and number of steps that the agent has made.
-
-    To choose a weight, GPI-LS evaluates all corner weights anew for each corner weight, of which there may be hundreds.
-    """
-    results: dict[tuple[int, bytes], Any] = {}
-
-    def evaluate_once(agent: Any, env: Any, weight: NDArray[Any], rep: int) -> Any:
-        key = agent.global_step, weight.tobytes()
-        if key not in results:
-            results[key] = evaluate(agent, env, weight, rep=rep)
-        return results[key]
-
-    return evaluate_once
 
 
 def capql(task: PeerTask, algorithm: Any) -> PeerPolicies:
@@ -220,15 +201,14 @@ def morld(task: PeerTask, algorithm: Any) -> PeerPolicies:
     agent = algorithm(task.make(), **options)
     _train(task, agent, num_eval_episodes_for_front=EVALUATION_EPISODES, checkpoints=False)
 
-    def act(actor: Any, inputs: PolicyInputs) -> Any:
+    def act(actor: Any, _weights: Any, inputs: PolicyInputs) -> Any:
         observations = task.tensor(inputs.observations)
         if continuous:
             return actor.get_action(observations)[2]
         return _sample(actor(observations).softmax(-1), inputs.generator)
 
-    found = agent.archive.individuals
-    acts = [partial(act, policy.wrapped.actor) for policy in found]
-    return _networks(task, acts, "weight", [policy.weights for policy in found])
+    networks = [(policy.wrapped.actor, policy.weights) for policy in agent.archive.individuals]
+    return _networks(task, act, networks, "weight")
 
 
 def pgmorl(task: PeerTask, algorithm: Any) -> PeerPolicies:
@@ -239,35 +219,33 @@ def pgmorl(task: PeerTask, algorithm: Any) -> PeerPolicies:
     # Ten iterations of all policies, half of them warm-up. Between them it chooses weights, which is slow: it fits a
     # model to every policy under every weight. An iteration has to fill 32 minibatches.
     per_iteration = max(-(-32 // num_envs), min(2048, task.steps // (10 * population * num_envs)))
-    options = _arguments(
-        task,
-        # It makes the environments itself from an id; a specification works, too.
-        env_id=task.spec(),
-        origin=_reference(task),
-        num_envs=num_envs,
-        pop_size=population,
-        steps_per_iteration=per_iteration,
-        warmup_iterations=5,
-        evolutionary_iterations=5,
+    agent = algorithm(
+        **_arguments(
+            task,
+            env_id=task.spec(),  # it makes the environments itself from an id; a specification works, too
+            origin=_reference(task),
+            num_envs=num_envs,
+            pop_size=population,
+            steps_per_iteration=per_iteration,
+            warmup_iterations=5,
+            evolutionary_iterations=5,
+        )
     )
-    agent = algorithm(**options)
     # Its training environments normalise observations, each with separate statistics; its evaluations would not.
     statistics = agent.env.envs[0].get_wrapper_attr("obs_rms")
 
     def normalise(observations: NDArray[Any]) -> NDArray[np.float32]:
-        normal = (observations - statistics.mean) / np.sqrt(statistics.var + NORMAL_EPSILON)
+        normal = (observations - statistics.mean) / np.sqrt(statistics.var + 1e-8)  # as Gymnasium
         return np.asarray(np.clip(normal, -10.0, 10.0), dtype=np.float32)
 
     env = task.make(recorded=False)
     _train(task, agent, eval_env=gymnasium.wrappers.TransformObservation(env, normalise, env.observation_space))
 
-    def act(policy: Any, inputs: PolicyInputs) -> torch.Tensor:
-        mean: torch.Tensor = policy.networks.actor_mean(task.tensor(normalise(inputs.observations)))
-        return mean
+    def act(networks: Any, _weights: Any, inputs: PolicyInputs) -> Any:
+        return networks.actor_mean(task.tensor(normalise(inputs.observations)))
 
-    found = agent.archive.individuals
-    weights = [policy.weights.cpu().numpy() for policy in found]
-    return _networks(task, [partial(act, policy) for policy in found], "weight", weights)
+    networks = [(policy.networks, policy.weights.cpu().numpy()) for policy in agent.archive.individuals]
+    return _networks(task, act, networks, "weight")
 
 
 def _vector_env(task: PeerTask) -> Any:
@@ -296,13 +274,14 @@ def ipro(task: PeerTask, algorithm: Any) -> PeerPolicies:
             vector, network = super().oracle_train(referent, *args, **kwargs)
             return vector, (network, np.asarray(referent, dtype=np.float32))
 
-    d, iterations = len(task.env.objectives), int(task.config.arguments.get("max_iterations", 8))
-    rounds = 2 * d + iterations  # it starts with the best and the worst value of every objective
+    iterations = int(task.config.arguments.get("max_iterations", 8))
+    # It starts with the best and the worst value of every objective.
+    steps = task.steps // (2 * len(task.env.objectives) + iterations)
     options = _arguments(
         task,
         max_iterations=iterations,
-        iter_total_timesteps=task.steps // rounds,
-        num_steps=max(1, min(128, task.steps // rounds // task.env.num_envs)),
+        iter_total_timesteps=steps,
+        num_steps=max(1, min(128, steps // task.env.num_envs)),
         # Otherwise all solutions share one network, with the weights of the last round.
         reset_agent=True,
     )
@@ -311,14 +290,12 @@ def ipro(task: PeerTask, algorithm: Any) -> PeerPolicies:
     trained = task.train_arguments(ref_point=_reference(task), deterministic=True)
     solutions = agent.train(task.make(recorded=False), **trained)
     # When it replays its history, it replaces some networks by vectors.
-    found = [solution for _, solution in solutions if isinstance(solution, tuple)]
+    networks = [solution for _, solution in solutions if isinstance(solution, tuple)]
 
     def act(network: Any, preference: NDArray[np.float32], inputs: PolicyInputs) -> Any:
-        state = task.tensor(inputs.observations), task.tensor(inputs.accrued)
-        return network.get_greedy_action(*state, task.tensor(preference))
+        return network.get_greedy_action(*map(task.tensor, (inputs.observations, inputs.accrued, preference)))
 
-    acts = [partial(act, network, preference) for network, preference in found]
-    return _networks(task, acts, "preference", [preference for _, preference in found], gamma=agent.agent.gamma)
+    return _networks(task, act, networks, "preference", gamma=agent.agent.gamma)
 
 
 def eupg(task: PeerTask, algorithm: Any) -> PeerPolicies:
@@ -328,14 +305,9 @@ def eupg(task: PeerTask, algorithm: Any) -> PeerPolicies:
     # It calls the utility for a NumPy return with weights, and for an episode's torch returns without weights.
     agent = algorithm(task.make(), scalarization=task.utility_of_scaled, **_arguments(task))
     # Its default buffer stores observations as integers.
-    agent.buffer = AccruedRewardReplayBuffer(
-        obs_shape=agent.observation_shape,
-        action_shape=agent.action_shape,
-        rew_dim=agent.reward_dim,
-        max_size=agent.buffer_size,
-        obs_dtype=np.float32,
-        action_dtype=np.int32,
-    )
+    shapes = {"obs_shape": agent.observation_shape, "action_shape": agent.action_shape, "rew_dim": agent.reward_dim}
+    kinds = {"obs_dtype": np.float32, "action_dtype": np.int32}
+    agent.buffer = AccruedRewardReplayBuffer(**shapes, **kinds, max_size=agent.buffer_size)
     agent.train(task.steps, **task.train_arguments())
 
     def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> torch.Tensor:
@@ -356,35 +328,27 @@ def nl_mo_ppo(task: PeerTask, algorithm: Any) -> PeerPolicies:
     def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> torch.Tensor:
         network = agent.agent
         augmented = network._build_aug_obs(task.tensor(inputs.observations), task.tensor(inputs.accrued), None)
-        logits = network.actor(augmented)
-        return _sample(logits.softmax(-1), inputs.generator)
+        return _sample(network.actor(augmented).softmax(-1), inputs.generator)
 
     return PeerPolicies(task, choose, gamma=agent.gamma)
 
 
-def _environments(task: PeerTask, utility: Utility, measure: Any) -> Any:
-    """The training environments, with the utility of unscaled rewards as reward."""
+def scalar(task: PeerTask, algorithm: Any) -> PeerPolicies:
+    """A2C (Mnih et al. 2016) or PPO (Schulman et al. 2017), whose reward is the utility of unscaled rewards."""
+    assert isinstance(task.config, ScalarConfig)
+    assert task.utility is not None
+    env: Any
+    judged = task.utility, task.config.utility_of
     if task.env.native:
         from mo_deepdrive.envs.sb3 import SB3VecEnv
 
-        envs = VectorUtilityReward(RecordedEpisodes(task.env, task.recorder), utility, measure)
-        return SB3VecEnv(VectorScaledObservation(envs, task.observation_scales))
-    from stable_baselines3.common.vec_env import DummyVecEnv
+        envs = VectorUtilityReward(RecordedEpisodes(task.env, task.recorder), *judged)
+        env = SB3VecEnv(VectorScaledObservation(envs, task.observation_scales))
+    else:
+        from stable_baselines3.common.vec_env import DummyVecEnv
 
-    return DummyVecEnv(
-        [
-            lambda index=index: UtilityReward(task.make(index, scaled_rewards=False), utility, measure)
-            for index in range(task.env.num_envs)
-        ]
-    )
-
-
-def scalar(task: PeerTask, algorithm: Any) -> PeerPolicies:
-    """Train A2C (Mnih et al. 2016) or PPO (Schulman et al. 2017)."""
-    config, utility = task.config, task.utility
-    assert isinstance(config, ScalarConfig)
-    assert utility is not None
-    env = _environments(task, utility, config.utility_of)
+        makers = [partial(task.make, index, scaled_rewards=False) for index in range(task.env.num_envs)]
+        env = DummyVecEnv([lambda make=make: UtilityReward(make(), *judged) for make in makers])
     model = algorithm(env=env, **task.arguments(policy="MlpPolicy", verbose=0))
     model.learn(task.steps, **task.train_arguments())
     env.close()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+import itertools
+from copy import copy
+from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -13,7 +14,6 @@ import torch
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import VectorWrapper
-from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from mo_deepdrive.evaluation.episodes import evaluate_each
@@ -24,7 +24,10 @@ from mo_deepdrive.world.config import Settings
 from mo_deepdrive.wrappers import VectorEpisodeStatistics
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from gymnasium.vector import VectorEnv
+    from numpy.typing import ArrayLike, NDArray
 
     from algorithms.agent import Log
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
@@ -45,14 +48,8 @@ class Recorder:
     def step(self, environments: int = 1) -> None:
         """Count a step of some environments."""
         before, self.steps = self.steps, self.steps + environments
-        if before // self._interval < self.steps // self._interval:
-            self._write()
-
-    def episode(self, returns: NDArray[np.float64], length: int, success: bool) -> None:
-        """Record a finished episode with undiscounted ``returns`` (d,)."""
-        self._episodes.append((returns, length, success))
-
-    def _write(self) -> None:
+        if before // self._interval == self.steps // self._interval:
+            return
         metrics = {STEPS_PER_SECOND: self.steps / (perf_counter() - self._started)}
         if self._episodes:
             returns, lengths, succeeded = (np.array(each) for each in zip(*self._episodes, strict=True))
@@ -60,6 +57,10 @@ class Recorder:
             metrics |= {TRAIN + name: value for name, value in summary.items()}
         self._episodes = []
         self._log(self.steps, metrics)
+
+    def episode(self, returns: NDArray[np.float64], length: int, success: bool) -> None:
+        """Record a finished episode with undiscounted ``returns`` (d,)."""
+        self._episodes.append((returns, length, success))
 
 
 class RecordedEpisodes(VectorWrapper):  # not generic in Gymnasium 1.2
@@ -75,8 +76,7 @@ class RecordedEpisodes(VectorWrapper):  # not generic in Gymnasium 1.2
         check_vehicles("reward", rewards[:, None], self._adapter.name, self._adapter.objectives)
         found = infos.pop("episode", None)
         for row in np.flatnonzero(infos.pop("_episode", ())):
-            success = bool(infos["final_info"]["success"][row])
-            self._recorder.episode(found["r"][row], int(found["l"][row]), success)
+            self._recorder.episode(found["r"][row], int(found["l"][row]), bool(infos["final_info"]["success"][row]))
         self._recorder.step(self.num_envs)
         return observations, rewards, terminated, truncated, infos
 
@@ -84,31 +84,23 @@ class RecordedEpisodes(VectorWrapper):  # not generic in Gymnasium 1.2
 class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     """An environment with observations, actions and rewards in a form that all peers support.
 
-    Observations are float32 vectors divided by ``observation_scales``; actions are integers from 0, or floats in
-    [-1, 1]; vector rewards are float32 and divided by ``reward_scales``. The dynamics are unchanged. ``seed`` is that
-    of the first episode and of the action space; without a recorder nothing is recorded.
+    Observations are float32 vectors divided by the task's scales; actions are integers from 0, or floats in [-1, 1];
+    vector rewards are float32 and divided by the task's scales, too. The dynamics are unchanged. ``seed`` is that of
+    the first episode and of the action space.
     """
 
-    def __init__(
-        self,
-        env: gymnasium.Env[Any, Any],
-        adapter: EnvAdapter,
-        *,
-        observation_scales: NDArray[np.float32],
-        reward_scales: NDArray[np.float32],
-        seed: int,
-        recorder: Recorder | None = None,
-    ):
-        super().__init__(env)
-        self._adapter, self._recorder = adapter, recorder
-        self._observation_scales, self._reward_scales = observation_scales, reward_scales
+    def __init__(self, task: PeerTask, seed: int, *, recorded: bool, scaled_rewards: bool, render_mode: str | None):
+        super().__init__(task.make_single_env(render_mode=render_mode))
+        self._adapter, self._recorder = task.env, task.recorder if recorded else None
+        self._observation_scales = task.observation_scales
+        self._reward_scales = task.reward_scales if scaled_rewards else np.ones_like(task.reward_scales)
         self._first_seed: int | None = seed
-        high = np.full(adapter.observation_size, np.inf, dtype=np.float32)
-        self.observation_space = spaces.Box(-high, high, dtype=np.float32)
-        if adapter.continuous:
-            self.action_space = spaces.Box(-1.0, 1.0, (adapter.actions,), dtype=np.float32, seed=seed)
+        shape = (task.env.observation_size,)
+        self.observation_space = spaces.Box(-np.inf, np.inf, shape, dtype=np.float32)
+        if task.env.continuous:
+            self.action_space = spaces.Box(-1.0, 1.0, (task.env.actions,), dtype=np.float32, seed=seed)
         else:
-            self.action_space = spaces.Discrete(adapter.actions, seed=seed)
+            self.action_space = spaces.Discrete(task.env.actions, seed=seed)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start a new episode; without ``seed``, the first episode uses the constructor's seed."""
@@ -132,13 +124,8 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             if terminated or truncated:
                 self._recorder.episode(self._returns, self._length, bool(info.get("success", False)))
             self._recorder.step()
-        return (
-            self._observation(raw),
-            (vector / self._reward_scales).astype(np.float32),
-            bool(terminated),
-            bool(truncated),
-            info,
-        )
+        scaled = (vector / self._reward_scales).astype(np.float32)
+        return self._observation(raw), scaled, bool(terminated), bool(truncated), info
 
     def _observation(self, raw: Any) -> NDArray[np.float32]:
         observations = self._adapter.policy_observations(np.asarray(raw)[None])
@@ -146,15 +133,12 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         return np.asarray(observations[0, 0] / self._observation_scales, dtype=np.float32)
 
 
-# Arguments that are lists in YAML, but have to be arrays for morl-baselines.
-ARRAYS = ("scaling_factor", "max_return", "ref_point", "origin")
-
-
 def _with_arrays(arguments: dict[str, Any]) -> dict[str, Any]:
-    return {
-        name: np.asarray(value, dtype=np.float32) if name in ARRAYS and value is not None else value
-        for name, value in arguments.items()
-    }
+    """Arguments that are lists in YAML, but have to be arrays for morl-baselines, as such."""
+    for name in ("scaling_factor", "max_return", "ref_point", "origin"):
+        if arguments.get(name) is not None:
+            arguments[name] = np.asarray(arguments[name], dtype=np.float32)
+    return arguments
 
 
 class PeerConfig(Settings):
@@ -215,24 +199,14 @@ class PeerTask:
         self, index: int = 0, *, recorded: bool = True, scaled_rewards: bool = True, render_mode: str | None = None
     ) -> PeerEnv:
         """Make training environment ``index``; with ``recorded`` False, one for the peer's own evaluations."""
-        scales = self.reward_scales
-        return PeerEnv(
-            self.make_single_env(render_mode=render_mode),
-            self.env,
-            observation_scales=self.observation_scales,
-            reward_scales=scales if scaled_rewards else np.ones_like(scales),
-            seed=self.seed + index,
-            recorder=self.recorder if recorded else None,
-        )
+        options: dict[str, Any] = {"scaled_rewards": scaled_rewards, "render_mode": render_mode}
+        return PeerEnv(self, self.seed + index, recorded=recorded, **options)
 
     def spec(self) -> EnvSpec:
         """A specification that makes training environments, for peers that expect the id of an environment."""
-        inner = self.env.vector_env.spec
-        made = iter(range(1_000_000))
-        return EnvSpec(
-            id="Peer-v0" if inner is None else inner.id,
-            entry_point=lambda **rest: self.make(next(made), **rest),
-        )
+        inner, made = self.env.vector_env.spec, itertools.count()
+        name = "Peer-v0" if inner is None else inner.id
+        return EnvSpec(id=name, entry_point=lambda **rest: self.make(next(made), **rest))
 
     def arguments(self, **defaults: Any) -> dict[str, Any]:
         """Arguments of the constructor: common ones and the adapter's ``defaults``, overridden by the user's."""
@@ -240,7 +214,7 @@ class PeerTask:
         return _with_arrays({**common, **defaults, **self.config.arguments})
 
     def train_arguments(self, **defaults: Any) -> dict[str, Any]:
-        """Arguments of the training method: the adapter's ``defaults``, overridden by the user's."""
+        """Arguments of the training method: likewise, without common ones."""
         return _with_arrays({**defaults, **self.config.train_arguments})
 
     def tensor(self, array: Any) -> torch.Tensor:
@@ -251,13 +225,13 @@ class PeerTask:
         """The utility of returns (..., d) in the peer's units, for NumPy and torch; ``weights`` are ignored."""
         del weights  # some libraries pass them to every scalarisation
         assert self.utility is not None, "checked before the adapter is called"
-        scales = self.reward_scales
-        unit = torch.as_tensor(scales, device=returns.device) if isinstance(returns, torch.Tensor) else scales
-        return self.utility(returns * unit)
+        scales: Any = self.reward_scales
+        if isinstance(returns, torch.Tensor):
+            scales = torch.as_tensor(scales, device=returns.device)
+        return self.utility(returns * scales)
 
 
-@dataclass(frozen=True)
-class PolicyInputs:
+class PolicyInputs(NamedTuple):
     """The inputs of N policies, in the peer's units."""
 
     observations: NDArray[np.float32]  # (N, o)
@@ -265,32 +239,38 @@ class PolicyInputs:
     decisions: NDArray[np.int64]  # (N,) in the episode so far
     generator: torch.Generator | None  # samples actions; None for greedy ones
 
-    def select(self, rows: NDArray[Any]) -> PolicyInputs:
-        """The inputs of the policies at ``rows``."""
-        return PolicyInputs(self.observations[rows], self.accrued[rows], self.decisions[rows], self.generator)
-
-
-# From N indices of policies and their inputs to their actions (N,) or (N, k), an array or a tensor.
-ActionFunction = Callable[[NDArray[np.intp], PolicyInputs], Any]
-
 
 def as_array(actions: Any) -> NDArray[Any]:
     """Actions as an array, wherever the tensor is that a peer returned."""
     return torch.as_tensor(actions).cpu().numpy()
 
 
-@dataclass(frozen=True)
 class PeerPolicies:
-    """K policies that a peer has learned, and some of them as a :class:`mo_deepdrive.evaluation.policy.Policy`."""
+    """K policies that a peer has learned, and some of them as a :class:`mo_deepdrive.evaluation.policy.Policy`.
 
-    task: PeerTask
-    choose: ActionFunction
-    # (K, m) what identifies each policy, such as weights or a desired return, in unscaled units
-    conditions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 0)))
-    condition_names: tuple[str, ...] = ()  # of the m columns
-    gamma: float = 1.0  # discount of the accrued rewards in their inputs
-    # (N,) index of the policy that acts in each environment, or (1,) for one in all of them
-    rows: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, dtype=np.intp))
+    Args:
+        task: what they have learned.
+        choose: from N indices of policies and their inputs to their actions (N,) or (N, k), an array or a tensor.
+        conditions: (K, m) what identifies each policy, such as weights or a desired return, in unscaled units; one
+            policy without any if None.
+        condition_names: of the m columns.
+        gamma: discount of the accrued rewards in their inputs.
+    """
+
+    def __init__(
+        self,
+        task: PeerTask,
+        choose: Callable[[NDArray[np.intp], PolicyInputs], Any],
+        conditions: NDArray[np.float64] | None = None,
+        condition_names: tuple[str, ...] = (),
+        gamma: float = 1.0,
+    ):
+        self.task, self.choose, self.gamma = task, choose, gamma
+        self.conditions = np.zeros((1, 0)) if conditions is None else conditions
+        self.condition_names = condition_names
+        self.env, self.device = task.env, torch.device(task.device)
+        self.utilities = () if task.utility is None else (task.utility,)
+        self.rows = np.zeros(1, dtype=np.intp)  # (N,) the policy that acts in each environment, or (1,) in all
 
     def __len__(self) -> int:
         return len(self.conditions)
@@ -300,31 +280,17 @@ class PeerPolicies:
         """Environment steps that they have learnt from."""
         return self.task.recorder.steps
 
-    @property
-    def utilities(self) -> tuple[Utility, ...]:
-        """The known utility; empty if the peer learned a front."""
-        return () if self.task.utility is None else (self.task.utility,)
-
-    @property
-    def device(self) -> torch.device:
-        """The device of the generators for sampling."""
-        return torch.device(self.task.device)
-
-    @property
-    def env(self) -> EnvAdapter:
-        """The environment behind the adapter of our own algorithms."""
-        return self.task.env
-
     def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
         """The non-dominated policies in greedy episodes, as of :meth:`algorithms.agent.FrontAgent.front`."""
-        evaluations = evaluate_each(self.at, len(self), env, episodes=episodes, seed=seed, gamma=gamma)
-        return Front.of_evaluations(
-            evaluations, self.conditions, self.condition_names, gamma=gamma, seed=seed
-        ).non_dominated()
+        found = evaluate_each(self.at, len(self), env, episodes=episodes, seed=seed, gamma=gamma)
+        front = Front.of_evaluations(found, self.conditions, self.condition_names, gamma=gamma, seed=seed)
+        return front.non_dominated()
 
     def at(self, rows: NDArray[np.intp]) -> PeerPolicies:
         """With the policies at these indices acting, of which there is one for each environment."""
-        return replace(self, rows=rows)
+        policies = copy(self)
+        policies.rows = rows
+        return policies
 
     def policy(self, condition: ArrayLike) -> PeerPolicies:
         """The policy whose condition is nearest to ``condition`` (m,)."""
@@ -343,5 +309,4 @@ class PeerPolicies:
             decisions=accrued_reward.decisions[:, 0].copy(),
             generator=generator,
         )
-        rows = np.broadcast_to(self.rows, len(observations))
-        return as_array(self.choose(rows, inputs))[:, None]
+        return as_array(self.choose(np.broadcast_to(self.rows, len(observations)), inputs))[:, None]

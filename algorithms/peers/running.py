@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import random  # noqa: TID251  (the libraries draw from the global generators)
+from functools import partial
 from importlib import metadata
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mo_gymnasium
 import numpy as np
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     from algorithms.runs.config import Experiment
     from algorithms.runs.run_directory import Run
 
-LOGGED_ROWS = 100  # of training metrics in a run
-
 
 def prepare(experiment: Experiment, log: Log) -> PeerTask:
     """The task of the peer in an experiment, which calls ``log(step, metrics)`` during training."""
@@ -48,18 +47,12 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
         if given:
             raise ValueError(f"training.{key}: algorithm {name!r} cannot train with {key}")
     env = EnvAdapter(make_environment(settings, training.num_envs))
-    utility = None
-    if experiment.utility is None:
-        check_reference_point(experiment.evaluation.reference_point, env.objectives)
-    else:
-        utility = make_utilities(experiment.utility, env)[0]
     point = experiment.evaluation.reference_point
-
-    def make_single_env(render_mode: str | None = None) -> Any:
-        return mo_gymnasium.make(settings.id, render_mode=render_mode, **settings.arguments)
-
+    utility = make_utilities(experiment.utility, env)[0] if experiment.utility is not None else None
+    if utility is None:
+        check_reference_point(point, env.objectives)
     task = PeerTask(
-        make_single_env=make_single_env,
+        make_single_env=partial(mo_gymnasium.make, settings.id, **settings.arguments),
         env=env,
         config=experiment.algorithm.config,
         utility=utility,
@@ -67,17 +60,11 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
         seed=training.seed,
         device=training.device,
         reference_point=None if point is None else np.array(point),
-        recorder=Recorder(env.objectives, utility, max(1, training.total_timesteps // LOGGED_ROWS), log),
+        # It logs a hundred rows of metrics.
+        recorder=Recorder(env.objectives, utility, max(1, training.total_timesteps // 100), log),
     )
     peer.check(name, task)
     return task
-
-
-def seed_everything(seed: int) -> None:
-    """Seed the global generators: the libraries draw from them whatever seed they are given."""
-    random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002  (the libraries use the legacy generator)
-    torch.manual_seed(seed)  # noqa: TID251
 
 
 def run_peer(run: Run, console: Console) -> None:
@@ -86,10 +73,13 @@ def run_peer(run: Run, console: Console) -> None:
     Its output goes to ``peer.log``, the recorder's metrics to ``metrics.csv``. A run that was interrupted begins anew.
     Peers use the global random generators of this process, which are seeded.
     """
-    experiment = run.experiment
+    experiment, seed = run.experiment, run.experiment.training.seed
     peer = PEERS[experiment.algorithm.name]
     set_threads(experiment.training.threads)
-    seed_everything(experiment.training.seed)
+    # The libraries draw from the global generators whatever seed they are given.
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002  (the libraries use the legacy generator)
+    torch.manual_seed(seed)  # noqa: TID251
     with Logger(
         run.path,
         after=-1 if (run.path / METRICS_FILE).exists() else None,

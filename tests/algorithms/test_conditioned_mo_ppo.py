@@ -380,7 +380,7 @@ def test_a_preference_that_pays_for_exploring_does_not_stop_the_others() -> None
         for name in ("gain", "cost"):
             policy = agent.policy(agent.preferences.condition("linear", {name: 1.0}))
             deviations[of_state, name] = policy.act(observations, start, generator).std()
-        assert isinstance(actor, StateGaussianActor if of_state else GaussianActor)
+        assert type(actor) is (StateGaussianActor if of_state else GaussianActor)
     assert deviations[True, "cost"] < 0.5 * deviations[True, "gain"]
     assert deviations[False, "cost"] == pytest.approx(deviations[False, "gain"], rel=0.15)
 

@@ -405,8 +405,8 @@ def test_episodes_are_random_from_the_drawn_decision_on(place: str, monkeypatch:
     monkeypatch.setattr(agent, "choose_actions", lambda *inputs: np.ones_like(drawn[:, 0]))
     agent._collect(policy)
     for episode, followed in zip(rounds[0], (0, 3, len(rounds[0][2]), 1), strict=True):
-        expected = (np.arange(len(episode)) < followed).astype(float)
-        np.testing.assert_array_equal(episode.actions.reshape(len(episode), -1)[:, 0], expected)
+        expected = (np.arange(len(episode.returns)) < followed).astype(float)
+        np.testing.assert_array_equal(episode.actions.reshape(len(episode.returns), -1)[:, 0], expected)
 
 
 @pytest.mark.parametrize("exploration", [0.0, 0.3, 1.0])
@@ -432,7 +432,7 @@ def test_the_buffer_holds_what_a_replay_of_the_actions_gives(place: str, monkeyp
     rounds = collected(agent, monkeypatch)
     agent.train(TOTAL // 2)
     assert agent.updates == len(rounds) == len(seeds)
-    assert agent.step == sum(len(episode) for episodes in rounds for episode in episodes)
+    assert agent.step == sum(len(episode.returns) for episodes in rounds for episode in episodes)
     assert len({seed + i for seed in seeds for i in range(4)}) == 4 * len(rounds)  # every episode on a seed of its own
     assert min(seeds) >= 2**32
     env = mo_gymnasium.make(env_id, **arguments)
@@ -552,14 +552,14 @@ def test_training_metrics_are_means_over_the_exploring_episodes(
     lines = recorded(agent, TOTAL, log_interval=log_interval)
     assert lines[-1][0] == agent.step
     warmup = 2
-    ends = [sum(len(episode) for each in rounds[: k + 1] for episode in each) for k in range(len(rounds))]
+    ends = [sum(len(episode.returns) for each in rounds[: k + 1] for episode in each) for k in range(len(rounds))]
     begun = 0
     for step, metrics in lines:
         k = ends.index(step)
         assert (k + 1) % log_interval == 0 or k == len(rounds) - 1
         episodes = [episode for each in rounds[begun : k + 1] for episode in each]
         begun = k + 1
-        assert metrics["train/length"] == pytest.approx(np.mean([len(episode) for episode in episodes]))
+        assert metrics["train/length"] == pytest.approx(np.mean([len(episode.returns) for episode in episodes]))
         assert metrics["train/success"] == 0.0
         for i in range(2):
             expected = np.mean([episode.returns[0, i] for episode in episodes])

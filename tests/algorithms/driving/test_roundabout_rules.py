@@ -10,6 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
+from algorithms.driving.controls import forward
 from algorithms.driving.roundabout_rules import (
     TYPES,
     RoundaboutDriver,
@@ -73,7 +74,7 @@ def test_where_it_is_and_where_others_are_follow_from_the_observation() -> None:
         assert np.abs(lane(place.route, place.along)[3] - expected[3]).mean() < 5e-3
         # The coordinates are those of the route from the first arm; distances between vehicles are the same ones.
         others = locate_others(seen, place)
-        apart = np.linalg.norm(others.centre - (place.front - HALF_LENGTH * place.forward)[:, None], axis=-1)
+        apart = np.linalg.norm(others.centre - (place.front - HALF_LENGTH * forward(place.heading))[:, None], axis=-1)
         i = np.repeat(np.arange(8), 4)[running]
         x, y = env.batch.state["x"][i], env.batch.state["y"][i]
         ended = env.batch.state["end"][i] != RUNNING

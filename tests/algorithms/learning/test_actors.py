@@ -117,15 +117,15 @@ def randomised(kind: Callable[..., Any], inputs: int, actions: int) -> Actor:
     actor = kind(inputs, [16, 8], actions, seeded(1))
     with torch.no_grad():
         linear_layers(actor.body)[-1].weight.mul_(200.0)
-        if isinstance(actor, GaussianActor):
+        if type(actor) is GaussianActor:
             actor.log_std.copy_(torch.linspace(-2.0, 1.0, actions))
     return actor.double()
 
 
-def normal_of(actor: GaussianActor | StateGaussianActor, x: torch.Tensor) -> distributions.Distribution:
+def normal_of(actor: GaussianActor, x: torch.Tensor) -> distributions.Distribution:
     """torch's own distribution of the actions."""
     outputs = actor.body(x)
-    if isinstance(actor, GaussianActor):
+    if type(actor) is GaussianActor:
         return distributions.Independent(distributions.Normal(outputs, actor.log_std.exp()), 1)
     means, log_std = outputs.chunk(2, dim=-1)
     deviations = (LOG_STD_GAIN * log_std + INITIAL_LOG_STD).clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD).exp()
