@@ -54,16 +54,11 @@ RESTART_KEY = pygame.K_r
 
 
 def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
-    """The discrete action that comes closest to what the keys would do in a car.
+    """The discrete action that comes closest to what the keys would do in a car, whose record of VEHICLE is given.
 
-    Left and right steer as far as any action does at this speed; without them the steering returns to straight.
-    Without a key for the speed the car coasts, and without any key the action is idle. If both keys of a pair are
-    down, the car brakes, or drives straight on.
-
-    Args:
-        keys: the keys that are down.
-        vehicle: record of dtype VEHICLE.
-        action_type: a key of ``mo_deepdrive.world.actions.DISCRETE``.
+    Left and right steer as far as any action does at this speed; without them the steering returns to straight. Without
+    a key for the speed the car coasts, and without any key the action is idle. If both keys of a pair are down, the car
+    brakes, or drives straight on.
     """
     names = action_sets.action_names(action_type)
     if not any(keys):
@@ -90,30 +85,17 @@ def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
 
 @dataclass(frozen=True)
 class EpisodeOutcome:
-    """How an episode ended for each of its V vehicles.
+    """How an episode ended for each of its V vehicles."""
 
-    Attributes:
-        episode: its number, starting at 1.
-        seed: seed of its scenario.
-        ends: (V,) why it ended (a name of ``mo_deepdrive.simulation.state.ENDS``).
-        seconds: (V,) after what time it ended.
-        returns: (V, d) undiscounted vector returns.
-    """
-
-    episode: int
-    seed: int
-    ends: tuple[str, ...]
-    seconds: tuple[float, ...]
-    returns: NDArray[np.float64]
+    episode: int  # its number, starting at 1
+    seed: int  # seed of its scenario
+    ends: tuple[str, ...]  # (V,) why it ended (a name of ``mo_deepdrive.simulation.state.ENDS``)
+    seconds: tuple[float, ...]  # (V,) after what time it ended
+    returns: NDArray[np.float64]  # (V, d) undiscounted vector returns
 
 
 def make_play_env(env_id: str, **arguments: Any) -> DrivingVectorEnv:
-    """A single environment for :class:`HumanPlayEnv`: it returns RGB frames and is not reset automatically.
-
-    Args:
-        env_id: an id of this package.
-        **arguments: arguments of the environment.
-    """
+    """A single environment for :class:`HumanPlayEnv`: it returns RGB frames and is not reset automatically."""
     arguments = {**arguments, "render_mode": "rgb_array"}
     env = gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
     return cast("DrivingVectorEnv", env.unwrapped)
@@ -134,10 +116,6 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         policy: drives the other vehicles.
         generator: random numbers for its sampled actions; None for greedy ones.
         on_frame: called with the frame of every decision.
-
-    Attributes:
-        vector_env: the environment.
-        seats: the vehicles that people drive.
 
     Raises:
         ValueError: if nobody drives a vehicle.
@@ -173,12 +151,7 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start the next episode.
-
-        Args:
-            seed: seed of this episode; None for the next one, which is random at first.
-            options: reset options of the environment.
-        """
+        """Start the next episode, with its own seed, which is random at first, or with ``seed``."""
         super().reset(seed=seed)
         if seed is not None or self._first_seed is None:
             self._first_seed = int(self.np_random.integers(SEEDS)) if seed is None else seed
@@ -277,13 +250,9 @@ def key_table(codes: Sequence[int]) -> dict[tuple[int, ...], NDArray[np.int8]]:
 
 
 def open_display(*, allow_invisible: bool) -> None:
-    """Initialise the display for a window.
+    """Initialise the display for a window; a ValueError if there is none.
 
-    Args:
-        allow_invisible: accept a video driver of SDL without a display, such as "dummy".
-
-    Raises:
-        ValueError: if there is no display.
+    With ``allow_invisible`` a video driver of SDL without a display will do, such as "dummy".
     """
     try:
         pygame.display.init()
@@ -307,12 +276,9 @@ def describe_controls(seats: Sequence[int]) -> str:
 
 
 def play_in_window(env: HumanPlayEnv, fps: int, on_outcome: Callable[[EpisodeOutcome], None]) -> None:
-    """Drive in a window until the user quits.
+    """Drive in a window, with ``fps`` decisions per second, until the user quits.
 
-    Args:
-        env: the environment; it has at most as many seats as KEYBOARD has entries.
-        fps: decisions per second.
-        on_outcome: called at the end of every episode.
+    The environment has at most as many seats as KEYBOARD has entries; every outcome is passed to ``on_outcome``.
     """
     from gymnasium.utils.play import play  # imported late: it selects a backend of matplotlib
 

@@ -129,20 +129,14 @@ def _intersection_nonlinear(m: dict[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class ComfortBudget:
-    """The numbers of a comfort budget, for magnitudes of an episode.
-
-    Attributes:
-        g_force: budget of the sum of the g-forces (g).
-        jerk: budget of the sum of the jerks (m/s^3).
-        prices: per unit of other costs.
-        excess_prices: per unit of what exceeds a budget.
-    """
+    """The numbers of a comfort budget, for magnitudes of an episode."""
 
     GAINS: ClassVar[dict[str, float]] = {"distance": 0.1, "destination": 10.0}
 
-    g_force: float
-    jerk: float
-    prices: Mapping[str, float] = field(default_factory=dict)
+    g_force: float  # budget of the sum of the g-forces (g)
+    jerk: float  # budget of the sum of the jerks (m/s^3)
+    prices: Mapping[str, float] = field(default_factory=dict)  # per unit of other costs
+    # Per unit of what exceeds a budget.
     excess_prices: Mapping[str, float] = field(default_factory=lambda: {"g_force": 2.0, "jerk": 0.05})
 
     def utility(self, m: dict[str, Any]) -> Any:
@@ -178,14 +172,11 @@ class RiskAversion:
     """Constant absolute risk aversion in a linear value L of magnitudes: T (1 - exp(-L / T)).
 
     J. W. Pratt, "Risk aversion in the small and in the large", Econometrica 32, 1964.
-
-    Attributes:
-        weights: of L, by objective.
-        tolerance: T, in the units of L. R. A. Howard ("Decision analysis: practice and promise", Management Science 34,
-            1988) reads it as the stake x for which an even chance to win x or lose x / 2 is hardly worth taking.
     """
 
-    weights: Mapping[str, float]
+    weights: Mapping[str, float]  # of L, by objective
+    # T, in the units of L. R. A. Howard ("Decision analysis: practice and promise", Management Science 34, 1988) reads
+    # it as the stake x for which an even chance to win x or lose x / 2 is hardly worth taking.
     tolerance: float
 
     def utility(self, m: dict[str, Any]) -> Any:

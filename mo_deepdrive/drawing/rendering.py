@@ -217,16 +217,7 @@ class Panel:
     def _write(self, text: str, x: float, y: float, size: int, colour: Colour, fill: Colour | None = None) -> float:
         """Write ``text`` centred vertically at ``y``, from ``x`` on, or up to -``x`` if ``x`` is negative.
 
-        Args:
-            text: what to write.
-            x: left end, or minus the right end.
-            y: vertical centre.
-            size: size of the font.
-            colour: of the text.
-            fill: colour of a label behind the text; None for no label.
-
-        Returns:
-            The right end.
+        With the colour ``fill`` there is a label behind the text. Returns the right end.
         """
         if size not in self._fonts:
             self._fonts[size] = pygame.font.Font(None, round(size * SUPERSAMPLING * (1.15 if self._alone else 1.0)))
@@ -277,12 +268,8 @@ class EpisodeTrace:
 class Viewer:
     """Draws one world of ``config``.
 
-    Args:
-        config: the environment's configuration.
-        render_mode: "rgb_array", or "human" to also show every frame in a window, at decision_frequency.
-
-    Raises:
-        ValueError: for another render_mode.
+    With "human" it also shows every frame in a window, at decision_frequency. Another mode than RENDER_MODES is a
+    ValueError.
     """
 
     def __init__(self, config: EnvConfig, render_mode: str):

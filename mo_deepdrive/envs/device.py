@@ -144,13 +144,10 @@ class DeviceVectorEnv(VectorBase):
         return self._shaped(self.worlds.observations.clone()), {}
 
     def _start(self, rows: NDArray[np.int64], seeds: list[int | None], pins: Any, listed: bool) -> None:
-        """Start episodes in the worlds ``rows``; those with a seed of their own, or pins, are placed on the CPU.
+        """Start episodes in the worlds ``rows`` (k,); those with a seed of their own, or pins, are placed on the CPU.
 
-        Args:
-            rows: (k,) which worlds.
-            seeds: of all worlds; None continues a stream.
-            pins: of :func:`mo_deepdrive.envs.options.make_pins`.
-            listed: whether every world has a seed of its own; else the first one is that of all.
+        The seeds are of all worlds, and None continues a stream. Where they are not ``listed``, one for each, the first
+        one is that of all.
         """
         everyone = np.arange(self.num_envs)
         if self._begun:

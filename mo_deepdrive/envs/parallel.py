@@ -217,9 +217,8 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
 class CheckedSteps(BaseWrapper[str, Array, Any]):  # type: ignore[misc]  # PettingZoo has no types
     """Refuses an invalid action at once; the conversion to AEC would do so only when the world moves.
 
-    Raises:
-        ResetNeeded: before the first reset and after the end of an episode.
-        ValueError: for an action outside the action space, or one other than None for a vehicle that has ended.
+    ResetNeeded before the first reset and after the end of an episode; a ValueError for an action outside the action
+    space, or one other than None for a vehicle that has ended.
     """
 
     def step(self, action: Any) -> None:
@@ -235,11 +234,7 @@ class CheckedSteps(BaseWrapper[str, Array, Any]):  # type: ignore[misc]  # Petti
 
 
 def aec_env(parallel: DrivingParallelEnv) -> AECEnv[str, Array, Any]:
-    """``parallel`` as an AEC environment, converted by MOMAland.
-
-    Raises:
-        ImportError: if MOMAland is not installed.
-    """
+    """``parallel`` as an AEC environment, converted by MOMAland; an ImportError if that is not installed."""
     with needed_for("the AEC environment"):
         from momaland.utils.conversions import mo_parallel_to_aec
     return CheckedSteps(mo_parallel_to_aec(parallel))

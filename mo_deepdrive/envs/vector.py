@@ -173,14 +173,8 @@ class DrivingVectorEnv(VectorBase):
     def advance(self, actions: NDArray[Any]) -> Transition:
         """What :meth:`step` does, without infos, which take as long as the physics, and with an axis of one vehicle.
 
-        No later step overwrites the arrays.
-
-        Args:
-            actions: (N, V) or (N, V, 3).
-
-        Raises:
-            ResetNeeded: as :meth:`check_ready`.
-            ValueError: for actions that are not in the action space; no world has moved.
+        No later step overwrites the arrays. The actions are (N, V) or (N, V, 3). ResetNeeded as :meth:`check_ready`; a
+        ValueError for actions that are not in the action space, where no world has moved.
         """
         self.check_ready()
         batch = self.batch
@@ -206,10 +200,9 @@ class DrivingVectorEnv(VectorBase):
         return taken
 
     def check_ready(self) -> None:
-        """Refuse to step worlds that have to be reset first.
+        """Refuse to step worlds that have to be reset first, with ResetNeeded.
 
-        Raises:
-            ResetNeeded: before the first reset, or where a world's episode is over and this mode does not reset it.
+        That is before the first reset, or where a world's episode is over and this mode does not reset it.
         """
         if self.autoreset_mode is not AutoresetMode.NEXT_STEP and self._over.any():
             raise needs_reset(np.flatnonzero(self._over))

@@ -28,9 +28,7 @@ RENDER_MODES = ["rgb_array", "human"]
 class World:
     """One world of a scenario, a batch of one row, with a renderer and checks of actions: a base of environments.
 
-    Args:
-        config: the environment's settings.
-        render_mode: None, "rgb_array" or "human" (a window that follows every reset and step).
+    With the render mode "human" a window follows every reset and step.
 
     Attributes:
         objectives: names of the reward's d components, in order.
@@ -63,8 +61,7 @@ class World:
     def place(self, generator: np.random.Generator, options: Mapping[str, Any] | None) -> None:
         """Start a new episode drawn from ``generator``, with the reset options ``options``.
 
-        Raises:
-            ValueError: for options without a valid scenario; the world and the generator are unchanged.
+        A ValueError for options without a valid scenario; the world and the generator are unchanged.
         """
         pins = make_pins(options, self.config)
         stream = generator.bit_generator.state

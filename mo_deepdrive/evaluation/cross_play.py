@@ -38,16 +38,12 @@ def roles_of(vehicles: int) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Encounter:
-    """What two drivers achieve together.
+    """What two drivers achieve together."""
 
-    Attributes:
-        drivers: name of the driver of vehicle 0, and of that of all others.
-        estimates: with their 95% intervals over the episodes, those of all together (``Evaluation.team_samples``), such
-            as "success", the share of episodes in which all arrive; then arrivals and utility of both roles, such as
-            "vehicle_0/success", which for several others are means over them; and the returns of vehicle 0.
-    """
-
-    drivers: tuple[str, str]
+    drivers: tuple[str, str]  # name of the driver of vehicle 0, and of that of all others
+    # With their 95% intervals over the episodes, those of all together (``Evaluation.team_samples``), such as
+    # "success", the share of episodes in which all arrive; then arrivals and utility of both roles, such as
+    # "vehicle_0/success", which for several others are means over them; and the returns of vehicle 0.
     estimates: dict[str, Estimate]
 
     @property

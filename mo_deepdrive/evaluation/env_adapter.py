@@ -82,27 +82,22 @@ def _constructors(env_id: str, num_envs: int, arguments: dict[str, Any]) -> Iter
 
 @dataclass
 class Step:
-    """One step of all environments.
+    """One step of all environments."""
 
-    Attributes:
-        observations: (N, V, o) for the next action; where an episode ended, the first of the next episode.
-        rewards: (N, V, d).
-        terminated, truncated: (N, V) whether the vehicle's episode ended in this step.
-        acted: (N, V) False where the sample does not count: the vehicle had finished already, or the environment was
-            only reset.
-        final: (N, V, o) observations after the step; where an episode ended, the last of that episode.
-        succeeded: (N, V) whether an episode that ended in this step reached its goal; all False where the environment
-            does not report it.
-        ends: (N,) or (N, V) why episodes ended, from ``info["end"]``; None where the environment does not report it.
-    """
-
+    # (N, V, o) for the next action; where an episode ended, the first of the next episode.
     observations: NDArray[np.float32]
-    rewards: NDArray[np.float32]
+    rewards: NDArray[np.float32]  # (N, V, d)
+    # (N, V) whether the vehicle's episode ended in this step.
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
+    # (N, V) False where the sample does not count: the vehicle had finished already, or the environment was only reset.
     acted: NDArray[np.bool_]
+    # (N, V, o) observations after the step; where an episode ended, the last of that episode.
     final: NDArray[np.float32]
+    # (N, V) whether an episode that ended in this step reached its goal; all False where the environment does not
+    # report it.
     succeeded: NDArray[np.bool_]
+    # (N,) or (N, V) why episodes ended, from ``info["end"]``; None where the environment does not report it.
     ends: NDArray[Any] | None
 
 
@@ -201,11 +196,7 @@ class EnvAdapter:
         return np.tile(self.objective_scales, self.vehicles)
 
     def chosen_objective_scales(self, scales: Sequence[float] | None) -> NDArray[np.float32]:
-        """``scales`` (d,), or the environment's own where they are None.
-
-        Raises:
-            ValueError: if there is not one scale per objective.
-        """
+        """``scales`` (d,), or the environment's own where they are None; a ValueError for another number of them."""
         if scales is None:
             return self.objective_scales
         if len(scales) != len(self.objectives):
@@ -215,11 +206,7 @@ class EnvAdapter:
         return np.asarray(scales, dtype=np.float32)
 
     def reset(self, seed: int | list[int] | None = None) -> NDArray[np.float32]:
-        """Reset every environment; the i-th is seeded with ``seed + i`` or ``seed[i]``. Observations (N, V, o).
-
-        Raises:
-            NotFinite: for observations that are not finite.
-        """
+        """Reset every environment, the i-th with the seed ``seed + i`` or ``seed[i]``: observations (N, V, o)."""
         raw, _ = self.vector_env.reset(seed=seed)  # type: ignore[arg-type]  # a list is fine, says its documentation
         self._was_over[:] = False
         observations = self.policy_observations(raw)
@@ -241,12 +228,8 @@ class EnvAdapter:
     def step(self, actions: NDArray[Any]) -> Step:
         """Act in every environment.
 
-        Args:
-            actions: (N, V) indices, or (N, V, k) with each axis in [-1, 1] (clipped and scaled to the box).
-
-        Raises:
-            ValueError: for another shape.
-            NotFinite: for actions, rewards or observations that are not finite.
+        The actions are (N, V) indices, or (N, V, k) with each axis in [-1, 1] (clipped and scaled to the box). Another
+        shape is a ValueError; actions, rewards or observations that are not finite are NotFinite.
         """
         actions = np.asarray(actions)
         if actions.shape != self._action_shape:

@@ -40,8 +40,7 @@ class Estimate:
     def text(self, other_width: float = 0.0) -> str:
         """``1.23 [1.20, 1.26]``, to two significant digits of the interval's width, but at most four decimals.
 
-        Args:
-            other_width: width of an interval for another source of error; the digits are those of the wider one.
+        Of a wider interval of ``other_width``, for another source of error, to that one's digits.
         """
         if self.low is None or self.high is None or not self.high - self.low > 0.0:  # also if both ends are infinite
             return f"{self.value:.4g}"
@@ -59,14 +58,9 @@ def of_three(sizes: Iterable[int], what: str = "seeds") -> str:
 
 
 def bootstrap(samples: ArrayLike, statistic: Callable[..., Any] = np.mean) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Percentile bootstrap over the first axis (scipy.stats.bootstrap), always with the same resamples.
+    """Percentile bootstrap over the first axis of ``samples`` (n, ...), always with the same resamples.
 
-    Args:
-        samples: (n, ...).
-        statistic: called as ``statistic(samples, axis=...)``.
-
-    Returns:
-        Lower and upper ends, each (...); NaN where n is below MIN_SAMPLES.
+    Called as ``statistic(samples, axis=...)``. Lower and upper ends, each (...); NaN where n is below MIN_SAMPLES.
     """
     samples = np.asarray(samples, dtype=np.float64)
     if len(samples) < MIN_SAMPLES:

@@ -91,11 +91,7 @@ REQUIRED = {"task", "learner", "seed", "policy", "column", "value"}
 
 
 def write_rows(path: str | Path, rows: Sequence[Row]) -> None:
-    """Write rows as CSV, a column for each attribute.
-
-    Raises:
-        OSError: if the file cannot be written; it is complete or unchanged.
-    """
+    """Write rows as CSV, a column for each attribute; the file is complete or unchanged."""
     names = [field.name for field in fields(Row)]
     atomic_write(Path(path), csv_bytes([names, *map(astuple, rows)]))
 
@@ -103,8 +99,7 @@ def write_rows(path: str | Path, rows: Sequence[Row]) -> None:
 def read_rows(path: str | Path) -> list[Row]:
     """The rows that :func:`write_rows` wrote, each of them valid, and each number there once.
 
-    Raises:
-        ValueError: if it is another file, or naming the line and what is wrong in it.
+    Of another file a ValueError, naming the line and what is wrong in it.
     """
     columns = {field.name: field.type == "str" for field in fields(Row)}  # by name, whether it is text
     rows: dict[tuple[Any, ...], Row] = {}
@@ -140,8 +135,7 @@ def _parse(cells: dict[str, str], where: str) -> Row:
 def check_of_suite(row: Row) -> None:
     """Refuse what is not of this version of the suite, or not one of its numbers.
 
-    Raises:
-        ValueError: naming the attribute, its value and what is allowed.
+    The ValueError names the attribute, its value and what is allowed.
     """
     suite = load()
     if row.task not in suite.tasks:

@@ -97,11 +97,7 @@ def _longest_route(config: EnvConfig) -> float:
 
 
 def objective_bound(name: str, config: EnvConfig) -> float:
-    """Largest magnitude of an objective in one decision.
-
-    Raises:
-        ValueError: if the function of a registered objective gives no positive number.
-    """
+    """Largest magnitude of an objective in one decision; a ValueError if a registered one gives no positive number."""
     bound = OBJECTIVES[INDEX[name]].bound
     if isinstance(bound, str):
         return limits(config)[bound]
@@ -172,15 +168,10 @@ def _car_ranges(config: EnvConfig, most: dict[str, float]) -> dict[str, tuple[fl
 
 
 def check_state(state: NDArray[Any], config: EnvConfig, n_waypoints: NDArray[np.int64]) -> None:
-    """Refuse a state that the kernel cannot take.
+    """Refuse a state (worlds, vehicles) of VEHICLE that the kernel cannot take.
 
-    Args:
-        state: (worlds, vehicles) of VEHICLE.
-        config: of the environment.
-        n_waypoints: (vehicles,) how many waypoints each vehicle has.
-
-    Raises:
-        ValueError: naming the first field out of range or not finite, its value and its range.
+    The vehicles have ``n_waypoints`` (vehicles,). The ValueError names the first field out of range or not finite, its
+    value and its range.
     """
     # Worlds that were never reset have no waypoints, and nothing in them moves.
     unplaced = (state["n_waypoints"] == 0) & (state["end"] != RUNNING)

@@ -26,21 +26,14 @@ FAR = 2000.0
 
 @dataclass(frozen=True)
 class Entry:
-    """One observed quantity.
+    """One observed quantity."""
 
-    Attributes:
-        name: unique within a layout.
-        unit: SI.
-        low: lower bound of the observation space; None if it follows from the configuration (see :func:`bounds`).
-        high: upper bound, likewise.
-        scale: nominal magnitude, by which learners divide.
-    """
-
-    name: str
-    unit: str
+    name: str  # unique within a layout
+    unit: str  # SI
+    # Lower bound of the observation space; None if it follows from the configuration (see :func:`bounds`).
     low: float | None
-    high: float | None
-    scale: float
+    high: float | None  # upper bound, likewise
+    scale: float  # nominal magnitude, by which learners divide
 
 
 def _corner_entries() -> tuple[Entry, ...]:

@@ -54,12 +54,9 @@ class UtilitySearch:
     best plans, and an offspring of any of them may improve any utility. Random driving rules make the first generation,
     and take over from some of the offspring later.
 
-    Args:
-        evaluator: of the scenario's plans; its start is overwritten.
-        values: from returns (n, d) to utilities (n, P); the returns are undiscounted, in the order of the evaluator's
-            objectives with the time after them.
-        unfinished: seconds that are charged unless the drive arrives.
-        seed: of all random choices.
+    The start of the evaluator is overwritten. The values map returns (n, d) to utilities (n, P); the returns are
+    undiscounted, in the order of the evaluator's objectives with the time after them, of which ``unfinished`` seconds
+    are charged unless the drive arrives.
     """
 
     def __init__(
