@@ -50,7 +50,6 @@ KEYBOARD = {
     "arrow keys": (pygame.K_UP, pygame.K_DOWN, pygame.K_LEFT, pygame.K_RIGHT),
     "W A S D": (pygame.K_w, pygame.K_s, pygame.K_a, pygame.K_d),
 }
-RESTART_KEY = pygame.K_r
 
 
 def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
@@ -65,8 +64,7 @@ def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
         return names.index("idle")
 
     def target_steer(group: action_sets.Steer) -> float:
-        target: float = group.decay * vehicle.steer + group.offset + group.curl / max(vehicle.speed, 1.0) ** 2
-        return target
+        return float(group.decay * vehicle.steer + group.offset + group.curl / max(vehicle.speed, 1.0) ** 2)
 
     groups = action_sets.DISCRETE[action_type]
     if keys.left == keys.right:
@@ -221,14 +219,10 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         return scaled.astype(np.float32)
 
     def _outcome(self) -> EpisodeOutcome:
-        decisions = self.vector_env.batch.state["decisions"][0]
-        return EpisodeOutcome(
-            episode=self._finished + 1,
-            seed=self._seed,
-            ends=self.vector_env.batch.end_names(0),
-            seconds=tuple((decisions / self.vector_env.config.decision_frequency).tolist()),
-            returns=self._returns.copy(),
-        )
+        batch = self.vector_env.batch
+        seconds = batch.state["decisions"][0] / batch.config.decision_frequency
+        ends, returns = batch.end_names(0), self._returns.copy()
+        return EpisodeOutcome(self._finished + 1, self._seed, ends, tuple(seconds.tolist()), returns)
 
     def render(self) -> NDArray[np.uint8]:
         """The current frame: RGB (height, width, 3)."""
@@ -241,12 +235,6 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
     def close(self) -> None:
         """Close the environment."""
         self.vector_env.close()
-
-
-def key_table(codes: Sequence[int]) -> dict[tuple[int, ...], NDArray[np.int8]]:
-    """The action of :class:`HumanPlayEnv` for every set of pressed keys, given by their codes."""
-    rows = list(itertools.product((0, 1), repeat=len(codes)))[1:]
-    return {tuple(itertools.compress(codes, row)): np.array(row, dtype=np.int8) for row in rows}
 
 
 def open_display(*, allow_invisible: bool) -> None:
@@ -288,6 +276,7 @@ def play_in_window(env: HumanPlayEnv, fps: int, on_outcome: Callable[[EpisodeOut
             on_outcome(info["outcome"])
 
     keys = itertools.islice(KEYBOARD.values(), len(env.seats))
-    codes = [*itertools.chain.from_iterable(keys), RESTART_KEY]
-    noop = np.zeros(len(codes), dtype=np.int8)
-    play(env, fps=fps * FRAMES_PER_DECISION, callback=callback, keys_to_action=key_table(codes), noop=noop)
+    codes = [*itertools.chain.from_iterable(keys), pygame.K_r]  # the last one restarts the episode
+    noop, *pressed = (np.array(row, dtype=np.int8) for row in itertools.product((0, 1), repeat=len(codes)))
+    actions = {tuple(itertools.compress(codes, row)): row for row in pressed}
+    play(env, fps=fps * FRAMES_PER_DECISION, callback=callback, keys_to_action=actions, noop=noop)

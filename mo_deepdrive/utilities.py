@@ -263,10 +263,7 @@ BUDGETS = ("g_force", "jerk")  # the arguments of a comfort budget
 # Non-linear utilities: the objectives that each needs, and its formula in magnitudes. The first three are the paper's.
 NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = {
     "one_waypoint_nonlinear": (("distance", "destination", "g_force", "jerk"), _one_waypoint_nonlinear),
-    "static_obstacle_nonlinear": (
-        ("distance", "destination", "g_force", "collision", "jerk"),
-        _obstacle_nonlinear,
-    ),
+    "static_obstacle_nonlinear": (("distance", "destination", "g_force", "collision", "jerk"), _obstacle_nonlinear),
     "intersection_nonlinear": (
         ("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
         _intersection_nonlinear,

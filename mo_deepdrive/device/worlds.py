@@ -37,26 +37,10 @@ class TensorWorlds:
     the batch. :meth:`step` neither checks its argument nor waits for the device, and can be captured in a CUDA graph;
     what went wrong is found by :meth:`check`. Tensors are the same ones after every call, with other contents.
 
-    Args:
-        config: the environment's configuration.
-        count: N.
-        device: "cpu", "cuda" or one of several, as "cuda:1".
-        autoreset: what happens to worlds whose episode is over.
-
-    Attributes:
-        device: where the tensors are.
-        vehicles: V.
-        objectives: names of the d objectives.
-        continuous: whether actions are continuous.
-        choices: how many discrete actions there are.
-        allowed_actions: in words.
-        outputs: all that a decision writes; also attributes by the names in :class:`Transition`.
-        waiting: (N,) bool, where an episode is over and its world has not been reset.
-        fault: (1,) int64, not zero if something went wrong.
-
-    Raises:
-        ValueError: if the device does not exist, has too little memory or cannot compile an objective.
-        ImportError: if the device needs numba-cuda, and it is not installed.
+    ``outputs`` are all that a decision writes, also attributes by the names in :class:`Transition`; ``waiting`` (N,) is
+    True where an episode is over and its world has not been reset; ``fault`` (1,) is not zero if something went wrong.
+    A ValueError if the device does not exist, has too little memory or cannot compile an objective; an ImportError if
+    it needs numba-cuda, and that is not installed.
     """
 
     def __init__(
@@ -225,8 +209,7 @@ class TensorWorlds:
         return self._views(self._block.clone())
 
     def check(self, fault: int | None = None) -> None:
-        """Raise an error if something went wrong since the last check; this waits for the device, but for a known
-        fault.
+        """Raise an error if something went wrong since the last check, of which ``fault`` is known or waited for.
 
         A ValueError for an action that was not allowed, or if no valid scenario was found; ResetNeeded if a world whose
         episode was over has been stepped, and its mode does not reset it.

@@ -14,15 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.drawing.canvas import (
-    DESTINATION_RADIUS,
-    GRASS,
-    GROUND,
-    MAP_PIXELS,
-    SUPERSAMPLING,
-    Canvas,
-    Colour,
-)
+from mo_deepdrive.drawing.canvas import DESTINATION_RADIUS, GRASS, GROUND, MAP_PIXELS, SUPERSAMPLING, Canvas, Colour
 from mo_deepdrive.drawing.quiet_pygame import INVISIBLE_DRIVERS, pygame
 from mo_deepdrive.simulation.kernel import batch_rewards
 from mo_deepdrive.simulation.state import (
@@ -82,11 +74,10 @@ def reward_text(value: float) -> str:
 
 def reach_of(world: NDArray[Any], roads: Sequence[Route] = ()) -> float:
     """Visible distance (m) from the map's centre: at least the map or all roads, and all vehicles and waypoints."""
-    reaches = [MAP_SIZE / 2] if not roads else []
-    for route in roads:
-        reaches.append(float(np.abs(np.array(route.joints())[:, :2] - MAP_CENTRE).max()) + VEHICLE_MARGIN)
     if roads:
-        return max(reaches)
+        joints = np.array([joint for route in roads for joint in route.joints()])
+        return float(np.abs(joints[:, :2] - MAP_CENTRE).max()) + VEHICLE_MARGIN
+    reaches = [MAP_SIZE / 2]
     for vehicle in world:
         reaches.append(max(abs(vehicle.x - MAP_CENTRE), abs(vehicle.y - MAP_CENTRE)) + VEHICLE_MARGIN)
         reaches.extend(np.abs(vehicle.waypoints[: vehicle.n_waypoints] - MAP_CENTRE).ravel() + DESTINATION_RADIUS)

@@ -106,12 +106,7 @@ class Scene:
 
 
 def record_scenes(
-    policy: Policy | PolicyFunction,
-    env_id: str,
-    env_arguments: Mapping[str, Any],
-    *,
-    seeds: Sequence[int],
-    drives: int,
+    policy: Policy | PolicyFunction, env_id: str, env_arguments: Mapping[str, Any], *, seeds: Sequence[int], drives: int
 ) -> list[Scene]:
     """Record one episode of each of K = ``drives`` drivers in each of the S scenarios of the ``seeds``.
 

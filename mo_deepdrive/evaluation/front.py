@@ -280,11 +280,7 @@ def indicators(
 
 
 def measure_front(
-    front: Front,
-    *,
-    reference_point: ArrayLike | None,
-    reference_front: ArrayLike | None,
-    scales: ArrayLike | None,
+    front: Front, *, reference_point: ArrayLike | None, reference_front: ArrayLike | None, scales: ArrayLike | None
 ) -> dict[str, float]:
     """:func:`indicators` of the discounted returns of a front, and the share of episodes that arrived, if known."""
     found = indicators(

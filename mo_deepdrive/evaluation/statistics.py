@@ -90,22 +90,23 @@ def means(samples: Sequence[Sequence[float]]) -> list[Estimate]:
 
     Samples of the same size share their resamples, which makes thousands of them fast.
     """
-    found: dict[int, Estimate] = {}
-    by_size: dict[int, list[int]] = defaultdict(list)
-    for i, sample in enumerate(samples):
-        by_size[len(sample)].append(i)
-    for indices in by_size.values():
-        together = np.array([samples[i] for i in indices]).T
-        for i, value, low, high in zip(indices, together.mean(axis=0), *bootstrap(together), strict=True):
-            found[i] = Estimate(float(value)) if np.isnan(low) else Estimate(float(value), float(low), float(high))
-    return [found[i] for i in range(len(samples))]
+    by_size: dict[int, list[Sequence[float]]] = defaultdict(list)
+    for sample in samples:
+        by_size[len(sample)].append(sample)
+    estimates = {}
+    for size, alike in by_size.items():
+        together = np.array(alike).T
+        estimates[size] = map(_estimate, together.mean(axis=0), *bootstrap(together))
+    return [next(estimates[len(sample)]) for sample in samples]
 
 
 def estimate(samples: NDArray[Any], statistic: Callable[..., Any]) -> Estimate:
     """A scalar statistic of ``samples`` (n,) with its bootstrap interval."""
-    low, high = bootstrap(samples, statistic)
-    value = float(statistic(samples, axis=0))
-    return Estimate(value) if np.isnan(low) else Estimate(value, float(low), float(high))
+    return _estimate(statistic(samples, axis=0), *bootstrap(samples, statistic))
+
+
+def _estimate(value: Any, low: Any, high: Any) -> Estimate:
+    return Estimate(float(value)) if np.isnan(low) else Estimate(float(value), float(low), float(high))
 
 
 def resample(samples: NDArray[Any], statistic: Callable[[NDArray[Any]], float]) -> Estimate:

@@ -123,10 +123,7 @@ def _table() -> dict[str, Any]:
 
 def select_objectives(scenario: str, action_type: str, objectives: Sequence[str] | None) -> tuple[str, ...]:
     """The names of the selected objectives, in order; all of the scenario's for None. Unknown names are ValueErrors."""
-    for name, value, allowed in (
-        ("scenario", scenario, SCENARIOS),
-        ("action_type", action_type, get_args(ActionType)),
-    ):
+    for name, value, allowed in (("scenario", scenario, SCENARIOS), ("action_type", action_type, get_args(ActionType))):
         if value not in allowed:
             raise ValueError(f"{name} = {value!r} is unknown; {nearest(value, allowed)}")
     chosen = None if objectives is None else tuple(objectives)
@@ -238,12 +235,8 @@ def read(text: str) -> tuple[KnownPolicy, ...]:
 
 def write(scenario: str, action_type: str, policies: Sequence[KnownPolicy]) -> str:
     """The text of a front file: JSON, one policy per line."""
-    head = {
-        "scenario": scenario,
-        "action_type": action_type,
-        "objectives": SCENARIOS[scenario].objectives,
-        "gamma": GAMMA,
-    }
+    objectives = SCENARIOS[scenario].objectives
+    head = {"scenario": scenario, "action_type": action_type, "objectives": objectives, "gamma": GAMMA}
     columns = ("undiscounted", "discounted", "source", "actions")
     rows = [{name: getattr(policy, name) for name in columns} for policy in policies]
     lines = ",\n".join(json.dumps(row) for row in rows)

@@ -146,25 +146,16 @@ class ThreadPool:
 class WorldBatch:
     """``worlds`` independent copies of one scenario, moved together.
 
-    Random numbers come from the caller. A checkpoint is a copy of ``state``.
-
-    Args:
-        config: the environment's configuration.
-        worlds: how many worlds.
-        threads: how many threads share a step.
+    Random numbers come from the caller. A checkpoint is a copy of ``state``. Every call overwrites the other arrays.
 
     Attributes:
         state: (worlds, vehicles) of VEHICLE, with the room of :func:`mo_deepdrive.world.params.vehicle_record`.
-        observations: (worlds, vehicles, size), overwritten by every call.
-        rewards: (worlds, vehicles, d), overwritten by every step.
-        acted: (worlds, vehicles) whether a vehicle was on the road before the step, overwritten by every step.
-        terminated: (worlds, vehicles), overwritten by every call.
-        truncated: (worlds, vehicles), overwritten by every call.
-        objectives: names of the d objectives.
-        continuous: whether actions are continuous.
+        observations: (worlds, vehicles, size).
+        rewards: (worlds, vehicles, d).
+        acted: (worlds, vehicles) whether a vehicle was on the road before the step.
+        terminated, truncated: (worlds, vehicles).
         table: (actions, 4) of the discrete actions, none if they are continuous.
         measures: what measures the objectives that the kernel does not measure.
-        step_function: of :func:`mo_deepdrive.simulation.kernel.batch_step`, with these measures.
         no_pins: (1,) of SPAWN that pins nothing.
     """
 

@@ -23,12 +23,7 @@ from mo_deepdrive.simulation.state import (
     STEER_RANGE,
     TOP_SPEED,
 )
-from mo_deepdrive.simulation.traffic import (
-    DESIRED_SPEEDS,
-    HEADWAYS,
-    MAX_BRAKING,
-    YIELDINGS,
-)
+from mo_deepdrive.simulation.traffic import DESIRED_SPEEDS, HEADWAYS, MAX_BRAKING, YIELDINGS
 from mo_deepdrive.support.plain_values import is_finite
 from mo_deepdrive.world.actions import CONTINUOUS, action_table
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
