@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
@@ -21,9 +22,6 @@ from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.support.names import nearest
 from mo_deepdrive.world.config import parse_arguments
 from mo_deepdrive.world.scenarios import VERSIONS
-
-if TYPE_CHECKING:
-    from gymnasium import spaces
 
 Array = NDArray[np.float32]
 
@@ -99,7 +97,8 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
         self.observation_spaces = {agent: env_spaces.observation_space(config) for agent in self.possible_agents}
         self.action_spaces = {agent: env_spaces.action_space(config) for agent in self.possible_agents}
         self.reward_spaces = {agent: env_spaces.reward_space(config) for agent in self.possible_agents}
-        self.state_space = env_spaces.joint_observation_space(config)
+        seen = self.observation_spaces[self.possible_agents[0]]
+        self.state_space = spaces.Box(np.tile(seen.low, vehicles), np.tile(seen.high, vehicles), dtype=np.float32)
         self._np_random: np.random.Generator | None = None
         # For each vehicle: whether it is on the road, and its last observation if it is not.
         self._driving = [True] * vehicles

@@ -156,9 +156,10 @@ class DrivingVectorEnv(VectorBase):
         taken = self.advance(self._batched(actions))
         infos: dict[str, Any] = {}
         if self.vehicles > 1:
-            infos["acted"] = taken.acted
-            infos["_acted"] = np.ones(self.num_envs, dtype=np.bool_)
-            infos.update(self._arrivals(taken))
+            infos |= {"acted": taken.acted, "_acted": np.ones(self.num_envs, dtype=np.bool_)}
+            ended = taken.acted & (taken.terminated | taken.truncated)
+            if (mask := ended.any(axis=1)).any():
+                infos |= {"arrived": ended & (taken.ends == ARRIVED), "_arrived": mask}
         if taken.over.any():
             ends = self._ends(taken)
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
@@ -216,24 +217,11 @@ class DrivingVectorEnv(VectorBase):
             raise ValueError(f"actions have shape {array.shape}; expected {self.action_space.shape}")
         return array[:, None] if self.vehicles == 1 else array
 
-    def _arrivals(self, taken: Transition) -> dict[str, Any]:
-        """Infos on the vehicles that arrived in a step; empty if no vehicle ended."""
-        ended = taken.acted & (taken.terminated | taken.truncated)
-        mask = ended.any(axis=1)
-        return {"arrived": ended & (taken.ends == ARRIVED), "_arrived": mask} if mask.any() else {}
-
     def _ends(self, taken: Transition) -> dict[str, Any]:
         """Why the episodes that are over ended, in the form of Gymnasium's vector infos."""
-        over = taken.over
-        rows = np.flatnonzero(over)
-        codes = taken.ends[rows]
-        shape: tuple[int, ...] = (self.num_envs, self.vehicles)
-        if self.vehicles == 1:
-            codes, shape = codes[:, 0], (self.num_envs,)
-        end = np.empty(shape, dtype=object)  # None where nothing is written
-        end[rows] = END_NAMES[codes]
-        success = np.zeros(shape, dtype=np.bool_)
-        success[rows] = codes == ARRIVED
+        over, codes = taken.over, self._shaped(taken.ends)
+        end, success = np.full(codes.shape, None, dtype=object), np.zeros(codes.shape, dtype=np.bool_)
+        end[over], success[over] = END_NAMES[codes[over]], codes[over] == ARRIVED
         return {"end": end, "_end": over.copy(), "success": success, "_success": over.copy()}
 
     def _states(self) -> NDArray[Any]:

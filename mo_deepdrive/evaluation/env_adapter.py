@@ -252,34 +252,17 @@ class EnvAdapter:
         raw, rewards, terminated, truncated, infos = self.vector_env.step(actions)
         acted = ~self._was_over
         self._was_over = (terminated | truncated)[:, None]
-        observations = self.policy_observations(raw)
-        ends = infos.get("end")
+        observations, vectors = self.policy_observations(raw), np.asarray(rewards, dtype=np.float32)[:, None]
         success = infos.get("success", np.zeros(self.num_envs, dtype=np.bool_)).astype(np.bool_)
-        return Step(
-            observations=observations,
-            rewards=np.asarray(rewards, dtype=np.float32)[:, None],
-            terminated=terminated[:, None],
-            truncated=truncated[:, None],
-            acted=acted,
-            final=observations,
-            succeeded=success[:, None] & self._was_over,
-            ends=ends,
-        )
+        flags = terminated[:, None], truncated[:, None], acted
+        return Step(observations, vectors, *flags, observations, success[:, None] & self._was_over, infos.get("end"))
 
     def _bare_step(self, env: DrivingVectorEnv, actions: NDArray[Any]) -> Step:
         taken = env.advance(actions)  # clips actions that are finite
         # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
         terminated, truncated = taken.terminated & taken.acted, taken.truncated & taken.acted
-        return Step(
-            observations=taken.observations,
-            rewards=taken.rewards,
-            terminated=terminated,
-            truncated=truncated,
-            acted=taken.acted,
-            final=taken.final,
-            succeeded=(terminated | truncated) & (taken.ends == ARRIVED),
-            ends=END_NAMES[taken.ends],
-        )
+        flags, succeeded = (terminated, truncated, taken.acted), (terminated | truncated) & (taken.ends == ARRIVED)
+        return Step(taken.observations, taken.rewards, *flags, taken.final, succeeded, END_NAMES[taken.ends])
 
     def environment_actions(self, actions: NDArray[Any]) -> NDArray[Any]:
         """The policy's actions (n, V) or (n, V, k) as the environment takes them, without the axis of one vehicle."""
@@ -297,23 +280,16 @@ class EnvAdapter:
 
     def _native_step(self, actions: NDArray[Any]) -> Step:
         observations, rewards, terminated, truncated, infos = self.vector_env.step(actions)
-        final = infos.get("final_obs", observations)
-        ends = None
-        success = np.zeros((self.num_envs, self.vehicles), dtype=np.bool_)
-        if "final_info" in infos:
-            ends = infos["final_info"]["end"]
+        final, last = infos.get("final_obs", observations), infos.get("final_info", {})
         if self.vehicles == 1:
-            if "final_info" in infos:
-                success = infos["final_info"]["success"][:, None]
-            observations, rewards, final = observations[:, None], rewards[:, None], final[:, None]
-            terminated, truncated = terminated[:, None], truncated[:, None]
-            acted = np.ones((self.num_envs, 1), dtype=np.bool_)
-        else:
-            acted = infos["acted"]
-            success = infos.get("arrived", success)
-            # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
-            terminated, truncated = terminated & acted, truncated & acted
-        return Step(observations, rewards, terminated, truncated, acted, final, success, ends)
+            acted, success = np.ones(self.num_envs, dtype=np.bool_), last.get("success", np.zeros_like(terminated))
+            columns = observations, rewards, terminated, truncated, acted, final, success
+            return Step(*(column[:, None] for column in columns), last.get("end"))
+        acted = infos["acted"]
+        # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
+        terminated, truncated = terminated & acted, truncated & acted
+        success = infos.get("arrived", np.zeros_like(acted))
+        return Step(observations, rewards, terminated, truncated, acted, final, success, last.get("end"))
 
     def policy_observations(self, raw: Any) -> NDArray[np.float32]:
         """Observations (n, V, o) from the raw observations of n environments."""
