@@ -62,18 +62,8 @@ class DeviceVectorEnv(VectorBase):
     later step, in the next reset of all worlds or in :meth:`get_state`. ``check_actions=True`` waits, and raises it
     before any world has moved.
 
-    Args:
-        num_envs: N.
-        scenario: as of :class:`mo_deepdrive.envs.vector.DrivingVectorEnv`; so are the following ones.
-        device: "cpu", "cuda" or one of several GPUs, as "cuda:1".
-        autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED.
-        check_actions: whether every step waits for the device to check its actions.
-        render_mode: None or "rgb_array".
-        max_episode_steps: number of decisions after which an episode is truncated.
-        **options: fields of :class:`mo_deepdrive.world.config.EnvConfig`.
-
-    Attributes:
-        device: where the tensors are.
+    Besides the arguments of the other environment there are ``device``, "cpu", "cuda" or one of several GPUs, as
+    "cuda:1", and ``check_actions``, but no ``threads``.
 
     Raises:
         ImportError: if the device needs packages that are not installed.

@@ -45,14 +45,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
             - ``"render_mode"``: None, "rgb_array" or "human";
             - any other field of :class:`mo_deepdrive.world.config.EnvConfig`.
 
-    Attributes:
-        objectives: names of the vector reward's components, in order.
-        reward_dim: their number, d.
-        utilities: per vehicle.
-        observation_spaces: per vehicle.
-        observation_scales: (size,) nominal magnitudes of the observation of a vehicle, by which learners divide.
-        action_spaces: per vehicle.
-        reward_spaces: per vehicle.
+    Attributes are those of the parallel environment, and ``utilities`` per vehicle.
 
     Raises:
         ValueError: for unknown keys, vehicles or utilities, and for a utility that does not fit the objectives.

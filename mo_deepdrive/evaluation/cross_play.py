@@ -63,26 +63,15 @@ def cross_play(
     seed: int | None = None,
     greedy: bool = False,
     env_kwargs: Mapping[str, Any] | None = None,
-    progress: Callable[[], None] | None = None,
+    progress: Callable[[], None] = lambda: None,
 ) -> list[Encounter]:
     """Let every driver of vehicle 0 drive with every driver of all other vehicles, on the same scenarios.
 
-    Args:
-        drivers: those of vehicle 0 by name, and those of the others, of which one drives all of them at a time.
-        env_id: an environment of several vehicles.
-        utility: by which all vehicles are judged, whatever their drivers maximised; or one for every driver by name.
-        split: the scenarios: "validation" (default), or "test" for final scores.
-        episodes: of every encounter.
-        seed: of the first episode, instead of a split.
-        greedy: take the most likely (or mean) actions instead of sampling.
-        env_kwargs: arguments of the environment.
-        progress: called after every encounter.
-
-    Returns:
-        The encounters, those of the first driver of vehicle 0 first.
-
-    Raises:
-        ValueError: for invalid arguments, or drivers that do not drive in the environment.
+    The drivers are those of vehicle 0 by name, and those of the others, of which one drives all of them at a time. The
+    utility judges all vehicles, whatever their drivers maximised; there may be one for every driver by name. After
+    every encounter ``progress`` is called; the other arguments are those of :func:`mo_deepdrive.evaluation.evaluate`.
+    Returns the encounters, those of the first driver of vehicle 0 first. A ValueError for drivers that do not drive in
+    the environment.
     """
     if len(drivers) != 2 or not all(drivers):
         raise ValueError("drivers must be those of vehicle 0 and those of the others, at least one each")
@@ -105,8 +94,7 @@ def cross_play(
                 greedy=greedy,
             )
             encounters.append(Encounter((first, second), _estimates(result)))
-            if progress is not None:
-                progress()
+            progress()
     return encounters
 
 

@@ -52,37 +52,27 @@ LARGEST = 1e100  # magnitude of a number, of which products remain finite
 
 @dataclass(frozen=True)
 class Front:
-    """K re-evaluated policies, all objectives maximised.
+    """K re-evaluated policies, all objectives maximised."""
 
-    Attributes:
-        objectives: names of the d components; with several vehicles those of each in turn, such as ``vehicle_1/jerk``.
-        returns: (K, d) mean undiscounted return of each policy.
-        low, high: (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to ``returns`` where all episodes
-            are the same, and with fewer than three episodes, too few for an interval.
-        discounted: (K, d) mean return discounted with ``gamma``, by which dominance and indicators are determined.
-        success: (K,) share of the episodes in which every vehicle reached its goal; NaN where the environment does
-            not say.
-        length: (K,) mean number of decisions, of the vehicle that takes longest.
-        conditions: (K, m) what the algorithm's network is conditioned on to give each policy: PCN's command, another
-            algorithm's weights; m may be 0.
-        condition_names: names of the m columns.
-        gamma: discount factor of ``discounted``.
-        episodes: number of episodes per policy.
-        seed: seed of the first episode.
-    """
-
+    # Names of the d components; with several vehicles those of each in turn, such as ``vehicle_1/jerk``.
     objectives: tuple[str, ...]
-    returns: NDArray[np.float64]
+    returns: NDArray[np.float64]  # (K, d) mean undiscounted return of each policy
+    # (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to ``returns`` where all episodes are the same,
+    # and with fewer than three episodes, too few for an interval.
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    # (K, d) mean return discounted with ``gamma``, by which dominance and indicators are determined.
     discounted: NDArray[np.float64]
+    # (K,) share of the episodes in which every vehicle reached its goal; NaN where the environment does not say.
     success: NDArray[np.float64]
-    length: NDArray[np.float64]
+    length: NDArray[np.float64]  # (K,) mean number of decisions, of the vehicle that takes longest
+    # (K, m) what the algorithm's network is conditioned on to give each policy: PCN's command, another algorithm's
+    # weights; m may be 0.
     conditions: NDArray[np.float64]
-    condition_names: tuple[str, ...]
-    gamma: float
-    episodes: int
-    seed: int
+    condition_names: tuple[str, ...]  # names of the m columns
+    gamma: float  # discount factor of ``discounted``
+    episodes: int  # number of episodes per policy
+    seed: int  # seed of the first episode
 
     @classmethod
     def of_episodes(
