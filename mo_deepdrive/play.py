@@ -85,11 +85,11 @@ def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
 class EpisodeOutcome:
     """How an episode ended for each of its V vehicles."""
 
-    episode: int  # its number, starting at 1
-    seed: int  # seed of its scenario
-    ends: tuple[str, ...]  # (V,) why it ended (a name of ``mo_deepdrive.simulation.state.ENDS``)
-    seconds: tuple[float, ...]  # (V,) after what time it ended
-    returns: NDArray[np.float64]  # (V, d) undiscounted vector returns
+    episode: int  #: its number, starting at 1
+    seed: int  #: seed of its scenario
+    ends: tuple[str, ...]  #: (V,) why it ended (a name of ``mo_deepdrive.simulation.state.ENDS``)
+    seconds: tuple[float, ...]  #: (V,) after what time it ended
+    returns: NDArray[np.float64]  #: (V, d) undiscounted vector returns
 
 
 def make_play_env(env_id: str, **arguments: Any) -> DrivingVectorEnv:

@@ -284,8 +284,7 @@ class ParallelUtilityReward(BaseParallelWrapper[str, Any, Any]):  # type: ignore
 def check_agents(name: str, given: Mapping[str, Any], agents: Sequence[str]) -> None:
     """Refuse what is not ``given`` for all agents, or for others.
 
-    Raises:
-        ValueError: with the ``name`` of what is given, and the first agent that is unknown or missing.
+    The ValueError has the ``name`` of what is given, and the first agent that is unknown or missing.
     """
     for agent in given:
         if agent not in agents:

@@ -258,8 +258,8 @@ class Canvas:
         heading: float,
         paint: Colour,
         *,
+        brakes: bool,
         steer: float = 0.0,
-        brakes: bool = False,
         signals: bool = False,
     ) -> None:
         """A car with its centre at ``position`` (2,), whose braking lights and left turn signal may be lit."""

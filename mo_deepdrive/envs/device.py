@@ -184,12 +184,9 @@ class DeviceVectorEnv(VectorBase):
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """Move every world by one decision; see the class for infos and for errors of earlier steps.
 
-        Args:
-            actions: int64 (N,) or (N, V), or float32 with a last axis of 3, on the device.
-
-        Raises:
-            ResetNeeded: before the first reset, or where a world's episode was over and this mode does not reset it.
-            ValueError: for anything but such a tensor, or for an action that was not allowed.
+        The actions, on the device, are int64 (N,) or (N, V), or float32 with a last axis of 3; anything else is a
+        ValueError. ResetNeeded before the first reset, or where a world's episode was over and this mode does not reset
+        it.
         """
         if not self._begun:
             raise ResetNeeded("step() before the first reset()")
@@ -262,11 +259,7 @@ class DeviceVectorEnv(VectorBase):
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that determines the future, as plain arrays; :meth:`set_state` resumes from it exactly.
 
-        This waits for the device. ``state`` is that of the CPU's environment.
-
-        Raises:
-            ResetNeeded: for a step of a world that had to be reset.
-            ValueError: for an action that was not allowed.
+        This waits for the device, and raises errors of earlier steps. ``state`` is that of the CPU's environment.
         """
         self.worlds.check()
         streams = self.worlds.read_streams().view(np.uint8).reshape(self.num_envs, STREAM.itemsize)
@@ -275,9 +268,8 @@ class DeviceVectorEnv(VectorBase):
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from the result of :meth:`get_state` of an environment with the same arguments, on any device.
 
-        Raises:
-            ValueError: if the state is of an environment of another size or version, or has values that no environment
-                can reach; nothing changes.
+        A ValueError if the state is of an environment of another size or version, or has values that no environment can
+        reach; nothing changes.
         """
         check_forms(state, self.get_state())
         states = np.ascontiguousarray(state["state"]).view(self._states().dtype)

@@ -128,18 +128,11 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
-        """Start a new episode.
+        """Start a new episode: observations and (empty) infos per agent.
 
-        Args:
-            seed: seed of the random stream; None continues it.
-            options: reset options of the Gymnasium environments (``{"starts": ...}`` at the intersection). Unknown
-                names are ignored with a warning, because PettingZoo's own checks pass one.
-
-        Returns:
-            observations and (empty) infos per agent.
-
-        Raises:
-            ValueError: for an invalid seed, or options without a valid scenario; nothing changes.
+        The seed is that of the random stream, which None continues; the options are those of the Gymnasium environments
+        (``{"starts": ...}`` at the intersection). Unknown names are ignored with a warning, because PettingZoo's own
+        checks pass one. A ValueError for an invalid seed, or options without a valid scenario; nothing changes.
         """
         given, known = checked_options(options), option_names(self.batch.scenario)
         unknown = [name for name in given if name not in known]
@@ -158,17 +151,11 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Array], dict[str, Array], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Move all vehicles by one decision.
+        """Move all vehicles by one decision, with an action for every agent in ``agents``, and no others.
 
-        Args:
-            actions: one for every agent in ``agents``, and no others.
-
-        Returns:
-            observations (size,), vector rewards (d,), terminated, truncated and infos of every agent that acted.
-
-        Raises:
-            ResetNeeded: before the first reset and after the end of an episode.
-            ValueError: for missing or other agents and for actions outside the action space; nothing changes.
+        Returns observations (size,), vector rewards (d,), terminated, truncated and infos of every agent that acted.
+        ResetNeeded before the first reset and after the end of an episode; a ValueError for missing or other agents and
+        for actions outside the action space, where nothing changes.
         """
         if not self.agents:
             raise ResetNeeded("step() before reset() or after the end of an episode")

@@ -111,12 +111,9 @@ class DrivingVectorEnv(VectorBase):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start new episodes.
 
-        Args:
-            seed: an int seeds world i with ``seed + i``; a list has a seed per world; None continues the streams.
-            options: ``"reset_mask"`` (N,) bool resets only those worlds; other options as in the single environment.
-
-        Raises:
-            ValueError: for invalid seeds or options; no world changes.
+        An int seeds world i with ``seed + i``; a list has a seed per world; None continues the streams. The option
+        ``"reset_mask"`` (N,) bool resets only those worlds; the others are those of the single environment. A
+        ValueError for invalid seeds or options, where no world changes.
         """
         options = checked_options(options)
         mask = self._mask(options.pop("reset_mask", None))
@@ -239,9 +236,8 @@ class DrivingVectorEnv(VectorBase):
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from the result of :meth:`get_state` of an environment with the same arguments.
 
-        Raises:
-            ValueError: if the state is of an environment of another size or version, or has values that no environment
-                can reach; nothing changes.
+        A ValueError if the state is of an environment of another size or version, or has values that no environment can
+        reach; nothing changes.
         """
         check_forms(state, self.get_state())
         for name in ("over", "begun"):
@@ -266,15 +262,8 @@ class DrivingVectorEnv(VectorBase):
 def make_vector_env(num_envs: int = 1, *, device: str | None = None, **arguments: Any) -> VectorBase:
     """What ``gymnasium.make_vec`` makes of the ids of this package.
 
-    Args:
-        num_envs: N.
-        device: None for NumPy's arrays, "cpu" or "cuda" for tensors of PyTorch on that device.
-        **arguments: of :class:`DrivingVectorEnv`, or of :class:`mo_deepdrive.envs.device.DeviceVectorEnv`.
-
-    Raises:
-        ImportError: if the device needs packages that are not installed.
-        TypeError: for unknown arguments.
-        ValueError: for invalid values.
+    Without a ``device`` it is :class:`DrivingVectorEnv`; with "cpu" or "cuda" one of PyTorch's tensors on that device,
+    :class:`mo_deepdrive.envs.device.DeviceVectorEnv`. Arguments and errors are theirs.
     """
     if device is None:
         return DrivingVectorEnv(num_envs, **arguments)

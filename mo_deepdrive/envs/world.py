@@ -92,8 +92,7 @@ class World:
     def checked(self, action: Any, agent: str) -> Any:
         """The action of one vehicle as an int or a list of floats.
 
-        Raises:
-            ValueError: naming ``agent``, if the action is of the wrong shape or type, not finite or out of range.
+        A ValueError, naming ``agent``, for another shape or type, or for what is not finite or out of range.
         """
         try:
             array = np.asarray(action)
@@ -148,16 +147,9 @@ class KnownFront:
         """The best-known front of one world, by MO-Gymnasium's name; it is not proven to be optimal.
 
         It exists for environments that are the same in every episode (``fixed_destination=True``, and in StaticObstacle
-        ``fixed_obstacle=True``), with all other arguments at their defaults and without reset options.
-
-        Args:
-            gamma: discount factor in [0, 1].
-
-        Returns:
-            The returns (d,) of K non-dominated policies, in this environment's objectives and signs.
-
-        Raises:
-            ValueError: if there is no best-known front, with what it would require.
+        ``fixed_obstacle=True``), with all other arguments at their defaults and without reset options; for others a
+        ValueError says what it would require. The returns (d,) of K non-dominated policies, discounted with ``gamma``
+        in [0, 1], are in this environment's objectives and signs.
         """
         from mo_deepdrive.fronts.reference_fronts import pareto_front
 

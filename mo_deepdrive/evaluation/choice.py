@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class ChoiceCriterion:
     """What to maximise over the policies of a front."""
 
-    name: str  # of the value, for tables
-    # From returns (K, E, d) of E episodes of each of K policies to the values (K,) of the policies.
+    name: str  #: of the value, for tables
+    #: From returns (K, E, d) of E episodes of each of K policies to the values (K,) of the policies.
     values: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
     def estimate(self, returns: NDArray[np.float64]) -> Estimate:

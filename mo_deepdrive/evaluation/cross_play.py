@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,10 +42,10 @@ def roles_of(vehicles: int) -> tuple[str, str]:
 class Encounter:
     """What two drivers achieve together."""
 
-    drivers: tuple[str, str]  # name of the driver of vehicle 0, and of that of all others
-    # With their 95% intervals over the episodes, those of all together (``Evaluation.team_samples``), such as
-    # "success", the share of episodes in which all arrive; then arrivals and utility of both roles, such as
-    # "vehicle_0/success", which for several others are means over them; and the returns of vehicle 0.
+    drivers: tuple[str, str]  #: name of the driver of vehicle 0, and of that of all others
+    #: With their 95% intervals over the episodes, those of all together (``Evaluation.team_samples``), such as
+    #: "success", the share of episodes in which all arrive; then arrivals and utility of both roles, such as
+    #: "vehicle_0/success", which for several others are means over them; and the returns of vehicle 0.
     estimates: dict[str, Estimate]
 
     @property
@@ -79,22 +81,14 @@ def cross_play(
     def utility_of(name: str) -> UtilityLike:
         return utility[name] if isinstance(utility, Mapping) else utility
 
+    meet = partial(evaluate, split=split, episodes=episodes, seed=seed, env_kwargs=env_kwargs, greedy=greedy)
     encounters = []
-    for first, one in drivers[0].items():
-        for second, other in drivers[1].items():
-            others = one.env.vehicles - 1
-            result = evaluate(
-                Team([one, other], [0] + [1] * others),
-                env_id,
-                split=split,
-                episodes=episodes,
-                seed=seed,
-                utility=[utility_of(first)] + [utility_of(second)] * others,
-                env_kwargs=env_kwargs,
-                greedy=greedy,
-            )
-            encounters.append(Encounter((first, second), _estimates(result)))
-            progress()
+    for (first, one), (second, other) in product(drivers[0].items(), drivers[1].items()):
+        others = one.env.vehicles - 1
+        utilities = [utility_of(first)] + [utility_of(second)] * others
+        result = meet(Team([one, other], [0] + [1] * others), env_id, utility=utilities)
+        encounters.append(Encounter((first, second), _estimates(result)))
+        progress()
     return encounters
 
 

@@ -84,20 +84,20 @@ def _constructors(env_id: str, num_envs: int, arguments: dict[str, Any]) -> Iter
 class Step:
     """One step of all environments."""
 
-    # (N, V, o) for the next action; where an episode ended, the first of the next episode.
+    #: (N, V, o) for the next action; where an episode ended, the first of the next episode.
     observations: NDArray[np.float32]
-    rewards: NDArray[np.float32]  # (N, V, d)
-    # (N, V) whether the vehicle's episode ended in this step.
+    rewards: NDArray[np.float32]  #: (N, V, d)
+    #: (N, V) whether the vehicle's episode ended in this step.
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
-    # (N, V) False where the sample does not count: the vehicle had finished already, or the environment was only reset.
+    #: (N, V) False where the sample does not count: the vehicle had finished already, or the environment was reset.
     acted: NDArray[np.bool_]
-    # (N, V, o) observations after the step; where an episode ended, the last of that episode.
+    #: (N, V, o) observations after the step; where an episode ended, the last of that episode.
     final: NDArray[np.float32]
-    # (N, V) whether an episode that ended in this step reached its goal; all False where the environment does not
-    # report it.
+    #: (N, V) whether an episode that ended in this step reached its goal; all False where the environment does not
+    #: report it.
     succeeded: NDArray[np.bool_]
-    # (N,) or (N, V) why episodes ended, from ``info["end"]``; None where the environment does not report it.
+    #: (N,) or (N, V) why episodes ended, from ``info["end"]``; None where the environment does not report it.
     ends: NDArray[Any] | None
 
 
@@ -111,19 +111,14 @@ class EnvAdapter:
     Attributes:
         name: the id of the environment, or its class where it has no id.
         num_envs, vehicles: N and V.
-        objectives: names of the d components of the reward: those of the environment's attribute ``objectives``, else
-            "objective_0" and so on.
-        named: whether the environment names its objectives.
+        objectives: names of the d components of the reward; "objective_0" and so on where they are not ``named``.
         repeats: whether every episode is the same but for what is done in it; None where that is not known.
         cost_sign: "maximise", or "paper" where our environment emits magnitudes.
         observation_scales: (o,) nominal magnitudes.
         objective_scales: (d,) nominal magnitudes of a return.
-        costs: (d,) whether more of the objective is worse; of other libraries' environments, whether the reward space
-            has no positive reward.
-        actions: number of discrete actions, or of continuous axes.
-        continuous: whether actions are continuous.
-        max_episode_steps: decisions after which an episode that is driven to its end must have ended: the id's, or
-            LONGEST_EPISODE.
+        costs: (d,) whether more of the objective is worse; of other libraries, whether no reward can be positive.
+        actions: number of discrete actions, or of ``continuous`` axes.
+        max_episode_steps: decisions after which an episode must have ended: the id's, or LONGEST_EPISODE.
         bare: our environment, if it is neither wrapped nor of a subclass, whose own ``step`` would have to be called.
 
     Raises:

@@ -37,11 +37,13 @@ ARRAYS = ("returns", "discounted", "lengths", "succeeded", "ends", "largest")
 class Provenance:
     """How an evaluation was done."""
 
-    env_id: str  # the environment
-    seed: int  # of the first episode; those of the others count up
-    gamma: float  # discount of the discounted returns
-    greedy: bool  # whether actions were the most likely (or mean) ones; of a function, which evaluate cannot know, True
-    # Of the environment; of this package's all, of another's those that were given.
+    env_id: str  #: the environment
+    seed: int  #: of the first episode; those of the others count up
+    gamma: float  #: discount of the discounted returns
+    greedy: (
+        bool  #: whether actions were the most likely (or mean) ones; of a function, which evaluate cannot know, True
+    )
+    #: Of the environment; of this package's all, of another's those that were given.
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
     def split(self, episodes: int) -> str | None:

@@ -54,25 +54,25 @@ LARGEST = 1e100  # magnitude of a number, of which products remain finite
 class Front:
     """K re-evaluated policies, all objectives maximised."""
 
-    # Names of the d components; with several vehicles those of each in turn, such as ``vehicle_1/jerk``.
+    #: Names of the d components; with several vehicles those of each in turn, such as ``vehicle_1/jerk``.
     objectives: tuple[str, ...]
-    returns: NDArray[np.float64]  # (K, d) mean undiscounted return of each policy
-    # (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to ``returns`` where all episodes are the same,
-    # and with fewer than three episodes, too few for an interval.
+    returns: NDArray[np.float64]  #: (K, d) mean undiscounted return of each policy
+    #: (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to ``returns`` where all episodes are the same,
+    #: and with fewer than three episodes, too few for an interval.
     low: NDArray[np.float64]
     high: NDArray[np.float64]
-    # (K, d) mean return discounted with ``gamma``, by which dominance and indicators are determined.
+    #: (K, d) mean return discounted with ``gamma``, by which dominance and indicators are determined.
     discounted: NDArray[np.float64]
-    # (K,) share of the episodes in which every vehicle reached its goal; NaN where the environment does not say.
+    #: (K,) share of the episodes in which every vehicle reached its goal; NaN where the environment does not say.
     success: NDArray[np.float64]
-    length: NDArray[np.float64]  # (K,) mean number of decisions, of the vehicle that takes longest
-    # (K, m) what the algorithm's network is conditioned on to give each policy: PCN's command, another algorithm's
-    # weights; m may be 0.
+    length: NDArray[np.float64]  #: (K,) mean number of decisions, of the vehicle that takes longest
+    #: (K, m) what the algorithm's network is conditioned on to give each policy: PCN's command, another algorithm's
+    #: weights; m may be 0.
     conditions: NDArray[np.float64]
-    condition_names: tuple[str, ...]  # names of the m columns
-    gamma: float  # discount factor of ``discounted``
-    episodes: int  # number of episodes per policy
-    seed: int  # seed of the first episode
+    condition_names: tuple[str, ...]  #: names of the m columns
+    gamma: float  #: discount factor of ``discounted``
+    episodes: int  #: number of episodes per policy
+    seed: int  #: seed of the first episode
 
     @classmethod
     def of_episodes(

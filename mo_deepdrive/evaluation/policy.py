@@ -30,9 +30,9 @@ CALL = "policy(observations, accrued, discounts)"
 class AccruedReward:
     """Accrued rewards of the running episodes of N environments with V vehicles."""
 
-    value: NDArray[np.float32]  # (N, V, d) accrued reward R_t = sum_{i<t} g^i r_i
-    discounts: NDArray[np.float32]  # (N, V) g^t
-    decisions: NDArray[np.int64]  # (N, V) t
+    value: NDArray[np.float32]  #: (N, V, d) accrued reward R_t = sum_{i<t} g^i r_i
+    discounts: NDArray[np.float32]  #: (N, V) g^t
+    decisions: NDArray[np.int64]  #: (N, V) t
 
     @classmethod
     def begin(cls, num_envs: int, vehicles: int, objectives: int) -> AccruedReward:
@@ -195,10 +195,10 @@ def _check_signature(function: Any) -> None:
 class Decision(NamedTuple):
     """One decision of the first episodes of N environments."""
 
-    actions: NDArray[Any]  # (N, V) or (N, V, k) of the policy
-    step: Step  # what they led to
-    counted: NDArray[np.bool_]  # (N, V) which vehicles were in their first episode
-    running: NDArray[np.bool_]  # (N, V) which are still, after it
+    actions: NDArray[Any]  #: (N, V) or (N, V, k) of the policy
+    step: Step  #: what they led to
+    counted: NDArray[np.bool_]  #: (N, V) which vehicles were in their first episode
+    running: NDArray[np.bool_]  #: (N, V) which are still, after it
 
 
 def drive(

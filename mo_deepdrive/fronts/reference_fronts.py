@@ -134,10 +134,10 @@ def select_objectives(scenario: str, action_type: str, objectives: Sequence[str]
 class KnownPolicy:
     """One policy of a best-known front."""
 
-    actions: str  # its actions, as :func:`mo_deepdrive.world.action_sequences.encode` writes them; idle afterwards
-    undiscounted: tuple[float, ...]  # its return in each objective of the scenario, maximised
-    discounted: tuple[float, ...]  # the same, discounted with GAMMA
-    source: str  # the method that found it
+    actions: str  #: its actions, as :func:`mo_deepdrive.world.action_sequences.encode` writes them; idle afterwards
+    undiscounted: tuple[float, ...]  #: its return in each objective of the scenario, maximised
+    discounted: tuple[float, ...]  #: the same, discounted with GAMMA
+    source: str  #: the method that found it
 
 
 def reference_front(

@@ -25,23 +25,23 @@ FAILED = "failed"  # the state of a run that has the lowest score
 class Row:
     """One number of a scored run; a run that has none, since it failed or has not ended, has one row that says so."""
 
-    task: str  # the id of a task of the suite, or the name of one of a study
-    learner: str  # what was trained
-    seed: int  # by which it was trained
-    policy: str  # "greedy", "stochastic" or "front"; "" without a value
-    # "score", a perturbation of the suite, or what a scorer gives beside the score; of other tasks a metric of the
-    # final evaluation; "" without a value.
+    task: str  #: the id of a task of the suite, or the name of one of a study
+    learner: str  #: what was trained
+    seed: int  #: by which it was trained
+    policy: str  #: "greedy", "stochastic" or "front"; "" without a value
+    #: "score", a perturbation of the suite, or what a scorer gives beside the score; of other tasks a metric of the
+    #: final evaluation; "" without a value.
     column: str
-    value: FiniteFloat | None  # the number, not normalised; None where there is none
-    # Ends of its 95% bootstrap interval over the scenarios; None where it has none.
+    value: FiniteFloat | None  #: the number, not normalised; None where there is none
+    #: Ends of its 95% bootstrap interval over the scenarios; None where it has none.
     low: FiniteFloat | None = None
     high: FiniteFloat | None = None
-    source: str = ""  # the run or policy that was scored
-    state: str = "finished"  # of the training
-    cpu_seconds: FiniteFloat | None = None  # of the training; None where it is not known
-    version: int = 0  # of the suite; 0 for what is not of it
-    steps: int | None = None  # environment steps of the training; None where they are not known
-    environment: str = ""  # in which it was trained: its id, and arguments that are not the default
+    source: str = ""  #: the run or policy that was scored
+    state: str = "finished"  #: of the training
+    cpu_seconds: FiniteFloat | None = None  #: of the training; None where it is not known
+    version: int = 0  #: of the suite; 0 for what is not of it
+    steps: int | None = None  #: environment steps of the training; None where they are not known
+    environment: str = ""  #: in which it was trained: its id, and arguments that are not the default
 
     @property
     def key(self) -> tuple[str, str, int, str, str]:

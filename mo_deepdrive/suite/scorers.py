@@ -45,11 +45,11 @@ SCORE, CVAR, WORST, CONTROLLABILITY = "score", "cvar10", "worst_partner", "contr
 class Drives:
     """Where, and how, a policy is driven to be scored."""
 
-    task: Task  # the task
-    env: VectorEnv  # its environment, perhaps perturbed
-    seed: int  # of the first episode
-    episodes: int  # E
-    greedy: bool  # of agents, take the most likely (or mean) action instead of sampling
+    task: Task  #: the task
+    env: VectorEnv  #: its environment, perhaps perturbed
+    seed: int  #: of the first episode
+    episodes: int  #: E
+    greedy: bool  #: of agents, take the most likely (or mean) action instead of sampling
 
     def returns(self, policy: Single, partner: str | None = None) -> NDArray[np.float64]:
         """(E, d) undiscounted returns of the scored vehicle of every episode, perhaps with a partner of the task."""
@@ -222,9 +222,9 @@ def controllability(task: Task, samples: NDArray[np.float64]) -> dict[str, float
 class Scorer:
     """How a task is scored."""
 
-    collect: Callable[[Drives, Any], NDArray[np.float64]]  # drives a policy; samples (E, ...), one row per scenario
-    numbers: Mapping[str, Callable[[Task], Statistic]]  # by column; "score" is the one that is normalised
-    # Further columns, which have no intervals; None for none.
+    collect: Callable[[Drives, Any], NDArray[np.float64]]  #: drives a policy; samples (E, ...), one row per scenario
+    numbers: Mapping[str, Callable[[Task], Statistic]]  #: by column; "score" is the one that is normalised
+    #: Further columns, which have no intervals; None for none.
     details: Callable[[Task, NDArray[np.float64]], dict[str, float]] | None = None
 
 

@@ -81,16 +81,16 @@ CAR_TELEMETRY = ("x", "y", "speed", "acceleration", "present")
 class Transition(NamedTuple):
     """One decision of N worlds with V vehicles each: arrays of NumPy, or tensors."""
 
-    observations: Any  # (N, V, size) float32 for the next decision
-    # (N, V, size) after this one: others where an episode was over and the next one has begun in the same step;
-    # ``observations`` themselves in other autoreset modes.
+    observations: Any  #: (N, V, size) float32 for the next decision
+    #: (N, V, size) after this one: others where an episode was over and the next one has begun in the same step;
+    #: ``observations`` themselves in other autoreset modes.
     final: Any
-    rewards: Any  # (N, V, d) float32; zero for vehicles that had ended before
-    acted: Any  # (N, V) bool, which vehicles were on the road before the decision
-    terminated: Any  # (N, V) bool, after it, before a reset in the same step
-    truncated: Any  # (N, V) bool, likewise
-    over: Any  # (N,) bool, where no vehicle was on the road after it
-    ends: Any  # (N, V) why vehicles have ended: positions in :data:`mo_deepdrive.simulation.state.ENDS`
+    rewards: Any  #: (N, V, d) float32; zero for vehicles that had ended before
+    acted: Any  #: (N, V) bool, which vehicles were on the road before the decision
+    terminated: Any  #: (N, V) bool, after it, before a reset in the same step
+    truncated: Any  #: (N, V) bool, likewise
+    over: Any  #: (N,) bool, where no vehicle was on the road after it
+    ends: Any  #: (N, V) why vehicles have ended: positions in :data:`mo_deepdrive.simulation.state.ENDS`
 
 
 @dataclass(frozen=True)

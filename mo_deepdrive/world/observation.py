@@ -28,12 +28,12 @@ FAR = 2000.0
 class Entry:
     """One observed quantity."""
 
-    name: str  # unique within a layout
-    unit: str  # SI
-    # Lower bound of the observation space; None if it follows from the configuration (see :func:`bounds`).
+    name: str  #: unique within a layout
+    unit: str  #: SI
+    #: Lower bound of the observation space; None if it follows from the configuration (see :func:`bounds`).
     low: float | None
-    high: float | None  # upper bound, likewise
-    scale: float  # nominal magnitude, by which learners divide
+    high: float | None  #: upper bound, likewise
+    scale: float  #: nominal magnitude, by which learners divide
 
 
 # Of every vehicle.
