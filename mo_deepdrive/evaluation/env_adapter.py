@@ -279,7 +279,8 @@ class EnvAdapter:
         if self.vehicles == 1:
             acted, success = np.ones(self.num_envs, dtype=np.bool_), last.get("success", np.zeros_like(terminated))
             columns = observations, rewards, terminated, truncated, acted, final, success
-            return Step(*(column[:, None] for column in columns), last.get("end"))
+            arrays: Any = (*(column[:, None] for column in columns), last.get("end"))
+            return Step(*arrays)
         acted = infos["acted"]
         # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
         terminated, truncated = terminated & acted, truncated & acted

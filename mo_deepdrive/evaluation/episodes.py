@@ -6,6 +6,7 @@ latter does not need torch.
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -89,11 +90,8 @@ def evaluate(
         return _evaluate(policy, env, first + np.arange(episodes), utility, greedy, gamma)
     arguments = dict(env_kwargs or {})
     at_once = OTHER_ENVS if find_spec(env).vector_entry_point is None else OUR_ENVS
-    made = make_env(env, min(episodes, at_once), arguments)
-    try:
+    with closing(make_env(env, min(episodes, at_once), arguments)) as made:
         found = _evaluate(policy, made, first + np.arange(episodes), utility, greedy, gamma)
-    finally:
-        made.close()
     if not is_drivable(env):
         # The environment itself knows neither the module that registers it nor its arguments.
         found.provenance = Provenance(env, first, gamma, greedy, arguments)

@@ -102,9 +102,11 @@ class Front:
             returns=mean,
             low=low,
             high=high,
-            discounted=np.mean(discounted, axis=1, dtype=np.float64),
-            success=np.full(k, np.nan) if succeeded is None else np.mean(succeeded, axis=1, dtype=np.float64),
-            length=np.mean(lengths, axis=1, dtype=np.float64),
+            discounted=np.asarray(discounted, dtype=np.float64).mean(axis=1),
+            success=np.asarray(np.full((k, e), np.nan) if succeeded is None else succeeded, dtype=np.float64).mean(
+                axis=1
+            ),
+            length=np.asarray(lengths, dtype=np.float64).mean(axis=1),
             conditions=np.zeros((k, 0)) if conditions is None else np.asarray(conditions, dtype=np.float64),
             condition_names=tuple(condition_names),
             gamma=gamma,

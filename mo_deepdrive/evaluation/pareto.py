@@ -110,10 +110,7 @@ def expected_utility(returns: ArrayLike, weights: ArrayLike, scales: ArrayLike |
 def evenly_spaced_weights(d: int, n: int = WEIGHTS) -> NDArray[np.float64]:
     """Weights (n, d) that sum to 1: the corners, then always the lattice point farthest from those chosen before.
 
-    The lattice is that of Das and Dennis (1998); with d = 2 the weights are exactly even.
-
-    Raises:
-        ValueError: if there are fewer weights than objectives, or no objective.
+    The lattice is that of Das and Dennis (1998); with d = 2 the weights are exactly even. At least one per objective.
     """
     if d < 1 or n < d:
         raise ValueError(f"n = {n} weights for d = {d} objectives: n must be at least d, and d at least 1")

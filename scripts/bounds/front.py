@@ -352,7 +352,7 @@ def _known_policies(search: FrontSearch, evaluated: EvaluatedPlans, sources: Seq
     )
     actions = [encode_actions(search.evaluator.format.to_sequence(plan)) for plan in evaluated.plans]
     rows = zip(actions, map(tuple, undiscounted), map(tuple, discounted), evaluated.sources, strict=True)
-    return [KnownPolicy(*row, sources[source]) for *row, source in rows]
+    return [KnownPolicy(text, whole, present, sources[source]) for text, whole, present, source in rows]
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
