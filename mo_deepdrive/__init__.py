@@ -39,12 +39,6 @@ __all__ = [
 
 __version__ = "0.2.0"
 
-# Attributes that are imported on first use, and their modules.
-_LAZY = {
-    "reference_front": "mo_deepdrive.fronts.reference_fronts",
-    "reference_point": "mo_deepdrive.fronts.reference_fronts",
-}
-
 for _scenario in SCENARIOS.values():
     register_id(_scenario)
 # Earlier versions stay what results were published with, so Gymnasium's advice to leave them is wrong.
@@ -55,8 +49,8 @@ def __getattr__(name: str) -> Any:
     """Import ``reference_front``, ``reference_point`` and the module ``parallel_v0`` when they are first used."""
     if name == "parallel_v0":
         return importlib.import_module("mo_deepdrive.parallel_v0")
-    if name in _LAZY:
-        return getattr(importlib.import_module(_LAZY[name]), name)
+    if name in ("reference_front", "reference_point"):
+        return getattr(importlib.import_module("mo_deepdrive.fronts.reference_fronts"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -50,28 +50,21 @@ KEYBOARD = {
     "arrow keys": (pygame.K_UP, pygame.K_DOWN, pygame.K_LEFT, pygame.K_RIGHT),
     "W A S D": (pygame.K_w, pygame.K_s, pygame.K_a, pygame.K_d),
 }
-RESTART_KEY = pygame.K_r
 
 
 def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
-    """The discrete action that comes closest to what the keys would do in a car.
+    """The discrete action that comes closest to what the keys would do in a car, whose record of VEHICLE is given.
 
-    Left and right steer as far as any action does at this speed; without them the steering returns to straight.
-    Without a key for the speed the car coasts, and without any key the action is idle. If both keys of a pair are
-    down, the car brakes, or drives straight on.
-
-    Args:
-        keys: the keys that are down.
-        vehicle: record of dtype VEHICLE.
-        action_type: a key of ``mo_deepdrive.world.actions.DISCRETE``.
+    Left and right steer as far as any action does at this speed; without them the steering returns to straight. Without
+    a key for the speed the car coasts, and without any key the action is idle. If both keys of a pair are down, the car
+    brakes, or drives straight on.
     """
     names = action_sets.action_names(action_type)
     if not any(keys):
         return names.index("idle")
 
     def target_steer(group: action_sets.Steer) -> float:
-        target: float = group.decay * vehicle.steer + group.offset + group.curl / max(vehicle.speed, 1.0) ** 2
-        return target
+        return float(group.decay * vehicle.steer + group.offset + group.curl / max(vehicle.speed, 1.0) ** 2)
 
     groups = action_sets.DISCRETE[action_type]
     if keys.left == keys.right:
@@ -90,30 +83,17 @@ def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
 
 @dataclass(frozen=True)
 class EpisodeOutcome:
-    """How an episode ended for each of its V vehicles.
+    """How an episode ended for each of its V vehicles."""
 
-    Attributes:
-        episode: its number, starting at 1.
-        seed: seed of its scenario.
-        ends: (V,) why it ended (a name of ``mo_deepdrive.simulation.state.ENDS``).
-        seconds: (V,) after what time it ended.
-        returns: (V, d) undiscounted vector returns.
-    """
-
-    episode: int
-    seed: int
-    ends: tuple[str, ...]
-    seconds: tuple[float, ...]
-    returns: NDArray[np.float64]
+    episode: int  #: its number, starting at 1
+    seed: int  #: seed of its scenario
+    ends: tuple[str, ...]  #: (V,) why it ended (a name of ``mo_deepdrive.simulation.state.ENDS``)
+    seconds: tuple[float, ...]  #: (V,) after what time it ended
+    returns: NDArray[np.float64]  #: (V, d) undiscounted vector returns
 
 
 def make_play_env(env_id: str, **arguments: Any) -> DrivingVectorEnv:
-    """A single environment for :class:`HumanPlayEnv`: it returns RGB frames and is not reset automatically.
-
-    Args:
-        env_id: an id of this package.
-        **arguments: arguments of the environment.
-    """
+    """A single environment for :class:`HumanPlayEnv`: it returns RGB frames and is not reset automatically."""
     arguments = {**arguments, "render_mode": "rgb_array"}
     env = gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
     return cast("DrivingVectorEnv", env.unwrapped)
@@ -134,10 +114,6 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         policy: drives the other vehicles.
         generator: random numbers for its sampled actions; None for greedy ones.
         on_frame: called with the frame of every decision.
-
-    Attributes:
-        vector_env: the environment.
-        seats: the vehicles that people drive.
 
     Raises:
         ValueError: if nobody drives a vehicle.
@@ -173,12 +149,7 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start the next episode.
-
-        Args:
-            seed: seed of this episode; None for the next one, which is random at first.
-            options: reset options of the environment.
-        """
+        """Start the next episode, with its own seed, which is random at first, or with ``seed``."""
         super().reset(seed=seed)
         if seed is not None or self._first_seed is None:
             self._first_seed = int(self.np_random.integers(SEEDS)) if seed is None else seed
@@ -248,14 +219,10 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         return scaled.astype(np.float32)
 
     def _outcome(self) -> EpisodeOutcome:
-        decisions = self.vector_env.batch.state["decisions"][0]
-        return EpisodeOutcome(
-            episode=self._finished + 1,
-            seed=self._seed,
-            ends=self.vector_env.batch.end_names(0),
-            seconds=tuple((decisions / self.vector_env.config.decision_frequency).tolist()),
-            returns=self._returns.copy(),
-        )
+        batch = self.vector_env.batch
+        seconds = batch.state["decisions"][0] / batch.config.decision_frequency
+        ends, returns = batch.end_names(0), self._returns.copy()
+        return EpisodeOutcome(self._finished + 1, self._seed, ends, tuple(seconds.tolist()), returns)
 
     def render(self) -> NDArray[np.uint8]:
         """The current frame: RGB (height, width, 3)."""
@@ -270,20 +237,10 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         self.vector_env.close()
 
 
-def key_table(codes: Sequence[int]) -> dict[tuple[int, ...], NDArray[np.int8]]:
-    """The action of :class:`HumanPlayEnv` for every set of pressed keys, given by their codes."""
-    rows = list(itertools.product((0, 1), repeat=len(codes)))[1:]
-    return {tuple(itertools.compress(codes, row)): np.array(row, dtype=np.int8) for row in rows}
-
-
 def open_display(*, allow_invisible: bool) -> None:
-    """Initialise the display for a window.
+    """Initialise the display for a window; a ValueError if there is none.
 
-    Args:
-        allow_invisible: accept a video driver of SDL without a display, such as "dummy".
-
-    Raises:
-        ValueError: if there is no display.
+    With ``allow_invisible`` a video driver of SDL without a display will do, such as "dummy".
     """
     try:
         pygame.display.init()
@@ -307,12 +264,9 @@ def describe_controls(seats: Sequence[int]) -> str:
 
 
 def play_in_window(env: HumanPlayEnv, fps: int, on_outcome: Callable[[EpisodeOutcome], None]) -> None:
-    """Drive in a window until the user quits.
+    """Drive in a window, with ``fps`` decisions per second, until the user quits.
 
-    Args:
-        env: the environment; it has at most as many seats as KEYBOARD has entries.
-        fps: decisions per second.
-        on_outcome: called at the end of every episode.
+    The environment has at most as many seats as KEYBOARD has entries; every outcome is passed to ``on_outcome``.
     """
     from gymnasium.utils.play import play  # imported late: it selects a backend of matplotlib
 
@@ -322,6 +276,7 @@ def play_in_window(env: HumanPlayEnv, fps: int, on_outcome: Callable[[EpisodeOut
             on_outcome(info["outcome"])
 
     keys = itertools.islice(KEYBOARD.values(), len(env.seats))
-    codes = [*itertools.chain.from_iterable(keys), RESTART_KEY]
-    noop = np.zeros(len(codes), dtype=np.int8)
-    play(env, fps=fps * FRAMES_PER_DECISION, callback=callback, keys_to_action=key_table(codes), noop=noop)
+    codes = [*itertools.chain.from_iterable(keys), pygame.K_r]  # the last one restarts the episode
+    noop, *pressed = (np.array(row, dtype=np.int8) for row in itertools.product((0, 1), repeat=len(codes)))
+    actions = {tuple(itertools.compress(codes, row)): row for row in pressed}
+    play(env, fps=fps * FRAMES_PER_DECISION, callback=callback, keys_to_action=actions, noop=noop)

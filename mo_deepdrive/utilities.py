@@ -129,20 +129,14 @@ def _intersection_nonlinear(m: dict[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class ComfortBudget:
-    """The numbers of a comfort budget, for magnitudes of an episode.
-
-    Attributes:
-        g_force: budget of the sum of the g-forces (g).
-        jerk: budget of the sum of the jerks (m/s^3).
-        prices: per unit of other costs.
-        excess_prices: per unit of what exceeds a budget.
-    """
+    """The numbers of a comfort budget, for magnitudes of an episode."""
 
     GAINS: ClassVar[dict[str, float]] = {"distance": 0.1, "destination": 10.0}
 
-    g_force: float
-    jerk: float
-    prices: Mapping[str, float] = field(default_factory=dict)
+    g_force: float  #: budget of the sum of the g-forces (g)
+    jerk: float  #: budget of the sum of the jerks (m/s^3)
+    prices: Mapping[str, float] = field(default_factory=dict)  #: per unit of other costs
+    #: Per unit of what exceeds a budget.
     excess_prices: Mapping[str, float] = field(default_factory=lambda: {"g_force": 2.0, "jerk": 0.05})
 
     def utility(self, m: dict[str, Any]) -> Any:
@@ -178,14 +172,11 @@ class RiskAversion:
     """Constant absolute risk aversion in a linear value L of magnitudes: T (1 - exp(-L / T)).
 
     J. W. Pratt, "Risk aversion in the small and in the large", Econometrica 32, 1964.
-
-    Attributes:
-        weights: of L, by objective.
-        tolerance: T, in the units of L. R. A. Howard ("Decision analysis: practice and promise", Management Science 34,
-            1988) reads it as the stake x for which an even chance to win x or lose x / 2 is hardly worth taking.
     """
 
-    weights: Mapping[str, float]
+    weights: Mapping[str, float]  #: of L, by objective
+    #: T, in the units of L. R. A. Howard ("Decision analysis: practice and promise", Management Science 34, 1988) reads
+    #: it as the stake x for which an even chance to win x or lose x / 2 is hardly worth taking.
     tolerance: float
 
     def utility(self, m: dict[str, Any]) -> Any:
@@ -272,10 +263,7 @@ BUDGETS = ("g_force", "jerk")  # the arguments of a comfort budget
 # Non-linear utilities: the objectives that each needs, and its formula in magnitudes. The first three are the paper's.
 NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = {
     "one_waypoint_nonlinear": (("distance", "destination", "g_force", "jerk"), _one_waypoint_nonlinear),
-    "static_obstacle_nonlinear": (
-        ("distance", "destination", "g_force", "collision", "jerk"),
-        _obstacle_nonlinear,
-    ),
+    "static_obstacle_nonlinear": (("distance", "destination", "g_force", "collision", "jerk"), _obstacle_nonlinear),
     "intersection_nonlinear": (
         ("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
         _intersection_nonlinear,
@@ -294,8 +282,7 @@ NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = 
 def _in_order(name: str, argument: str, values: Any, objectives: Sequence[str], missing: float | None = None) -> Any:
     """Values by the names of objectives as a list in their order; anything else as it is.
 
-    Raises:
-        ValueError: for an unknown name, or one without a value where ``missing`` is None.
+    A ValueError for an unknown name, or one without a value where ``missing`` is None.
     """
     if not isinstance(values, Mapping):
         return values
@@ -459,11 +446,7 @@ def _warn_of_rewarded_costs(utility: Utility) -> None:
 
 
 def _with_budgets(name: str, budgets: Mapping[str, Any]) -> ComfortBudget:
-    """The comfort budget ``name``, with other numbers for the budgets that are given.
-
-    Raises:
-        ValueError: for an unknown budget, or one that is not a finite number of at least 0.
-    """
+    """The comfort budget ``name``, with other numbers for the budgets that are given; others are ValueErrors."""
     for each, value in budgets.items():
         if each not in BUDGETS:
             raise ValueError(f"utility {name!r} takes no arguments but {', '.join(BUDGETS)}; got {each!r}")
@@ -483,8 +466,7 @@ def fitting_utility(
 ) -> Utility:
     """A utility, by its name or as it is, for an environment; objectives that are ``named`` must be the same.
 
-    Raises:
-        ValueError: as :func:`make_utility`, or if the utility takes other objectives.
+    Errors are those of :func:`make_utility`, or a ValueError if the utility takes other objectives.
     """
     if isinstance(utility, str):
         return make_utility(utility, objectives, cost_sign, **arguments)
@@ -499,14 +481,9 @@ def fitting_utility(
 def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> None:
     """Call a utility with returns of every number of axes: of a mean, of episodes, and of steps of episodes.
 
-    A user's function may be written for one of them alone, and would otherwise fail when another is first needed.
-
-    Args:
-        utility: to be called.
-        zeros: ``numpy.zeros`` or ``torch.zeros``, which makes the returns.
-
-    Raises:
-        ValueError: naming the utility and the shape, if the call fails or does not give one finite number per return.
+    A user's function may be written for one of them alone, and would otherwise fail when another is first needed. The
+    returns are those of ``numpy.zeros`` or ``torch.zeros``. A ValueError names the utility and the shape, if the call
+    fails or does not give one finite number per return.
     """
     d = len(utility.objectives)
     for shape in ((d,), (2, d), (3, 2, d)):

@@ -99,20 +99,8 @@ class VectorUtilityReward(VectorWrapper):  # not generic in Gymnasium 1.2
     environment that is only reset (NEXT_STEP), have the reward 0. The accrued reward starts anew with every episode,
     in every autoreset mode.
 
-    Args:
-        env: a vector environment with rewards (N, d) or (N, V, d), and ``reward_space``.
-        utility: a name, as :func:`mo_deepdrive.utilities.make_utility` takes it, or a utility of returns (..., d).
-        of: "reward" or "return", as for :class:`UtilityReward`.
-        **arguments: arguments of a utility given by name, for example ``weights``.
-
-    Attributes:
-        utility: the utility.
-        reward_space: of one environment: unbounded, float32, shape () or (V,).
-        reward_dim: 1.
-
-    Raises:
-        TypeError: if ``env`` is no vector environment.
-        ValueError: if the environment has no vector rewards, or the utility is unknown or does not fit them.
+    Arguments, attributes and errors are those of :class:`UtilityReward`, but for the shapes: rewards are (N, d) or
+    (N, V, d), a utility is one of returns (..., d), and ``reward_space``, of one environment, is () or (V,).
     """
 
     reward_dim = 1
@@ -237,20 +225,8 @@ class ParallelUtilityReward(BaseParallelWrapper[str, Any, Any]):  # type: ignore
 
         env = ParallelUtilityReward(mo_deepdrive.parallel_env(), "intersection_linear")
 
-    Args:
-        env: a parallel environment with vector rewards (d,) and ``reward_space(agent)``.
-        utility: a name or a utility for all agents, or a dict with one of these for each.
-        of: "reward" or "return", as for :class:`UtilityReward`.
-        **arguments: arguments of utilities given by name, for example ``weights``.
-
-    Attributes:
-        utilities: per agent.
-        reward_spaces: per agent, unbounded, float32, shape ().
-        reward_dim: 1.
-
-    Raises:
-        ValueError: if the environment has no vector rewards, a utility is unknown or does not fit them, or the agents
-            of ``utility`` are not those of the environment.
+    The ``utility`` may also be a dict with a name or a utility for each agent, and ``utilities`` and ``reward_spaces``
+    are per agent; other arguments, attributes and errors are those of :class:`UtilityReward`.
     """
 
     reward_dim = 1
@@ -308,8 +284,7 @@ class ParallelUtilityReward(BaseParallelWrapper[str, Any, Any]):  # type: ignore
 def check_agents(name: str, given: Mapping[str, Any], agents: Sequence[str]) -> None:
     """Refuse what is not ``given`` for all agents, or for others.
 
-    Raises:
-        ValueError: with the ``name`` of what is given, and the first agent that is unknown or missing.
+    The ValueError has the ``name`` of what is given, and the first agent that is unknown or missing.
     """
     for agent in given:
         if agent not in agents:
@@ -406,15 +381,8 @@ class ScaledObservation(gymnasium.ObservationWrapper[Any, Any, Any], gymnasium.u
 class VectorScaledObservation(VectorWrapper):  # not generic in Gymnasium 1.2
     """:class:`ScaledObservation` for vector environments, in every autoreset mode: ``final_obs`` is scaled, too.
 
-    Args:
-        env: a vector environment with observations in a Box.
-        scales: positive; the last axes of an observation; by default ``env.unwrapped.observation_scales``.
-
-    Attributes:
-        scales: float32.
-
-    Raises:
-        ValueError: if there are no such scales, or observations are in no Box.
+    Arguments, attributes and errors are those of :class:`ScaledObservation`; the scales may have the last axes of an
+    observation alone.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], scales: Any = None):

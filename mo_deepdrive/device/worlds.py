@@ -37,26 +37,10 @@ class TensorWorlds:
     the batch. :meth:`step` neither checks its argument nor waits for the device, and can be captured in a CUDA graph;
     what went wrong is found by :meth:`check`. Tensors are the same ones after every call, with other contents.
 
-    Args:
-        config: the environment's configuration.
-        count: N.
-        device: "cpu", "cuda" or one of several, as "cuda:1".
-        autoreset: what happens to worlds whose episode is over.
-
-    Attributes:
-        device: where the tensors are.
-        vehicles: V.
-        objectives: names of the d objectives.
-        continuous: whether actions are continuous.
-        choices: how many discrete actions there are.
-        allowed_actions: in words.
-        outputs: all that a decision writes; also attributes by the names in :class:`Transition`.
-        waiting: (N,) bool, where an episode is over and its world has not been reset.
-        fault: (1,) int64, not zero if something went wrong.
-
-    Raises:
-        ValueError: if the device does not exist, has too little memory or cannot compile an objective.
-        ImportError: if the device needs numba-cuda, and it is not installed.
+    ``outputs`` are all that a decision writes, also attributes by the names in :class:`Transition`; ``waiting`` (N,) is
+    True where an episode is over and its world has not been reset; ``fault`` (1,) is not zero if something went wrong.
+    A ValueError if the device does not exist, has too little memory or cannot compile an objective; an ImportError if
+    it needs numba-cuda, and that is not installed.
     """
 
     def __init__(
@@ -200,9 +184,7 @@ class TensorWorlds:
     def begin(self, seeds: NDArray[Any], environments: NDArray[Any]) -> None:
         """Start the first episodes (number 0) of new streams of random numbers.
 
-        Args:
-            seeds: (N,) integers in [0, 2**64).
-            environments: (N,) integers in [0, 2**32): which environment among those with the same seed.
+        Seeds (N,) are below 2**64, ``environments`` (N,) below 2**32: which one among those with the same seed.
         """
         self.write_streams(make_streams(seeds, environments))
         self.next_episodes()
@@ -215,11 +197,9 @@ class TensorWorlds:
     def step(self, actions: torch.Tensor) -> None:
         """Move every running vehicle by one decision, and reset worlds as the autoreset mode says.
 
-        An action that is not allowed is replaced, with those of the other vehicles of its world, by zeros, and
-        :meth:`check` will say so.
-
-        Args:
-            actions: (N, V) int64 in [0, choices), or (N, V, 3) float32 in [-1, 1] (clipped), on the device.
+        The actions, on the device, are (N, V) int64 in [0, choices), or (N, V, 3) float32 in [-1, 1] (clipped). One
+        that is not allowed is replaced, with those of the other vehicles of its world, by zeros, and :meth:`check` will
+        say so.
         """
         self._actions.copy_(actions)
         self._launcher.step()
@@ -229,14 +209,10 @@ class TensorWorlds:
         return self._views(self._block.clone())
 
     def check(self, fault: int | None = None) -> None:
-        """Raise an error if something went wrong since the last check; this waits for the device.
+        """Raise an error if something went wrong since the last check, of which ``fault`` is known or waited for.
 
-        Args:
-            fault: the value of ``fault``, if it is known.
-
-        Raises:
-            ValueError: for an action that was not allowed, or if no valid scenario was found.
-            ResetNeeded: if a world whose episode was over has been stepped, and its mode does not reset it.
+        A ValueError for an action that was not allowed, or if no valid scenario was found; ResetNeeded if a world whose
+        episode was over has been stepped, and its mode does not reset it.
         """
         fault = int(self.fault.item()) if fault is None else fault
         if fault == NO_FAULT:
@@ -263,14 +239,9 @@ class TensorWorlds:
         return _records(self._streams, STREAM)
 
     def write_states(self, states: NDArray[Any], rows: NDArray[np.int64] | None = None) -> None:
-        """Overwrite states, and compute observations and flags from them.
+        """Overwrite states (k, V) of VEHICLE of the worlds ``rows`` (k,), or of all, with observations and flags.
 
-        Args:
-            states: (k, V) of VEHICLE.
-            rows: (k,) of which worlds; all if None.
-
-        Raises:
-            ValueError: for values that the dynamics cannot reach; nothing changes.
+        A ValueError for values that the dynamics cannot reach; nothing changes.
         """
         check_state(states, self.config, self._waypoints)
         self._mask.fill_(rows is None)

@@ -234,13 +234,9 @@ class Canvas:
                 self.line(start, end, 0.05 * length, TYRE)
 
     def vehicle(self, vehicle: Any, colour: Colour, number: int | None = None, *, signals: bool = False) -> None:
-        """A vehicle, with its number on the roof if given; pale if its episode has ended.
+        """A vehicle, a record of VEHICLE, with its number on the roof if given; pale if its episode has ended.
 
-        Args:
-            vehicle: record of dtype VEHICLE.
-            colour: of its paint.
-            number: on its roof; None for none.
-            signals: whether its left turn signal is lit.
+        With ``signals`` its left turn signal is lit.
         """
         paint = colour if vehicle.end == RUNNING else mix(colour, GREY, 0.6)
         position = np.array([vehicle.x, vehicle.y])
@@ -262,8 +258,8 @@ class Canvas:
         heading: float,
         paint: Colour,
         *,
+        brakes: bool,
         steer: float = 0.0,
-        brakes: bool = False,
         signals: bool = False,
     ) -> None:
         """A car with its centre at ``position`` (2,), whose braking lights and left turn signal may be lit."""

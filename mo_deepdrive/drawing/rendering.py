@@ -14,15 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.drawing.canvas import (
-    DESTINATION_RADIUS,
-    GRASS,
-    GROUND,
-    MAP_PIXELS,
-    SUPERSAMPLING,
-    Canvas,
-    Colour,
-)
+from mo_deepdrive.drawing.canvas import DESTINATION_RADIUS, GRASS, GROUND, MAP_PIXELS, SUPERSAMPLING, Canvas, Colour
 from mo_deepdrive.drawing.quiet_pygame import INVISIBLE_DRIVERS, pygame
 from mo_deepdrive.simulation.kernel import batch_rewards
 from mo_deepdrive.simulation.state import (
@@ -82,11 +74,10 @@ def reward_text(value: float) -> str:
 
 def reach_of(world: NDArray[Any], roads: Sequence[Route] = ()) -> float:
     """Visible distance (m) from the map's centre: at least the map or all roads, and all vehicles and waypoints."""
-    reaches = [MAP_SIZE / 2] if not roads else []
-    for route in roads:
-        reaches.append(float(np.abs(np.array(route.joints())[:, :2] - MAP_CENTRE).max()) + VEHICLE_MARGIN)
     if roads:
-        return max(reaches)
+        joints = np.array([joint for route in roads for joint in route.joints()])
+        return float(np.abs(joints[:, :2] - MAP_CENTRE).max()) + VEHICLE_MARGIN
+    reaches = [MAP_SIZE / 2]
     for vehicle in world:
         reaches.append(max(abs(vehicle.x - MAP_CENTRE), abs(vehicle.y - MAP_CENTRE)) + VEHICLE_MARGIN)
         reaches.extend(np.abs(vehicle.waypoints[: vehicle.n_waypoints] - MAP_CENTRE).ravel() + DESTINATION_RADIUS)
@@ -217,16 +208,7 @@ class Panel:
     def _write(self, text: str, x: float, y: float, size: int, colour: Colour, fill: Colour | None = None) -> float:
         """Write ``text`` centred vertically at ``y``, from ``x`` on, or up to -``x`` if ``x`` is negative.
 
-        Args:
-            text: what to write.
-            x: left end, or minus the right end.
-            y: vertical centre.
-            size: size of the font.
-            colour: of the text.
-            fill: colour of a label behind the text; None for no label.
-
-        Returns:
-            The right end.
+        With the colour ``fill`` there is a label behind the text. Returns the right end.
         """
         if size not in self._fonts:
             self._fonts[size] = pygame.font.Font(None, round(size * SUPERSAMPLING * (1.15 if self._alone else 1.0)))
@@ -277,12 +259,8 @@ class EpisodeTrace:
 class Viewer:
     """Draws one world of ``config``.
 
-    Args:
-        config: the environment's configuration.
-        render_mode: "rgb_array", or "human" to also show every frame in a window, at decision_frequency.
-
-    Raises:
-        ValueError: for another render_mode.
+    With "human" it also shows every frame in a window, at decision_frequency. Another mode than RENDER_MODES is a
+    ValueError.
     """
 
     def __init__(self, config: EnvConfig, render_mode: str):

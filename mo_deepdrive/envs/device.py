@@ -62,18 +62,8 @@ class DeviceVectorEnv(VectorBase):
     later step, in the next reset of all worlds or in :meth:`get_state`. ``check_actions=True`` waits, and raises it
     before any world has moved.
 
-    Args:
-        num_envs: N.
-        scenario: as of :class:`mo_deepdrive.envs.vector.DrivingVectorEnv`; so are the following ones.
-        device: "cpu", "cuda" or one of several GPUs, as "cuda:1".
-        autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED.
-        check_actions: whether every step waits for the device to check its actions.
-        render_mode: None or "rgb_array".
-        max_episode_steps: number of decisions after which an episode is truncated.
-        **options: fields of :class:`mo_deepdrive.world.config.EnvConfig`.
-
-    Attributes:
-        device: where the tensors are.
+    Besides the arguments of the other environment there are ``device``, "cpu", "cuda" or one of several GPUs, as
+    "cuda:1", and ``check_actions``, but no ``threads``.
 
     Raises:
         ImportError: if the device needs packages that are not installed.
@@ -144,13 +134,10 @@ class DeviceVectorEnv(VectorBase):
         return self._shaped(self.worlds.observations.clone()), {}
 
     def _start(self, rows: NDArray[np.int64], seeds: list[int | None], pins: Any, listed: bool) -> None:
-        """Start episodes in the worlds ``rows``; those with a seed of their own, or pins, are placed on the CPU.
+        """Start episodes in the worlds ``rows`` (k,); those with a seed of their own, or pins, are placed on the CPU.
 
-        Args:
-            rows: (k,) which worlds.
-            seeds: of all worlds; None continues a stream.
-            pins: of :func:`mo_deepdrive.envs.options.make_pins`.
-            listed: whether every world has a seed of its own; else the first one is that of all.
+        The seeds are of all worlds, and None continues a stream. Where they are not ``listed``, one for each, the first
+        one is that of all.
         """
         everyone = np.arange(self.num_envs)
         if self._begun:
@@ -197,12 +184,9 @@ class DeviceVectorEnv(VectorBase):
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """Move every world by one decision; see the class for infos and for errors of earlier steps.
 
-        Args:
-            actions: int64 (N,) or (N, V), or float32 with a last axis of 3, on the device.
-
-        Raises:
-            ResetNeeded: before the first reset, or where a world's episode was over and this mode does not reset it.
-            ValueError: for anything but such a tensor, or for an action that was not allowed.
+        The actions, on the device, are int64 (N,) or (N, V), or float32 with a last axis of 3; anything else is a
+        ValueError. ResetNeeded before the first reset, or where a world's episode was over and this mode does not reset
+        it.
         """
         if not self._begun:
             raise ResetNeeded("step() before the first reset()")
@@ -275,11 +259,7 @@ class DeviceVectorEnv(VectorBase):
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that determines the future, as plain arrays; :meth:`set_state` resumes from it exactly.
 
-        This waits for the device. ``state`` is that of the CPU's environment.
-
-        Raises:
-            ResetNeeded: for a step of a world that had to be reset.
-            ValueError: for an action that was not allowed.
+        This waits for the device, and raises errors of earlier steps. ``state`` is that of the CPU's environment.
         """
         self.worlds.check()
         streams = self.worlds.read_streams().view(np.uint8).reshape(self.num_envs, STREAM.itemsize)
@@ -288,9 +268,8 @@ class DeviceVectorEnv(VectorBase):
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from the result of :meth:`get_state` of an environment with the same arguments, on any device.
 
-        Raises:
-            ValueError: if the state is of an environment of another size or version, or has values that no environment
-                can reach; nothing changes.
+        A ValueError if the state is of an environment of another size or version, or has values that no environment can
+        reach; nothing changes.
         """
         check_forms(state, self.get_state())
         states = np.ascontiguousarray(state["state"]).view(self._states().dtype)

@@ -88,11 +88,7 @@ def _pin_queues(pins: Any, options: Mapping[str, Any], scenario: Scenario) -> No
 
 
 def checked_options(options: Any) -> dict[str, Any]:
-    """The reset options as a dict; empty for None.
-
-    Raises:
-        ValueError: unless they are a mapping with names as keys, or None.
-    """
+    """The reset options as a dict, empty for None; a ValueError unless they are a mapping with names as keys."""
     if options is None:
         return {}
     if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
@@ -103,8 +99,7 @@ def checked_options(options: Any) -> dict[str, Any]:
 def make_pins(options: Mapping[str, Any] | None, config: EnvConfig) -> np.ndarray | None:
     """The reset options as an array (1,) of SPAWN, with NaN for what is drawn; None for no options.
 
-    Raises:
-        ValueError: for unknown options, wrong shapes, or numbers that are not finite or out of range.
+    A ValueError for unknown options, wrong shapes, or numbers that are not finite or out of range.
     """
     if not (options := checked_options(options)):
         return None

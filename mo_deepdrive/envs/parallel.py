@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
@@ -21,9 +22,6 @@ from mo_deepdrive.support.extras import needed_for
 from mo_deepdrive.support.names import nearest
 from mo_deepdrive.world.config import parse_arguments
 from mo_deepdrive.world.scenarios import VERSIONS
-
-if TYPE_CHECKING:
-    from gymnasium import spaces
 
 Array = NDArray[np.float32]
 
@@ -99,7 +97,8 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
         self.observation_spaces = {agent: env_spaces.observation_space(config) for agent in self.possible_agents}
         self.action_spaces = {agent: env_spaces.action_space(config) for agent in self.possible_agents}
         self.reward_spaces = {agent: env_spaces.reward_space(config) for agent in self.possible_agents}
-        self.state_space = env_spaces.joint_observation_space(config)
+        seen = self.observation_spaces[self.possible_agents[0]]
+        self.state_space = spaces.Box(np.tile(seen.low, vehicles), np.tile(seen.high, vehicles), dtype=np.float32)
         self._np_random: np.random.Generator | None = None
         # For each vehicle: whether it is on the road, and its last observation if it is not.
         self._driving = [True] * vehicles
@@ -129,18 +128,11 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
-        """Start a new episode.
+        """Start a new episode: observations and (empty) infos per agent.
 
-        Args:
-            seed: seed of the random stream; None continues it.
-            options: reset options of the Gymnasium environments (``{"starts": ...}`` at the intersection). Unknown
-                names are ignored with a warning, because PettingZoo's own checks pass one.
-
-        Returns:
-            observations and (empty) infos per agent.
-
-        Raises:
-            ValueError: for an invalid seed, or options without a valid scenario; nothing changes.
+        The seed is that of the random stream, which None continues; the options are those of the Gymnasium environments
+        (``{"starts": ...}`` at the intersection). Unknown names are ignored with a warning, because PettingZoo's own
+        checks pass one. A ValueError for an invalid seed, or options without a valid scenario; nothing changes.
         """
         given, known = checked_options(options), option_names(self.batch.scenario)
         unknown = [name for name in given if name not in known]
@@ -159,17 +151,11 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Array], dict[str, Array], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Move all vehicles by one decision.
+        """Move all vehicles by one decision, with an action for every agent in ``agents``, and no others.
 
-        Args:
-            actions: one for every agent in ``agents``, and no others.
-
-        Returns:
-            observations (size,), vector rewards (d,), terminated, truncated and infos of every agent that acted.
-
-        Raises:
-            ResetNeeded: before the first reset and after the end of an episode.
-            ValueError: for missing or other agents and for actions outside the action space; nothing changes.
+        Returns observations (size,), vector rewards (d,), terminated, truncated and infos of every agent that acted.
+        ResetNeeded before the first reset and after the end of an episode; a ValueError for missing or other agents and
+        for actions outside the action space, where nothing changes.
         """
         if not self.agents:
             raise ResetNeeded("step() before reset() or after the end of an episode")
@@ -217,9 +203,8 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
 class CheckedSteps(BaseWrapper[str, Array, Any]):  # type: ignore[misc]  # PettingZoo has no types
     """Refuses an invalid action at once; the conversion to AEC would do so only when the world moves.
 
-    Raises:
-        ResetNeeded: before the first reset and after the end of an episode.
-        ValueError: for an action outside the action space, or one other than None for a vehicle that has ended.
+    ResetNeeded before the first reset and after the end of an episode; a ValueError for an action outside the action
+    space, or one other than None for a vehicle that has ended.
     """
 
     def step(self, action: Any) -> None:
@@ -235,11 +220,7 @@ class CheckedSteps(BaseWrapper[str, Array, Any]):  # type: ignore[misc]  # Petti
 
 
 def aec_env(parallel: DrivingParallelEnv) -> AECEnv[str, Array, Any]:
-    """``parallel`` as an AEC environment, converted by MOMAland.
-
-    Raises:
-        ImportError: if MOMAland is not installed.
-    """
+    """``parallel`` as an AEC environment, converted by MOMAland; an ImportError if that is not installed."""
     with needed_for("the AEC environment"):
         from momaland.utils.conversions import mo_parallel_to_aec
     return CheckedSteps(mo_parallel_to_aec(parallel))

@@ -45,14 +45,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
             - ``"render_mode"``: None, "rgb_array" or "human";
             - any other field of :class:`mo_deepdrive.world.config.EnvConfig`.
 
-    Attributes:
-        objectives: names of the vector reward's components, in order.
-        reward_dim: their number, d.
-        utilities: per vehicle.
-        observation_spaces: per vehicle.
-        observation_scales: (size,) nominal magnitudes of the observation of a vehicle, by which learners divide.
-        action_spaces: per vehicle.
-        reward_spaces: per vehicle.
+    Attributes are those of the parallel environment, and ``utilities`` per vehicle.
 
     Raises:
         ValueError: for unknown keys, vehicles or utilities, and for a utility that does not fit the objectives.
@@ -87,8 +80,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
         """Start a new episode; ``seed`` and ``options`` as in the Gymnasium environments.
 
-        Raises:
-            ValueError: for unknown options and for options without a valid scenario; nothing changes.
+        A ValueError for unknown options and for options without a valid scenario; nothing changes.
         """
         # The parallel environment would ignore unknown ones.
         make_pins(options, self.config)
@@ -99,20 +91,12 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
     def step(
         self, action_dict: Mapping[str, Any]
     ) -> tuple[dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Move all vehicles by one decision.
+        """Move all vehicles by one decision; actions and errors are those of the parallel environment.
 
-        Args:
-            action_dict: one action for every agent in ``agents``, and no others.
-
-        Returns:
-            observations, utilities, terminated, truncated and infos. ``terminated`` has every vehicle that acted.
-            ``truncated`` has "__all__" alone: the time limit ends the episode for all vehicles on the road, and with
-            a flag per vehicle RLlib would treat a truncated vehicle as terminated and not bootstrap. At the end of an
-            episode exactly one of the two "__all__" flags is True.
-
-        Raises:
-            ResetNeeded: before the first reset and after the end of an episode.
-            ValueError: for missing or other agents and for actions outside the action space; nothing changes.
+        Returns observations, utilities, terminated, truncated and infos. ``terminated`` has every vehicle that acted.
+        ``truncated`` has "__all__" alone: the time limit ends the episode for all vehicles on the road, and with a flag
+        per vehicle RLlib would treat a truncated vehicle as terminated and not bootstrap. At the end of an episode
+        exactly one of the two "__all__" flags is True.
         """
         observations, rewards, terminations, truncations, infos = self.parallel.step(action_dict)
         self.agents = list(self.parallel.agents)

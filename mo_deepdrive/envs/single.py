@@ -69,14 +69,10 @@ class DrivingEnv(WorldEnv):
         return self.batch.observations[0, 0].copy(), {}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], bool, bool, dict[str, Any]]:
-        """Drive for one decision.
+        """Drive for one decision: observation (size,), vector reward (d,), terminated, truncated, info.
 
-        Returns:
-            observation (size,), vector reward (d,), terminated, truncated, info.
-
-        Raises:
-            ResetNeeded: before the first reset and after the end of an episode.
-            ValueError: for an action outside the action space; the state is unchanged.
+        ResetNeeded before the first reset and after the end of an episode; a ValueError for an action outside the
+        action space, where the state is unchanged.
         """
         if not self._running:
             raise ResetNeeded("step() before reset() or after the end of an episode")
@@ -85,8 +81,7 @@ class DrivingEnv(WorldEnv):
             raise ValueError(f"action {action!r} has shape {array.shape}; expected {self.action_space.shape}")
         self.move(array[None, None])
         batch = self.batch
-        terminated = bool(batch.terminated[0, 0])
-        truncated = bool(batch.truncated[0, 0])
+        terminated, truncated = bool(batch.terminated[0, 0]), bool(batch.truncated[0, 0])
         info: dict[str, Any] = {}
         if terminated or truncated:
             self._running = False

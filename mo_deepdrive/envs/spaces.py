@@ -29,13 +29,6 @@ def observation_scales(config: EnvConfig) -> NDArray[np.float32]:
     return observation.scales(config.scenario_data).astype(np.float32)
 
 
-def joint_observation_space(config: EnvConfig) -> spaces.Box:
-    """The concatenated observations of all vehicles: float32, shape (vehicles * size,)."""
-    space = observation_space(config)
-    vehicles = config.scenario_data.vehicles
-    return spaces.Box(np.tile(space.low, vehicles), np.tile(space.high, vehicles), dtype=np.float32)
-
-
 def action_space(config: EnvConfig) -> spaces.Discrete | spaces.Box:
     """The action of one vehicle: Discrete(22), Discrete(16) or Box(-1, 1, (3,)) (steer, acceleration, brake)."""
     if config.action_type == actions.CONTINUOUS:

@@ -19,11 +19,7 @@ _WORD = (1 << 64) - 1
 
 
 def checked_seed(seed: Any, name: str = "seed") -> int | None:
-    """The ``seed`` of a random stream; ``name`` is its name in the message.
-
-    Raises:
-        ValueError: unless it is None or a non-negative integer.
-    """
+    """The ``seed`` of a random stream; a ValueError, with its ``name``, unless it is None or not negative."""
     if seed is None:
         return None
     return whole_number(name, seed, 0, allowed="None or a non-negative integer")
@@ -32,12 +28,7 @@ def checked_seed(seed: Any, name: str = "seed") -> int | None:
 class Streams(Draws):
     """Generators, one per world, which draw the same numbers as a single environment with the same seed.
 
-    Args:
-        seeds: one per world; None for a random seed.
-        draws: how many uniforms an episode takes.
-
-    Attributes:
-        seeds: the seed of every world.
+    An episode takes ``draws`` uniforms. Of the ``seeds``, one per world, None stands for a random one.
     """
 
     def __init__(self, seeds: list[int | None], draws: int):

@@ -92,13 +92,9 @@ class TurnBasedEnv(WorldEnv):
     def step(self, action: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], bool, bool, dict[str, Any]]:
         """Choose the action of the vehicle whose turn it is.
 
-        Returns:
-            observation (size,), vector reward (d,), terminated, truncated and info of the vehicle whose turn is next,
-            which is ``info["vehicle"]``.
-
-        Raises:
-            ResetNeeded: before the first reset and after the end of an episode.
-            ValueError: for an action outside the action space; nothing changes, and it is still that vehicle's turn.
+        Returns observation (size,), vector reward (d,), terminated, truncated and info of the vehicle whose turn is
+        next, which is ``info["vehicle"]``. ResetNeeded before the first reset and after the end of an episode; a
+        ValueError for an action outside the action space, where nothing changes, and it is still that vehicle's turn.
         """
         if not self._turns:
             raise ResetNeeded("step() before reset() or after the end of an episode")

@@ -111,12 +111,9 @@ class DrivingVectorEnv(VectorBase):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start new episodes.
 
-        Args:
-            seed: an int seeds world i with ``seed + i``; a list has a seed per world; None continues the streams.
-            options: ``"reset_mask"`` (N,) bool resets only those worlds; other options as in the single environment.
-
-        Raises:
-            ValueError: for invalid seeds or options; no world changes.
+        An int seeds world i with ``seed + i``; a list has a seed per world; None continues the streams. The option
+        ``"reset_mask"`` (N,) bool resets only those worlds; the others are those of the single environment. A
+        ValueError for invalid seeds or options, where no world changes.
         """
         options = checked_options(options)
         mask = self._mask(options.pop("reset_mask", None))
@@ -156,9 +153,10 @@ class DrivingVectorEnv(VectorBase):
         taken = self.advance(self._batched(actions))
         infos: dict[str, Any] = {}
         if self.vehicles > 1:
-            infos["acted"] = taken.acted
-            infos["_acted"] = np.ones(self.num_envs, dtype=np.bool_)
-            infos.update(self._arrivals(taken))
+            infos |= {"acted": taken.acted, "_acted": np.ones(self.num_envs, dtype=np.bool_)}
+            ended = taken.acted & (taken.terminated | taken.truncated)
+            if (mask := ended.any(axis=1)).any():
+                infos |= {"arrived": ended & (taken.ends == ARRIVED), "_arrived": mask}
         if taken.over.any():
             ends = self._ends(taken)
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
@@ -173,14 +171,8 @@ class DrivingVectorEnv(VectorBase):
     def advance(self, actions: NDArray[Any]) -> Transition:
         """What :meth:`step` does, without infos, which take as long as the physics, and with an axis of one vehicle.
 
-        No later step overwrites the arrays.
-
-        Args:
-            actions: (N, V) or (N, V, 3).
-
-        Raises:
-            ResetNeeded: as :meth:`check_ready`.
-            ValueError: for actions that are not in the action space; no world has moved.
+        No later step overwrites the arrays. The actions are (N, V) or (N, V, 3). ResetNeeded as :meth:`check_ready`; a
+        ValueError for actions that are not in the action space, where no world has moved.
         """
         self.check_ready()
         batch = self.batch
@@ -206,10 +198,9 @@ class DrivingVectorEnv(VectorBase):
         return taken
 
     def check_ready(self) -> None:
-        """Refuse to step worlds that have to be reset first.
+        """Refuse to step worlds that have to be reset first, with ResetNeeded.
 
-        Raises:
-            ResetNeeded: before the first reset, or where a world's episode is over and this mode does not reset it.
+        That is before the first reset, or where a world's episode is over and this mode does not reset it.
         """
         if self.autoreset_mode is not AutoresetMode.NEXT_STEP and self._over.any():
             raise needs_reset(np.flatnonzero(self._over))
@@ -223,24 +214,11 @@ class DrivingVectorEnv(VectorBase):
             raise ValueError(f"actions have shape {array.shape}; expected {self.action_space.shape}")
         return array[:, None] if self.vehicles == 1 else array
 
-    def _arrivals(self, taken: Transition) -> dict[str, Any]:
-        """Infos on the vehicles that arrived in a step; empty if no vehicle ended."""
-        ended = taken.acted & (taken.terminated | taken.truncated)
-        mask = ended.any(axis=1)
-        return {"arrived": ended & (taken.ends == ARRIVED), "_arrived": mask} if mask.any() else {}
-
     def _ends(self, taken: Transition) -> dict[str, Any]:
         """Why the episodes that are over ended, in the form of Gymnasium's vector infos."""
-        over = taken.over
-        rows = np.flatnonzero(over)
-        codes = taken.ends[rows]
-        shape: tuple[int, ...] = (self.num_envs, self.vehicles)
-        if self.vehicles == 1:
-            codes, shape = codes[:, 0], (self.num_envs,)
-        end = np.empty(shape, dtype=object)  # None where nothing is written
-        end[rows] = END_NAMES[codes]
-        success = np.zeros(shape, dtype=np.bool_)
-        success[rows] = codes == ARRIVED
+        over, codes = taken.over, self._shaped(taken.ends)
+        end, success = np.full(codes.shape, None, dtype=object), np.zeros(codes.shape, dtype=np.bool_)
+        end[over], success[over] = END_NAMES[codes[over]], codes[over] == ARRIVED
         return {"end": end, "_end": over.copy(), "success": success, "_success": over.copy()}
 
     def _states(self) -> NDArray[Any]:
@@ -258,9 +236,8 @@ class DrivingVectorEnv(VectorBase):
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from the result of :meth:`get_state` of an environment with the same arguments.
 
-        Raises:
-            ValueError: if the state is of an environment of another size or version, or has values that no environment
-                can reach; nothing changes.
+        A ValueError if the state is of an environment of another size or version, or has values that no environment can
+        reach; nothing changes.
         """
         check_forms(state, self.get_state())
         for name in ("over", "begun"):
@@ -285,15 +262,8 @@ class DrivingVectorEnv(VectorBase):
 def make_vector_env(num_envs: int = 1, *, device: str | None = None, **arguments: Any) -> VectorBase:
     """What ``gymnasium.make_vec`` makes of the ids of this package.
 
-    Args:
-        num_envs: N.
-        device: None for NumPy's arrays, "cpu" or "cuda" for tensors of PyTorch on that device.
-        **arguments: of :class:`DrivingVectorEnv`, or of :class:`mo_deepdrive.envs.device.DeviceVectorEnv`.
-
-    Raises:
-        ImportError: if the device needs packages that are not installed.
-        TypeError: for unknown arguments.
-        ValueError: for invalid values.
+    Without a ``device`` it is :class:`DrivingVectorEnv`; with "cpu" or "cuda" one of PyTorch's tensors on that device,
+    :class:`mo_deepdrive.envs.device.DeviceVectorEnv`. Arguments and errors are theirs.
     """
     if device is None:
         return DrivingVectorEnv(num_envs, **arguments)

@@ -39,8 +39,7 @@ def _form(array: Any) -> str:
 def check_forms(state: Mapping[str, Any], needed: Mapping[str, NDArray[Any]]) -> None:
     """Refuse a state whose arrays have not the names, types and shapes of ``needed``.
 
-    Raises:
-        ValueError: naming the first array that differs.
+    The ValueError names the first array that differs.
     """
     for name, array in needed.items():
         if _form(found := state.get(name)) != _form(array):

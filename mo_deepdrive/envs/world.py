@@ -28,9 +28,7 @@ RENDER_MODES = ["rgb_array", "human"]
 class World:
     """One world of a scenario, a batch of one row, with a renderer and checks of actions: a base of environments.
 
-    Args:
-        config: the environment's settings.
-        render_mode: None, "rgb_array" or "human" (a window that follows every reset and step).
+    With the render mode "human" a window follows every reset and step.
 
     Attributes:
         objectives: names of the reward's d components, in order.
@@ -63,8 +61,7 @@ class World:
     def place(self, generator: np.random.Generator, options: Mapping[str, Any] | None) -> None:
         """Start a new episode drawn from ``generator``, with the reset options ``options``.
 
-        Raises:
-            ValueError: for options without a valid scenario; the world and the generator are unchanged.
+        A ValueError for options without a valid scenario; the world and the generator are unchanged.
         """
         pins = make_pins(options, self.config)
         stream = generator.bit_generator.state
@@ -95,8 +92,7 @@ class World:
     def checked(self, action: Any, agent: str) -> Any:
         """The action of one vehicle as an int or a list of floats.
 
-        Raises:
-            ValueError: naming ``agent``, if the action is of the wrong shape or type, not finite or out of range.
+        A ValueError, naming ``agent``, for another shape or type, or for what is not finite or out of range.
         """
         try:
             array = np.asarray(action)
@@ -151,16 +147,9 @@ class KnownFront:
         """The best-known front of one world, by MO-Gymnasium's name; it is not proven to be optimal.
 
         It exists for environments that are the same in every episode (``fixed_destination=True``, and in StaticObstacle
-        ``fixed_obstacle=True``), with all other arguments at their defaults and without reset options.
-
-        Args:
-            gamma: discount factor in [0, 1].
-
-        Returns:
-            The returns (d,) of K non-dominated policies, in this environment's objectives and signs.
-
-        Raises:
-            ValueError: if there is no best-known front, with what it would require.
+        ``fixed_obstacle=True``), with all other arguments at their defaults and without reset options; for others a
+        ValueError says what it would require. The returns (d,) of K non-dominated policies, discounted with ``gamma``
+        in [0, 1], are in this environment's objectives and signs.
         """
         from mo_deepdrive.fronts.reference_fronts import pareto_front
 

@@ -20,14 +20,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ChoiceCriterion:
-    """What to maximise over the policies of a front.
+    """What to maximise over the policies of a front."""
 
-    Attributes:
-        name: of the value, for tables.
-        values: from returns (K, E, d) of E episodes of each of K policies to the values (K,) of the policies.
-    """
-
-    name: str
+    name: str  #: of the value, for tables
+    #: From returns (K, E, d) of E episodes of each of K policies to the values (K,) of the policies.
     values: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
     def estimate(self, returns: NDArray[np.float64]) -> Estimate:
@@ -36,14 +32,9 @@ class ChoiceCriterion:
 
 
 def weighted_sum(weights: Mapping[str, float], objectives: Sequence[str]) -> ChoiceCriterion:
-    """Prefer the greatest weighted sum of mean returns.
+    """Prefer the greatest sum of mean returns, weighted by objective (0 where it is not named).
 
-    Args:
-        weights: weight per objective; objectives that are not named have weight 0.
-        objectives: names of the d objectives, in the order of the returns.
-
-    Raises:
-        ValueError: if a weight is negative.
+    A ValueError if a weight is negative; ``objectives`` are the d names in the order of the returns.
     """
     if any(weight < 0.0 for weight in weights.values()):
         raise ValueError(f"weights {dict(weights)}: returns are maximised, so weights must not be negative")
@@ -57,12 +48,9 @@ def expected_utility(utility: Utility) -> ChoiceCriterion:
 
 
 def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], scales: NDArray[Any]) -> ChoiceCriterion:
-    """Prefer the smallest Euclidean distance by which the mean returns fall short of a target.
+    """Prefer the smallest Euclidean distance, in ``scales`` (d,), by which the mean returns fall short of a target.
 
-    Args:
-        target: wanted return per objective; objectives that are not named, and returns above the target, do not count.
-        objectives: names of the d objectives, in the order of the returns.
-        scales: (d,) magnitudes by which the differences are divided.
+    Objectives that it does not name, and returns above it, do not count.
     """
     wanted = np.array([target.get(name, -np.inf) for name in objectives])
 

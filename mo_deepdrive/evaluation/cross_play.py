@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,16 +40,12 @@ def roles_of(vehicles: int) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Encounter:
-    """What two drivers achieve together.
+    """What two drivers achieve together."""
 
-    Attributes:
-        drivers: name of the driver of vehicle 0, and of that of all others.
-        estimates: with their 95% intervals over the episodes, those of all together (``Evaluation.team_samples``), such
-            as "success", the share of episodes in which all arrive; then arrivals and utility of both roles, such as
-            "vehicle_0/success", which for several others are means over them; and the returns of vehicle 0.
-    """
-
-    drivers: tuple[str, str]
+    drivers: tuple[str, str]  #: name of the driver of vehicle 0, and of that of all others
+    #: With their 95% intervals over the episodes, those of all together (``Evaluation.team_samples``), such as
+    #: "success", the share of episodes in which all arrive; then arrivals and utility of both roles, such as
+    #: "vehicle_0/success", which for several others are means over them; and the returns of vehicle 0.
     estimates: dict[str, Estimate]
 
     @property
@@ -67,26 +65,15 @@ def cross_play(
     seed: int | None = None,
     greedy: bool = False,
     env_kwargs: Mapping[str, Any] | None = None,
-    progress: Callable[[], None] | None = None,
+    progress: Callable[[], None] = lambda: None,
 ) -> list[Encounter]:
     """Let every driver of vehicle 0 drive with every driver of all other vehicles, on the same scenarios.
 
-    Args:
-        drivers: those of vehicle 0 by name, and those of the others, of which one drives all of them at a time.
-        env_id: an environment of several vehicles.
-        utility: by which all vehicles are judged, whatever their drivers maximised; or one for every driver by name.
-        split: the scenarios: "validation" (default), or "test" for final scores.
-        episodes: of every encounter.
-        seed: of the first episode, instead of a split.
-        greedy: take the most likely (or mean) actions instead of sampling.
-        env_kwargs: arguments of the environment.
-        progress: called after every encounter.
-
-    Returns:
-        The encounters, those of the first driver of vehicle 0 first.
-
-    Raises:
-        ValueError: for invalid arguments, or drivers that do not drive in the environment.
+    The drivers are those of vehicle 0 by name, and those of the others, of which one drives all of them at a time. The
+    utility judges all vehicles, whatever their drivers maximised; there may be one for every driver by name. After
+    every encounter ``progress`` is called; the other arguments are those of :func:`mo_deepdrive.evaluation.evaluate`.
+    Returns the encounters, those of the first driver of vehicle 0 first. A ValueError for drivers that do not drive in
+    the environment.
     """
     if len(drivers) != 2 or not all(drivers):
         raise ValueError("drivers must be those of vehicle 0 and those of the others, at least one each")
@@ -94,23 +81,14 @@ def cross_play(
     def utility_of(name: str) -> UtilityLike:
         return utility[name] if isinstance(utility, Mapping) else utility
 
+    meet = partial(evaluate, split=split, episodes=episodes, seed=seed, env_kwargs=env_kwargs, greedy=greedy)
     encounters = []
-    for first, one in drivers[0].items():
-        for second, other in drivers[1].items():
-            others = one.env.vehicles - 1
-            result = evaluate(
-                Team([one, other], [0] + [1] * others),
-                env_id,
-                split=split,
-                episodes=episodes,
-                seed=seed,
-                utility=[utility_of(first)] + [utility_of(second)] * others,
-                env_kwargs=env_kwargs,
-                greedy=greedy,
-            )
-            encounters.append(Encounter((first, second), _estimates(result)))
-            if progress is not None:
-                progress()
+    for (first, one), (second, other) in product(drivers[0].items(), drivers[1].items()):
+        others = one.env.vehicles - 1
+        utilities = [utility_of(first)] + [utility_of(second)] * others
+        result = meet(Team([one, other], [0] + [1] * others), env_id, utility=utilities)
+        encounters.append(Encounter((first, second), _estimates(result)))
+        progress()
     return encounters
 
 

@@ -52,55 +52,37 @@ class Playback:
 
 @dataclass(frozen=True)
 class Drive:
-    """One episode of V vehicles, the longest of which takes T decisions.
+    """One episode of V vehicles, the longest of which takes T decisions."""
 
-    Attributes:
-        readings: (T + 1, V, 6) :data:`READINGS` at the start and after every decision; NaN once a vehicle has ended.
-        cars: (T + 1, C, 3) :data:`POSE` of the cars with scripted drivers; NaN while a car is absent.
-        ends: V reasons, each one of :data:`mo_deepdrive.simulation.state.ENDS`.
-    """
-
+    #: (T + 1, V, 6) :data:`READINGS` at the start and after every decision; NaN once a vehicle has ended.
     readings: NDArray[np.float64]
-    cars: NDArray[np.float64]
-    ends: tuple[str, ...]
+    cars: NDArray[
+        np.float64
+    ]  #: (T + 1, C, 3) :data:`POSE` of the cars with scripted drivers; NaN while a car is absent
+    ends: tuple[str, ...]  #: V reasons, each one of :data:`mo_deepdrive.simulation.state.ENDS`
 
 
 @dataclass(frozen=True)
 class Road:
-    """A lane of segments.
+    """A lane of segments."""
 
-    Attributes:
-        line: (P, 2) points of its middle (m).
-        width: of the lane (m).
-        give_way: (2, 2) the ends (m) of the line before which those wait who have no right of way; (0, 2) if none.
-    """
-
-    line: NDArray[np.float64]
-    width: float
+    line: NDArray[np.float64]  #: (P, 2) points of its middle (m)
+    width: float  #: of the lane (m)
+    #: (2, 2) the ends (m) of the line before which those wait who have no right of way; (0, 2) if none.
     give_way: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is drawn for the seed of a scenario, and K drives in it.
+    """What is drawn for the seed of a scenario, and K drives in it."""
 
-    Attributes:
-        seed: of the scenario.
-        routes: V times (W, 2), the waypoints (m) of a vehicle, or the end of its road.
-        obstacles: (B, 2, 2) the two ends (m) of every obstacle.
-        lanes: whether two roads cross in the middle.
-        roads: the lanes of a scenario whose roads are data.
-        decision_frequency: decisions per second.
-        drives: K drives.
-    """
-
-    seed: int
-    routes: tuple[NDArray[np.float64], ...]
-    obstacles: NDArray[np.float64]
-    lanes: bool
-    roads: tuple[Road, ...]
-    decision_frequency: int
-    drives: tuple[Drive, ...]
+    seed: int  #: of the scenario
+    routes: tuple[NDArray[np.float64], ...]  #: V times (W, 2), the waypoints (m) of a vehicle, or the end of its road
+    obstacles: NDArray[np.float64]  #: (B, 2, 2) the two ends (m) of every obstacle
+    lanes: bool  #: whether two roads cross in the middle
+    roads: tuple[Road, ...]  #: the lanes of a scenario whose roads are data
+    decision_frequency: int  #: decisions per second
+    drives: tuple[Drive, ...]  #: K drives
 
     def box(self, margin: float) -> tuple[float, float, float]:
         """The least x, the least y and the side (m) of a square that shows everything with ``margin`` m around it.
@@ -109,16 +91,11 @@ class Scene:
         """
         cars = self.lanes and any(drive.cars.shape[1] for drive in self.drives)
         driven = (drive.readings[..., :2].reshape(-1, 2) for drive in self.drives)
-        corners = MAP_CENTRE + np.array([[-0.5, -0.5], [0.5, 0.5]]) * (MAP_SIZE - 2 * margin)
-        points = np.concatenate(
-            [
-                *self.routes,
-                self.obstacles.reshape(-1, 2),
-                *(points[np.isfinite(points[:, 0])] for points in driven),
-                *(road.line for road in self.roads),
-                corners if cars else np.zeros((0, 2)),
-            ]
-        )
+        parts = [*self.routes, self.obstacles.reshape(-1, 2), *(road.line for road in self.roads)]
+        parts += [points[np.isfinite(points[:, 0])] for points in driven]
+        if cars:
+            parts.append(MAP_CENTRE + np.array([[-0.5, -0.5], [0.5, 0.5]]) * (MAP_SIZE - 2 * margin))
+        points = np.concatenate(parts)
         low, high = points.min(axis=0), points.max(axis=0)
         side = float((high - low).max()) + 2 * margin
         left, bottom = ((low + high - side) / 2).tolist()
@@ -126,12 +103,7 @@ class Scene:
 
 
 def record_scenes(
-    policy: Policy | PolicyFunction,
-    env_id: str,
-    env_arguments: Mapping[str, Any],
-    *,
-    seeds: Sequence[int],
-    drives: int,
+    policy: Policy | PolicyFunction, env_id: str, env_arguments: Mapping[str, Any], *, seeds: Sequence[int], drives: int
 ) -> list[Scene]:
     """Record one episode of each of K = ``drives`` drivers in each of the S scenarios of the ``seeds``.
 

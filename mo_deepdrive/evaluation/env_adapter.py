@@ -82,27 +82,22 @@ def _constructors(env_id: str, num_envs: int, arguments: dict[str, Any]) -> Iter
 
 @dataclass
 class Step:
-    """One step of all environments.
+    """One step of all environments."""
 
-    Attributes:
-        observations: (N, V, o) for the next action; where an episode ended, the first of the next episode.
-        rewards: (N, V, d).
-        terminated, truncated: (N, V) whether the vehicle's episode ended in this step.
-        acted: (N, V) False where the sample does not count: the vehicle had finished already, or the environment was
-            only reset.
-        final: (N, V, o) observations after the step; where an episode ended, the last of that episode.
-        succeeded: (N, V) whether an episode that ended in this step reached its goal; all False where the environment
-            does not report it.
-        ends: (N,) or (N, V) why episodes ended, from ``info["end"]``; None where the environment does not report it.
-    """
-
+    #: (N, V, o) for the next action; where an episode ended, the first of the next episode.
     observations: NDArray[np.float32]
-    rewards: NDArray[np.float32]
+    rewards: NDArray[np.float32]  #: (N, V, d)
+    #: (N, V) whether the vehicle's episode ended in this step.
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
+    #: (N, V) False where the sample does not count: the vehicle had finished already, or the environment was reset.
     acted: NDArray[np.bool_]
+    #: (N, V, o) observations after the step; where an episode ended, the last of that episode.
     final: NDArray[np.float32]
+    #: (N, V) whether an episode that ended in this step reached its goal; all False where the environment does not
+    #: report it.
     succeeded: NDArray[np.bool_]
+    #: (N,) or (N, V) why episodes ended, from ``info["end"]``; None where the environment does not report it.
     ends: NDArray[Any] | None
 
 
@@ -116,19 +111,14 @@ class EnvAdapter:
     Attributes:
         name: the id of the environment, or its class where it has no id.
         num_envs, vehicles: N and V.
-        objectives: names of the d components of the reward: those of the environment's attribute ``objectives``, else
-            "objective_0" and so on.
-        named: whether the environment names its objectives.
+        objectives: names of the d components of the reward; "objective_0" and so on where they are not ``named``.
         repeats: whether every episode is the same but for what is done in it; None where that is not known.
         cost_sign: "maximise", or "paper" where our environment emits magnitudes.
         observation_scales: (o,) nominal magnitudes.
         objective_scales: (d,) nominal magnitudes of a return.
-        costs: (d,) whether more of the objective is worse; of other libraries' environments, whether the reward space
-            has no positive reward.
-        actions: number of discrete actions, or of continuous axes.
-        continuous: whether actions are continuous.
-        max_episode_steps: decisions after which an episode that is driven to its end must have ended: the id's, or
-            LONGEST_EPISODE.
+        costs: (d,) whether more of the objective is worse; of other libraries, whether no reward can be positive.
+        actions: number of discrete actions, or of ``continuous`` axes.
+        max_episode_steps: decisions after which an episode must have ended: the id's, or LONGEST_EPISODE.
         bare: our environment, if it is neither wrapped nor of a subclass, whose own ``step`` would have to be called.
 
     Raises:
@@ -201,11 +191,7 @@ class EnvAdapter:
         return np.tile(self.objective_scales, self.vehicles)
 
     def chosen_objective_scales(self, scales: Sequence[float] | None) -> NDArray[np.float32]:
-        """``scales`` (d,), or the environment's own where they are None.
-
-        Raises:
-            ValueError: if there is not one scale per objective.
-        """
+        """``scales`` (d,), or the environment's own where they are None; a ValueError for another number of them."""
         if scales is None:
             return self.objective_scales
         if len(scales) != len(self.objectives):
@@ -215,11 +201,7 @@ class EnvAdapter:
         return np.asarray(scales, dtype=np.float32)
 
     def reset(self, seed: int | list[int] | None = None) -> NDArray[np.float32]:
-        """Reset every environment; the i-th is seeded with ``seed + i`` or ``seed[i]``. Observations (N, V, o).
-
-        Raises:
-            NotFinite: for observations that are not finite.
-        """
+        """Reset every environment, the i-th with the seed ``seed + i`` or ``seed[i]``: observations (N, V, o)."""
         raw, _ = self.vector_env.reset(seed=seed)  # type: ignore[arg-type]  # a list is fine, says its documentation
         self._was_over[:] = False
         observations = self.policy_observations(raw)
@@ -241,12 +223,8 @@ class EnvAdapter:
     def step(self, actions: NDArray[Any]) -> Step:
         """Act in every environment.
 
-        Args:
-            actions: (N, V) indices, or (N, V, k) with each axis in [-1, 1] (clipped and scaled to the box).
-
-        Raises:
-            ValueError: for another shape.
-            NotFinite: for actions, rewards or observations that are not finite.
+        The actions are (N, V) indices, or (N, V, k) with each axis in [-1, 1] (clipped and scaled to the box). Another
+        shape is a ValueError; actions, rewards or observations that are not finite are NotFinite.
         """
         actions = np.asarray(actions)
         if actions.shape != self._action_shape:
@@ -269,34 +247,17 @@ class EnvAdapter:
         raw, rewards, terminated, truncated, infos = self.vector_env.step(actions)
         acted = ~self._was_over
         self._was_over = (terminated | truncated)[:, None]
-        observations = self.policy_observations(raw)
-        ends = infos.get("end")
+        observations, vectors = self.policy_observations(raw), np.asarray(rewards, dtype=np.float32)[:, None]
         success = infos.get("success", np.zeros(self.num_envs, dtype=np.bool_)).astype(np.bool_)
-        return Step(
-            observations=observations,
-            rewards=np.asarray(rewards, dtype=np.float32)[:, None],
-            terminated=terminated[:, None],
-            truncated=truncated[:, None],
-            acted=acted,
-            final=observations,
-            succeeded=success[:, None] & self._was_over,
-            ends=ends,
-        )
+        flags = terminated[:, None], truncated[:, None], acted
+        return Step(observations, vectors, *flags, observations, success[:, None] & self._was_over, infos.get("end"))
 
     def _bare_step(self, env: DrivingVectorEnv, actions: NDArray[Any]) -> Step:
         taken = env.advance(actions)  # clips actions that are finite
         # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
         terminated, truncated = taken.terminated & taken.acted, taken.truncated & taken.acted
-        return Step(
-            observations=taken.observations,
-            rewards=taken.rewards,
-            terminated=terminated,
-            truncated=truncated,
-            acted=taken.acted,
-            final=taken.final,
-            succeeded=(terminated | truncated) & (taken.ends == ARRIVED),
-            ends=END_NAMES[taken.ends],
-        )
+        flags, succeeded = (terminated, truncated, taken.acted), (terminated | truncated) & (taken.ends == ARRIVED)
+        return Step(taken.observations, taken.rewards, *flags, taken.final, succeeded, END_NAMES[taken.ends])
 
     def environment_actions(self, actions: NDArray[Any]) -> NDArray[Any]:
         """The policy's actions (n, V) or (n, V, k) as the environment takes them, without the axis of one vehicle."""
@@ -314,23 +275,17 @@ class EnvAdapter:
 
     def _native_step(self, actions: NDArray[Any]) -> Step:
         observations, rewards, terminated, truncated, infos = self.vector_env.step(actions)
-        final = infos.get("final_obs", observations)
-        ends = None
-        success = np.zeros((self.num_envs, self.vehicles), dtype=np.bool_)
-        if "final_info" in infos:
-            ends = infos["final_info"]["end"]
+        final, last = infos.get("final_obs", observations), infos.get("final_info", {})
         if self.vehicles == 1:
-            if "final_info" in infos:
-                success = infos["final_info"]["success"][:, None]
-            observations, rewards, final = observations[:, None], rewards[:, None], final[:, None]
-            terminated, truncated = terminated[:, None], truncated[:, None]
-            acted = np.ones((self.num_envs, 1), dtype=np.bool_)
-        else:
-            acted = infos["acted"]
-            success = infos.get("arrived", success)
-            # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
-            terminated, truncated = terminated & acted, truncated & acted
-        return Step(observations, rewards, terminated, truncated, acted, final, success, ends)
+            acted, success = np.ones(self.num_envs, dtype=np.bool_), last.get("success", np.zeros_like(terminated))
+            columns = observations, rewards, terminated, truncated, acted, final, success
+            arrays: Any = (*(column[:, None] for column in columns), last.get("end"))
+            return Step(*arrays)
+        acted = infos["acted"]
+        # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
+        terminated, truncated = terminated & acted, truncated & acted
+        success = infos.get("arrived", np.zeros_like(acted))
+        return Step(observations, rewards, terminated, truncated, acted, final, success, last.get("end"))
 
     def policy_observations(self, raw: Any) -> NDArray[np.float32]:
         """Observations (n, V, o) from the raw observations of n environments."""

@@ -6,6 +6,7 @@ latter does not need torch.
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -88,11 +89,9 @@ def evaluate(
             raise ValueError("env_kwargs are for an environment given by its id")
         return _evaluate(policy, env, first + np.arange(episodes), utility, greedy, gamma)
     arguments = dict(env_kwargs or {})
-    made = _make_env(env, episodes, arguments)
-    try:
+    at_once = OTHER_ENVS if find_spec(env).vector_entry_point is None else OUR_ENVS
+    with closing(make_env(env, min(episodes, at_once), arguments)) as made:
         found = _evaluate(policy, made, first + np.arange(episodes), utility, greedy, gamma)
-    finally:
-        made.close()
     if not is_drivable(env):
         # The environment itself knows neither the module that registers it nor its arguments.
         found.provenance = Provenance(env, first, gamma, greedy, arguments)
@@ -105,12 +104,7 @@ def as_policy(
     utility: UtilityLike | Sequence[UtilityLike] | None = None,
     gamma: float = 0.99,
 ) -> Policy:
-    """An agent as it is, a function as a policy; the arguments are those of :func:`evaluate`.
-
-    Raises:
-        TypeError: for anything else, or a function with other arguments.
-        ValueError: if an agent was trained on another task, or a utility does not fit the environment.
-    """
+    """An agent as it is, a function as a policy; arguments and errors are those of :func:`evaluate`."""
     if isinstance(getattr(policy, "env", None), EnvAdapter):  # other libraries' agents have act, too
         agent = cast("Policy", policy)
         check_same_task(agent.env, env)
@@ -145,22 +139,8 @@ def _provenance(adapter: EnvAdapter, seed: int, gamma: float, *, greedy: bool) -
     return Provenance(adapter.name, seed, gamma, greedy, arguments)
 
 
-def _make_env(env_id: str, episodes: int, arguments: dict[str, Any]) -> VectorEnv:
-    """A raw environment for evaluations of ``episodes`` episodes."""
-    ours = find_spec(env_id).vector_entry_point is not None
-    return make_env(env_id, min(episodes, OUR_ENVS if ours else OTHER_ENVS), arguments)
-
-
 def vehicle_utilities(utility: UtilityLike | Sequence[UtilityLike] | None, env: EnvAdapter) -> tuple[Utility, ...]:
-    """One utility per vehicle, over the objectives of the environment; none for None.
-
-    Args:
-        utility: as of :func:`evaluate`.
-        env: the environment.
-
-    Raises:
-        ValueError: if there is not one per vehicle, or one does not fit the environment's objectives.
-    """
+    """One utility per vehicle, as :func:`evaluate` takes them, over the environment's objectives; none for None."""
     if utility is None:
         return ()
     each: list[Any] = list(utility) if isinstance(utility, (list, tuple)) else [utility] * env.vehicles
@@ -189,16 +169,8 @@ def evaluate_each(
 ) -> list[Evaluation]:
     """Run ``episodes`` greedy episodes of each of ``count`` policies, all on the same seeds, in parallel.
 
-    Args:
-        policy_of: gives, for N indices, the policy that acts in environment n as the policy at the n-th index does.
-        count: number of policies.
-        env: a raw environment, as for :func:`evaluate`.
-        episodes: of every policy.
-        seed: of the first episode of every policy.
-        gamma: discount factor of the discounted returns.
-
-    Returns:
-        An evaluation per policy, without utilities.
+    For N indices ``policy_of`` gives the policy that acts in environment n as the policy at the n-th index does.
+    Returns an evaluation per policy, without utilities; the other arguments are those of :func:`evaluate`.
     """
     adapter = EnvAdapter(env)
     check_same_task(policy_of(np.zeros(1, dtype=np.intp)).env, adapter)

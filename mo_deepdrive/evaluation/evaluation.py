@@ -35,20 +35,15 @@ ARRAYS = ("returns", "discounted", "lengths", "succeeded", "ends", "largest")
 
 @dataclass(frozen=True)
 class Provenance:
-    """How an evaluation was done.
+    """How an evaluation was done."""
 
-    Attributes:
-        env_id: the environment.
-        seed: of the first episode; those of the others count up.
-        gamma: discount of the discounted returns.
-        greedy: whether actions were the most likely (or mean) ones; of a function, which evaluate cannot know, True.
-        arguments: of the environment; of this package's all, of another's those that were given.
-    """
-
-    env_id: str
-    seed: int
-    gamma: float
-    greedy: bool
+    env_id: str  #: the environment
+    seed: int  #: of the first episode; those of the others count up
+    gamma: float  #: discount of the discounted returns
+    greedy: (
+        bool  #: whether actions were the most likely (or mean) ones; of a function, which evaluate cannot know, True
+    )
+    #: Of the environment; of this package's all, of another's those that were given.
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
     def split(self, episodes: int) -> str | None:
@@ -161,11 +156,8 @@ class Evaluation:
         rows: list[list[Any]] = [[metrics.STEP, *curve], [int(steps), *curve.values()]]
         target.parent.mkdir(parents=True, exist_ok=True)
         with atomic_folder(target) as staged:
-            write_evaluation(
-                staged,
-                {policy: self},
-                {"step": int(steps), "episodes": episodes, "seed": about.seed, "gamma": about.gamma},
-            )
+            how = {"step": int(steps), "episodes": episodes, "seed": about.seed, "gamma": about.gamma}
+            write_evaluation(staged, {policy: self}, how)
             atomic_write(staged / "metrics.csv", csv_bytes(rows))
             atomic_write(staged / EPISODES_FILE, _episodes_bytes(self))
             atomic_write(staged / "config.yaml", yaml.safe_dump(config, sort_keys=False).encode())
@@ -203,12 +195,8 @@ class Evaluation:
         elif len(utilities) != v:
             raise ValueError(f"{len(utilities)} utilities are given for {v} vehicles")
         ends = np.where(arrays["ends"] == "", None, arrays["ends"].astype(object))
-        return cls(
-            **{**arrays, "ends": ends},
-            objectives=objectives,
-            utilities=tuple(utilities),
-            provenance=provenance,
-        )
+        arrays = {**arrays, "ends": ends}
+        return cls(objectives=objectives, utilities=tuple(utilities), **arrays, provenance=provenance)
 
     def episode_utilities(self, v: int = 0) -> NDArray[np.float64]:
         """(E,) utility of every undiscounted return of vehicle ``v``; its mean is the ESR value."""
@@ -230,11 +218,6 @@ class Evaluation:
             samples[metrics.WORST_OFF_UTILITY_ESR] = worst_off(each)
             samples[metrics.GINI_UTILITY_ESR] = generalised_gini(each)
         return samples
-
-    @property
-    def joint_objectives(self) -> tuple[str, ...]:
-        """Names of the V d components of joint returns: those of the first vehicle, of the second one, and so on."""
-        return metrics.joint_objectives(self.objectives, self.returns.shape[1])
 
     @property
     def joint_returns(self) -> NDArray[np.float64]:
@@ -272,8 +255,8 @@ class Evaluation:
         decision have none. ``success`` is there if the environment reports it, and of failures the usual ones and those
         that occurred.
         """
-        measures = self._measures(_place_in_tables)
-        return {name: estimate() for name, value, estimate in measures if self._is_reported(name, value)}
+        found = self._measures(_place_in_tables)
+        return {name: estimate() for name, value, estimate in found if self._is_reported(name, value)}
 
     def metrics(self) -> dict[str, float]:
         """Every metric by name (:mod:`mo_deepdrive.evaluation.metrics`), as :meth:`estimates` without the intervals."""
@@ -343,24 +326,15 @@ def _place_in_tables(measure: Measure) -> int:
 def write_evaluation(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping[str, Any]) -> None:
     """Write evaluation.json and evaluation.csv (every metric) and episodes.csv (one row per episode and vehicle).
 
-    Args:
-        directory: an existing one.
-        evaluations: one per policy.
-        about: how the policies were evaluated: seed, gamma, step and so on.
-
-    Raises:
-        ValueError: if one of these files is a link.
-        OSError: if a file cannot be written; each file is complete or unchanged.
+    The evaluations are one per policy; ``about`` says how they were made: seed, gamma, step and so on. A file that is a
+    link is a ValueError.
     """
-    columns = {policy: evaluation.estimates() for policy, evaluation in evaluations.items()}
-    policies = {
-        policy: {name: asdict(estimate) for name, estimate in estimates.items()}
-        for policy, estimates in columns.items()
-    }
-    write_json(own_path(directory, EVALUATION_FILE), {**about, "policies": policies})
+    policies: dict[str, dict[str, Any]] = {}
     rows: list[list[Any]] = [["policy", "metric", "value", "low", "high"]]
-    for policy, estimates in columns.items():
-        rows += [[policy, name, each.value, each.low, each.high] for name, each in estimates.items()]
+    for policy, evaluation in evaluations.items():
+        policies[policy] = {name: asdict(estimate) for name, estimate in evaluation.estimates().items()}
+        rows += [[policy, name, *estimate.values()] for name, estimate in policies[policy].items()]
+    write_json(own_path(directory, EVALUATION_FILE), {**about, "policies": policies})
     atomic_write(own_path(directory, "evaluation.csv"), csv_bytes(rows))
     atomic_write(own_path(directory, "episodes.csv"), csv_bytes(_episode_rows(evaluations, int(about["seed"]))))
 

@@ -21,6 +21,7 @@ from mo_deepdrive.evaluation.metrics import (
     LENGTH,
     RETURN,
     SUCCESS,
+    joint_objectives,
 )
 from mo_deepdrive.evaluation.pareto import (
     WEIGHTS,
@@ -51,37 +52,27 @@ LARGEST = 1e100  # magnitude of a number, of which products remain finite
 
 @dataclass(frozen=True)
 class Front:
-    """K re-evaluated policies, all objectives maximised.
+    """K re-evaluated policies, all objectives maximised."""
 
-    Attributes:
-        objectives: names of the d components; with several vehicles those of each in turn, such as ``vehicle_1/jerk``.
-        returns: (K, d) mean undiscounted return of each policy.
-        low, high: (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to ``returns`` where all episodes
-            are the same, and with fewer than three episodes, too few for an interval.
-        discounted: (K, d) mean return discounted with ``gamma``, by which dominance and indicators are determined.
-        success: (K,) share of the episodes in which every vehicle reached its goal; NaN where the environment does
-            not say.
-        length: (K,) mean number of decisions, of the vehicle that takes longest.
-        conditions: (K, m) what the algorithm's network is conditioned on to give each policy: PCN's command, another
-            algorithm's weights; m may be 0.
-        condition_names: names of the m columns.
-        gamma: discount factor of ``discounted``.
-        episodes: number of episodes per policy.
-        seed: seed of the first episode.
-    """
-
+    #: Names of the d components; with several vehicles those of each in turn, such as ``vehicle_1/jerk``.
     objectives: tuple[str, ...]
-    returns: NDArray[np.float64]
+    returns: NDArray[np.float64]  #: (K, d) mean undiscounted return of each policy
+    #: (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to ``returns`` where all episodes are the same,
+    #: and with fewer than three episodes, too few for an interval.
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    #: (K, d) mean return discounted with ``gamma``, by which dominance and indicators are determined.
     discounted: NDArray[np.float64]
+    #: (K,) share of the episodes in which every vehicle reached its goal; NaN where the environment does not say.
     success: NDArray[np.float64]
-    length: NDArray[np.float64]
+    length: NDArray[np.float64]  #: (K,) mean number of decisions, of the vehicle that takes longest
+    #: (K, m) what the algorithm's network is conditioned on to give each policy: PCN's command, another algorithm's
+    #: weights; m may be 0.
     conditions: NDArray[np.float64]
-    condition_names: tuple[str, ...]
-    gamma: float
-    episodes: int
-    seed: int
+    condition_names: tuple[str, ...]  #: names of the m columns
+    gamma: float  #: discount factor of ``discounted``
+    episodes: int  #: number of episodes per policy
+    seed: int  #: seed of the first episode
 
     @classmethod
     def of_episodes(
@@ -99,22 +90,11 @@ class Front:
     ) -> Front:
         """The means and intervals of K policies over E episodes each.
 
-        Args:
-            objectives: d names.
-            returns: (K, E, d) undiscounted returns.
-            discounted: (K, E, d) discounted returns.
-            lengths: (K, E) decisions.
-            succeeded: (K, E) whether the goal was reached; None where the environment does not say.
-            conditions: (K, m) what each policy is conditioned on; None if there is nothing.
-            condition_names: m names.
-            gamma: discount factor of ``discounted``.
-            seed: of the first episode.
+        The arrays are (K, E, d) returns, (K, E) lengths and successes, None where the environment does not say, and
+        (K, m) conditions, None if there are none.
         """
         returns = np.asarray(returns, dtype=np.float64)
-        discounted, lengths = np.asarray(discounted, dtype=np.float64), np.asarray(lengths, dtype=np.float64)
         k, e, _ = returns.shape
-        arrived = np.full((k, e), np.nan) if succeeded is None else np.asarray(succeeded, dtype=np.float64)
-        given = np.zeros((k, 0)) if conditions is None else np.asarray(conditions, dtype=np.float64)
         mean = returns.mean(axis=1)
         low, high = bootstrap(returns.swapaxes(0, 1)) if e >= MIN_SAMPLES else (mean.copy(), mean.copy())
         return cls(
@@ -122,10 +102,12 @@ class Front:
             returns=mean,
             low=low,
             high=high,
-            discounted=discounted.mean(axis=1),
-            success=arrived.mean(axis=1),
-            length=lengths.mean(axis=1),
-            conditions=given,
+            discounted=np.asarray(discounted, dtype=np.float64).mean(axis=1),
+            success=np.asarray(np.full((k, e), np.nan) if succeeded is None else succeeded, dtype=np.float64).mean(
+                axis=1
+            ),
+            length=np.asarray(lengths, dtype=np.float64).mean(axis=1),
+            conditions=np.zeros((k, 0)) if conditions is None else np.asarray(conditions, dtype=np.float64),
             condition_names=tuple(condition_names),
             gamma=gamma,
             episodes=e,
@@ -150,18 +132,10 @@ class Front:
             np.stack([getattr(each, f"joint_{name}") for each in evaluations])
             for name in ("returns", "discounted", "lengths", "succeeded")
         )
-        success_known = bool(succeeded.any()) or any(end is not None for each in evaluations for end in each.ends.flat)
-        return cls.of_episodes(
-            evaluations[0].joint_objectives,
-            returns,
-            discounted,
-            lengths,
-            succeeded if success_known else None,
-            conditions,
-            condition_names,
-            gamma=gamma,
-            seed=seed,
-        )
+        objectives = joint_objectives(evaluations[0].objectives, evaluations[0].returns.shape[1])
+        said = succeeded.any() or any(end is not None for each in evaluations for end in each.ends.flat)
+        episodes = objectives, returns, discounted, lengths, succeeded if said else None
+        return cls.of_episodes(*episodes, conditions, condition_names, gamma=gamma, seed=seed)
 
     def __len__(self) -> int:
         return len(self.returns)
@@ -198,15 +172,9 @@ class Front:
         return np.column_stack([np.arange(len(self)), self.success, self.length, *blocks])
 
     def write(self, directory: str | Path, about: Mapping[str, Any]) -> None:
-        """Write ``front.csv``, one row per policy, and ``evaluation.json``: how they were evaluated.
+        """Write ``front.csv``, one row per policy, and ``evaluation.json``: how they were evaluated, and ``about``.
 
-        Args:
-            directory: an existing one.
-            about: anything else for ``evaluation.json``.
-
-        Raises:
-            ValueError: if one of these files is a link.
-            OSError: if a file cannot be written; each file is complete or unchanged.
+        A file that is a link is a ValueError; each file is complete or unchanged.
         """
         rows: list[list[Any]] = [self._columns(), *([int(row[0]), *row[1:]] for row in self._table().tolist())]
         directory = Path(directory)
@@ -216,11 +184,7 @@ class Front:
 
     @classmethod
     def read(cls, directory: str | Path) -> Front:
-        """The front that :meth:`write` wrote into ``directory``.
-
-        Raises:
-            ValueError: if there is no front, a file is broken, or it has values that no evaluation gives.
-        """
+        """The front that :meth:`write` wrote into ``directory``; a ValueError if there is none, or a file is broken."""
         path = Path(directory) / FRONT_FILE
         try:
             about = json.loads((Path(directory) / EVALUATION_FILE).read_text())
@@ -285,19 +249,12 @@ def indicators(
     reference_front: ArrayLike | None = None,
     scales: ArrayLike | None = None,
 ) -> dict[str, float]:
-    """All indicators of the non-dominated ones among ``returns`` (n, d), by name.
+    """All indicators of the non-dominated ones among ``returns`` (n, d), maximised, by name.
 
-    ``hypervolume`` needs the reference point (and is 0 where no point dominates it), ``igd_plus`` and
-    ``additive_epsilon`` need the reference front; ``cardinality`` and ``expected_utility`` are always given.
-
-    Args:
-        returns: vector returns, maximised.
-        reference_point: (d,).
-        reference_front: (k, d), for example the best-known front.
-        scales: (d,) nominal size of each objective's return; 1 if None.
-
-    Raises:
-        ValueError: for anything of the wrong width, empty or not finite.
+    ``hypervolume`` needs the reference point (d,), and is 0 where no point dominates it; ``igd_plus`` and
+    ``additive_epsilon`` need the reference front (k, d); ``cardinality`` and ``expected_utility`` are always given. The
+    scales (d,) are nominal sizes of the objectives' returns, 1 if None. A ValueError for anything of the wrong width,
+    empty or not finite.
     """
     points = finite_points(returns, "front")
     points = points[non_dominated(points)]
@@ -315,11 +272,7 @@ def indicators(
 
 
 def measure_front(
-    front: Front,
-    *,
-    reference_point: ArrayLike | None,
-    reference_front: ArrayLike | None,
-    scales: ArrayLike | None,
+    front: Front, *, reference_point: ArrayLike | None, reference_front: ArrayLike | None, scales: ArrayLike | None
 ) -> dict[str, float]:
     """:func:`indicators` of the discounted returns of a front, and the share of episodes that arrived, if known."""
     found = indicators(

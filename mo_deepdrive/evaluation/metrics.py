@@ -146,11 +146,7 @@ def split_name(name: str) -> MetricName:
 
 
 def known_metric(name: str, available: Iterable[str]) -> str:
-    """``name``, if it is one of the ``available`` metrics.
-
-    Raises:
-        ValueError: otherwise, with the nearest available one.
-    """
+    """``name``, if it is one of the ``available`` metrics; else a ValueError with the nearest one."""
     names = list(available)
     if name in names:
         return name
@@ -223,14 +219,10 @@ def label(objective: str, how: str = "sum") -> str:
 
 
 def end_rates(ends: NDArray[Any]) -> dict[str, float]:
-    """The share of episodes per reason of their end, by reason.
+    """The share of episodes per reason of their end, by reason; of ``ends`` (E,) None stands for an unknown one.
 
-    Args:
-        ends: (E,) why each episode ended; None where no reason is known.
-
-    Returns:
-        The reasons that occurred; of this package's environments all that there are, so that a curve falls to 0 when a
-        reason occurs no more.
+    Only reasons that occurred; of this package's environments all that there are, so that a curve falls to 0 when a
+    reason occurs no more.
     """
     counts = Counter(str(end) for end in ends if end is not None)
     reasons = set(counts)
@@ -246,14 +238,10 @@ def summarise(
     succeeded: NDArray[Any],
     utility: Callable[[Any], Any] | None = None,
 ) -> dict[str, float]:
-    """Means over E episodes of one vehicle in training, by metric without prefix; E is at least 1.
+    """Means over E episodes (at least 1) of one vehicle in training, by metric without prefix.
 
-    Args:
-        objectives: names of the d components.
-        returns: (E, d) undiscounted returns.
-        lengths: (E,) decisions.
-        succeeded: (E,) whether the goal was reached.
-        utility: from returns (..., d) to utilities (...); None where it is unknown.
+    Returns are (E, d), undiscounted; lengths and successes (E,); the utility maps returns (..., d), and None is
+    unknown.
     """
     summary: dict[str, float] = {}
     if utility is not None:

@@ -26,8 +26,7 @@ LATTICE = 5_000  # minimum number of points from which evenly spaced weights are
 def finite_points(returns: ArrayLike, name: str, width: int | None = None) -> NDArray[np.float64]:
     """``returns`` as an array (n, d) of finite numbers, n and d at least 1, and d the ``width`` if it is given.
 
-    Raises:
-        ValueError: with the ``name`` of the points, for another shape, or numbers that are not finite.
+    Anything else is a ValueError with the ``name`` of the points.
     """
     points = np.asarray(returns, dtype=np.float64)
     if points.ndim != 2 or not points.size:
@@ -40,11 +39,7 @@ def finite_points(returns: ArrayLike, name: str, width: int | None = None) -> ND
 
 
 def one_per_objective(values: ArrayLike, name: str, d: int) -> NDArray[np.float64]:
-    """``values`` as a vector (d,) of finite numbers; ``name`` is for messages.
-
-    Raises:
-        ValueError: for another shape, or numbers that are not finite.
-    """
+    """``values`` as a vector (d,) of finite numbers; anything else is a ValueError with their ``name``."""
     vector = np.asarray(values, dtype=np.float64)
     if vector.shape != (d,) or not np.isfinite(vector).all():
         raise ValueError(f"{name} = {np.asarray(values).tolist()} must be {d} finite numbers, one per objective")
@@ -61,21 +56,14 @@ def _scales(scales: ArrayLike | None, d: int) -> NDArray[np.float64]:
 
 
 def non_dominated(returns: ArrayLike) -> NDArray[np.bool_]:
-    """Mask (n,) of the ``returns`` (n, d) that no other dominates; of equal points only the first.
-
-    Raises:
-        ValueError: for an empty or infinite set.
-    """
+    """Mask (n,) of the ``returns`` (n, d), at least one, that no other dominates; of equal points only the first."""
     return np.asarray(moocore.is_nondominated(finite_points(returns, "returns"), maximise=True), dtype=np.bool_)
 
 
 def hypervolume(returns: ArrayLike, reference: ArrayLike, objectives: Sequence[str] | None = None) -> float:
     """Volume dominated by ``returns`` (n, d) above the reference point (d,).
 
-    Points that do not dominate the reference add nothing. ``objectives`` are the d names, for messages.
-
-    Raises:
-        ValueError: if the widths differ, or no point dominates the reference.
+    Points that do not dominate the reference add nothing; a ValueError if none does. ``objectives`` are for messages.
     """
     points = finite_points(returns, "front")
     corner = one_per_objective(reference, "reference point", points.shape[1])
@@ -122,10 +110,7 @@ def expected_utility(returns: ArrayLike, weights: ArrayLike, scales: ArrayLike |
 def evenly_spaced_weights(d: int, n: int = WEIGHTS) -> NDArray[np.float64]:
     """Weights (n, d) that sum to 1: the corners, then always the lattice point farthest from those chosen before.
 
-    The lattice is that of Das and Dennis (1998); with d = 2 the weights are exactly even.
-
-    Raises:
-        ValueError: if there are fewer weights than objectives, or no objective.
+    The lattice is that of Das and Dennis (1998); with d = 2 the weights are exactly even. At least one per objective.
     """
     if d < 1 or n < d:
         raise ValueError(f"n = {n} weights for d = {d} objectives: n must be at least d, and d at least 1")

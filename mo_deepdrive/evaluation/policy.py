@@ -28,17 +28,11 @@ CALL = "policy(observations, accrued, discounts)"
 
 @dataclass
 class AccruedReward:
-    """Accrued rewards of the running episodes of N environments with V vehicles.
+    """Accrued rewards of the running episodes of N environments with V vehicles."""
 
-    Attributes:
-        value: (N, V, d) accrued reward R_t = sum_{i<t} g^i r_i.
-        discounts: (N, V) g^t.
-        decisions: (N, V) t.
-    """
-
-    value: NDArray[np.float32]
-    discounts: NDArray[np.float32]
-    decisions: NDArray[np.int64]
+    value: NDArray[np.float32]  #: (N, V, d) accrued reward R_t = sum_{i<t} g^i r_i
+    discounts: NDArray[np.float32]  #: (N, V) g^t
+    decisions: NDArray[np.int64]  #: (N, V) t
 
     @classmethod
     def begin(cls, num_envs: int, vehicles: int, objectives: int) -> AccruedReward:
@@ -99,11 +93,7 @@ def seeded_generator(policy: Policy, seed: int) -> torch.Generator:
 
 
 def check_same_task(found: EnvAdapter, expected: EnvAdapter) -> None:
-    """Check that policies of one environment can act in another.
-
-    Raises:
-        ValueError: if id, observations, actions or objectives differ.
-    """
+    """Refuse, with a ValueError, policies of an environment of another id, spaces or objectives."""
     for attribute in ("name", "vehicles", "observation_size", "actions", "continuous", "objectives", "cost_sign"):
         mine, other = getattr(expected, attribute), getattr(found, attribute)
         if mine != other:
@@ -111,19 +101,10 @@ def check_same_task(found: EnvAdapter, expected: EnvAdapter) -> None:
 
 
 class FunctionPolicy:
-    """A function behind the interface of agents (:class:`mo_deepdrive.evaluation.policy.Policy`).
+    """A function behind the interface of agents (:class:`Policy`).
 
-    Args:
-        function: called as ``function(observations, accrued, discounts)`` with the observations of N episodes as the
-            environment returns them, their accrued reward R_t = sum_{i<t} gamma^i r_i (N, d) and gamma^t (N,). With V
-            vehicles in an environment the shapes are (N, V, o), (N, V, d) and (N, V). It returns actions as the
-            environment takes them: (N,) integers or (N, k) numbers, or (N, V) or (N, V, k).
-        env: the environment in the shapes of agents.
-        utilities: one per vehicle; empty if no utility is known.
-        gamma: discount factor of the accrued reward.
-
-    Raises:
-        TypeError: for what cannot be called in this way.
+    The function is called as of :func:`mo_deepdrive.evaluation.evaluate`; a TypeError for what cannot be called so. The
+    utilities are one per vehicle, or none; ``gamma`` discounts the accrued reward.
     """
 
     def __init__(
@@ -147,9 +128,8 @@ class FunctionPolicy:
     ) -> NDArray[Any]:
         """Actions of the function, in the shapes of agents.
 
-        Raises:
-            ValueError: for actions of the wrong shape or type, or outside of the environment's; for a function that
-                fails, with its line and the shapes that it was given.
+        A ValueError for actions of the wrong shape or type, or outside of the environment's; for a function that fails,
+        with its line and the shapes that it was given.
         """
         accrued, discounts = accrued_reward.value.copy(), accrued_reward.discounts.copy()
         if self.env.vehicles == 1:
@@ -213,34 +193,21 @@ def _check_signature(function: Any) -> None:
 
 
 class Decision(NamedTuple):
-    """One decision of the first episodes of N environments.
+    """One decision of the first episodes of N environments."""
 
-    Attributes:
-        actions: (N, V) or (N, V, k) of the policy.
-        step: what they led to.
-        counted: (N, V) which vehicles were in their first episode.
-        running: (N, V) which are still, after it.
-    """
-
-    actions: NDArray[Any]
-    step: Step
-    counted: NDArray[np.bool_]
-    running: NDArray[np.bool_]
+    actions: NDArray[Any]  #: (N, V) or (N, V, k) of the policy
+    step: Step  #: what they led to
+    counted: NDArray[np.bool_]  #: (N, V) which vehicles were in their first episode
+    running: NDArray[np.bool_]  #: (N, V) which are still, after it
 
 
 def drive(
     policy: Policy, env: EnvAdapter, observations: NDArray[np.float32], generator: torch.Generator | None = None
 ) -> Iterator[Decision]:
-    """Drive the first episode of every environment: what evaluates, records and films policies reads it from here.
+    """Drive the first episode of every environment, until all vehicles have ended.
 
-    Args:
-        policy: acts in all N environments.
-        env: in which; it has just been reset.
-        observations: (N, V, o) of the reset.
-        generator: random numbers for sampled actions; None for greedy ones.
-
-    Yields:
-        The decisions, until all vehicles have ended.
+    What evaluates, records and films policies reads the decisions from here. The environment has just been reset to the
+    ``observations`` (N, V, o); without a generator actions are greedy.
     """
     accrued_reward = AccruedReward.begin(env.num_envs, env.vehicles, len(env.objectives))
     running = np.ones((env.num_envs, env.vehicles), dtype=np.bool_)

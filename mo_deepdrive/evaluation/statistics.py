@@ -40,8 +40,7 @@ class Estimate:
     def text(self, other_width: float = 0.0) -> str:
         """``1.23 [1.20, 1.26]``, to two significant digits of the interval's width, but at most four decimals.
 
-        Args:
-            other_width: width of an interval for another source of error; the digits are those of the wider one.
+        Of a wider interval of ``other_width``, for another source of error, to that one's digits.
         """
         if self.low is None or self.high is None or not self.high - self.low > 0.0:  # also if both ends are infinite
             return f"{self.value:.4g}"
@@ -59,14 +58,9 @@ def of_three(sizes: Iterable[int], what: str = "seeds") -> str:
 
 
 def bootstrap(samples: ArrayLike, statistic: Callable[..., Any] = np.mean) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Percentile bootstrap over the first axis (scipy.stats.bootstrap), always with the same resamples.
+    """Percentile bootstrap over the first axis of ``samples`` (n, ...), always with the same resamples.
 
-    Args:
-        samples: (n, ...).
-        statistic: called as ``statistic(samples, axis=...)``.
-
-    Returns:
-        Lower and upper ends, each (...); NaN where n is below MIN_SAMPLES.
+    Called as ``statistic(samples, axis=...)``. Lower and upper ends, each (...); NaN where n is below MIN_SAMPLES.
     """
     samples = np.asarray(samples, dtype=np.float64)
     if len(samples) < MIN_SAMPLES:
@@ -96,22 +90,23 @@ def means(samples: Sequence[Sequence[float]]) -> list[Estimate]:
 
     Samples of the same size share their resamples, which makes thousands of them fast.
     """
-    found: dict[int, Estimate] = {}
-    by_size: dict[int, list[int]] = defaultdict(list)
-    for i, sample in enumerate(samples):
-        by_size[len(sample)].append(i)
-    for indices in by_size.values():
-        together = np.array([samples[i] for i in indices]).T
-        for i, value, low, high in zip(indices, together.mean(axis=0), *bootstrap(together), strict=True):
-            found[i] = Estimate(float(value)) if np.isnan(low) else Estimate(float(value), float(low), float(high))
-    return [found[i] for i in range(len(samples))]
+    by_size: dict[int, list[Sequence[float]]] = defaultdict(list)
+    for sample in samples:
+        by_size[len(sample)].append(sample)
+    estimates = {}
+    for size, alike in by_size.items():
+        together = np.array(alike).T
+        estimates[size] = map(_estimate, together.mean(axis=0), *bootstrap(together))
+    return [next(estimates[len(sample)]) for sample in samples]
 
 
 def estimate(samples: NDArray[Any], statistic: Callable[..., Any]) -> Estimate:
     """A scalar statistic of ``samples`` (n,) with its bootstrap interval."""
-    low, high = bootstrap(samples, statistic)
-    value = float(statistic(samples, axis=0))
-    return Estimate(value) if np.isnan(low) else Estimate(value, float(low), float(high))
+    return _estimate(statistic(samples, axis=0), *bootstrap(samples, statistic))
+
+
+def _estimate(value: Any, low: Any, high: Any) -> Estimate:
+    return Estimate(float(value)) if np.isnan(low) else Estimate(float(value), float(low), float(high))
 
 
 def resample(samples: NDArray[Any], statistic: Callable[[NDArray[Any]], float]) -> Estimate:

@@ -22,14 +22,10 @@ if TYPE_CHECKING:
 
 
 class Team:
-    """A policy that drives each vehicle as one of its members does.
+    """A policy that drives each vehicle as one of its members does, each of which acts for all vehicles.
 
-    Args:
-        members: policies, each of which acts for all vehicles.
-        seats: of every vehicle the index of the member that drives it; None if the v-th member drives vehicle v.
-
-    Raises:
-        ValueError: if seats and vehicles are not equally many, or the members' environments differ.
+    ``seats`` are the indices of the members that drive the vehicles; by default the v-th one drives vehicle v. A
+    ValueError if seats and vehicles are not equally many, or the members' environments differ.
     """
 
     def __init__(self, members: Sequence[Policy], seats: Sequence[int] | None = None):
@@ -69,19 +65,9 @@ class Team:
 class Population:
     """Policies that take turns as the driver of one vehicle: environment n is driven by member n modulo their number.
 
-    So every member has the same share of the environments, and which one drives is no part of the state of a run.
-
-    Args:
-        members: policies that act for all vehicles of the environment.
-        vehicle: the index of the vehicle that they drive.
-        digests: what identifies each member, for checkpoints.
-
-    Attributes:
-        observes_accrued_reward: whether any member does.
-        gamma: discount of the accrued reward that the members observe.
-
-    Raises:
-        ValueError: if there is no member, their environments differ, or they observe differently discounted rewards.
+    So every member has the same share of the environments, and which one drives is no part of the state of a run. What
+    members observe of the accrued reward has one discount, ``gamma``; ``digests`` identify them for checkpoints. A
+    ValueError if there is no member, their environments differ, or they observe differently discounted rewards.
     """
 
     def __init__(self, members: Sequence[Policy], vehicle: int, digests: Sequence[str] = ()):

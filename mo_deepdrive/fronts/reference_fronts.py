@@ -122,15 +122,8 @@ def _table() -> dict[str, Any]:
 
 
 def select_objectives(scenario: str, action_type: str, objectives: Sequence[str] | None) -> tuple[str, ...]:
-    """The names of the selected objectives, in order; all of the scenario's for None.
-
-    Raises:
-        ValueError: for an unknown scenario, action type or objective.
-    """
-    for name, value, allowed in (
-        ("scenario", scenario, SCENARIOS),
-        ("action_type", action_type, get_args(ActionType)),
-    ):
+    """The names of the selected objectives, in order; all of the scenario's for None. Unknown names are ValueErrors."""
+    for name, value, allowed in (("scenario", scenario, SCENARIOS), ("action_type", action_type, get_args(ActionType))):
         if value not in allowed:
             raise ValueError(f"{name} = {value!r} is unknown; {nearest(value, allowed)}")
     chosen = None if objectives is None else tuple(objectives)
@@ -139,19 +132,12 @@ def select_objectives(scenario: str, action_type: str, objectives: Sequence[str]
 
 @dataclass(frozen=True)
 class KnownPolicy:
-    """One policy of a best-known front.
+    """One policy of a best-known front."""
 
-    Attributes:
-        actions: its actions, as :func:`mo_deepdrive.world.action_sequences.encode` writes them; idle afterwards.
-        undiscounted: its return in each objective of the scenario, maximised.
-        discounted: the same, discounted with GAMMA.
-        source: the method that found it.
-    """
-
-    actions: str
-    undiscounted: tuple[float, ...]
-    discounted: tuple[float, ...]
-    source: str
+    actions: str  #: its actions, as :func:`mo_deepdrive.world.action_sequences.encode` writes them; idle afterwards
+    undiscounted: tuple[float, ...]  #: its return in each objective of the scenario, maximised
+    discounted: tuple[float, ...]  #: the same, discounted with GAMMA
+    source: str  #: the method that found it
 
 
 def reference_front(
@@ -194,18 +180,7 @@ def reference_front(
 
 
 def pareto_front(config: EnvConfig, gamma: float) -> list[NDArray[np.float64]]:
-    """The best-known front of an environment, in the environment's objectives and signs.
-
-    Args:
-        config: the environment's configuration.
-        gamma: discount factor in [0, 1].
-
-    Returns:
-        The returns (d,) of K non-dominated policies.
-
-    Raises:
-        ValueError: if there is no best-known front for this configuration.
-    """
+    """The best-known returns (d,) of an environment, in its objectives and signs; a ValueError if there are none."""
     if _file(config.scenario, config.action_type).is_file():
         required = front_config(config.scenario, config.action_type)
         differing = [
@@ -260,12 +235,8 @@ def read(text: str) -> tuple[KnownPolicy, ...]:
 
 def write(scenario: str, action_type: str, policies: Sequence[KnownPolicy]) -> str:
     """The text of a front file: JSON, one policy per line."""
-    head = {
-        "scenario": scenario,
-        "action_type": action_type,
-        "objectives": SCENARIOS[scenario].objectives,
-        "gamma": GAMMA,
-    }
+    objectives = SCENARIOS[scenario].objectives
+    head = {"scenario": scenario, "action_type": action_type, "objectives": objectives, "gamma": GAMMA}
     columns = ("undiscounted", "discounted", "source", "actions")
     rows = [{name: getattr(policy, name) for name in columns} for policy in policies]
     lines = ",\n".join(json.dumps(row) for row in rows)

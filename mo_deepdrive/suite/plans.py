@@ -40,14 +40,9 @@ def planned_actions(task_id: str, scenario: int) -> list[NDArray[Any]]:
 
 
 def planned(task_id: str, preference: int = 0) -> Playback:
-    """The policy that replays the plans of a task in the first scenarios of the test split.
+    """The policy that replays the plans of a task, of one hidden preference, in the first scenarios of the test split.
 
-    Args:
-        task_id: of the task.
-        preference: the index of the hidden preference, where the task has some.
-
-    Raises:
-        ValueError: if the task has no plans.
+    A ValueError if the task has no plans.
     """
     action_type, texts = _sequences(task_id)
     return Playback([decode(text[preference], action_type) for text in texts], action_type)

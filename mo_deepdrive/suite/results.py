@@ -23,39 +23,25 @@ FAILED = "failed"  # the state of a run that has the lowest score
 
 @dataclass(frozen=True)
 class Row:
-    """One number of a scored run; a run that has none, since it failed or has not ended, has one row that says so.
+    """One number of a scored run; a run that has none, since it failed or has not ended, has one row that says so."""
 
-    Attributes:
-        task: the id of a task of the suite, or the name of one of a study.
-        learner: what was trained.
-        seed: by which it was trained.
-        policy: "greedy", "stochastic" or "front"; "" without a value.
-        column: "score", a perturbation of the suite, or what a scorer gives beside the score; of other tasks a metric
-            of the final evaluation; "" without a value.
-        value: the number, not normalised; None where there is none.
-        low, high: ends of its 95% bootstrap interval over the scenarios; None where it has none.
-        source: the run or policy that was scored.
-        state: of the training.
-        cpu_seconds: of the training; None where it is not known.
-        version: of the suite; 0 for what is not of it.
-        steps: environment steps of the training; None where they are not known.
-        environment: in which it was trained: its id, and arguments that are not the default.
-    """
-
-    task: str
-    learner: str
-    seed: int
-    policy: str
+    task: str  #: the id of a task of the suite, or the name of one of a study
+    learner: str  #: what was trained
+    seed: int  #: by which it was trained
+    policy: str  #: "greedy", "stochastic" or "front"; "" without a value
+    #: "score", a perturbation of the suite, or what a scorer gives beside the score; of other tasks a metric of the
+    #: final evaluation; "" without a value.
     column: str
-    value: FiniteFloat | None
+    value: FiniteFloat | None  #: the number, not normalised; None where there is none
+    #: Ends of its 95% bootstrap interval over the scenarios; None where it has none.
     low: FiniteFloat | None = None
     high: FiniteFloat | None = None
-    source: str = ""
-    state: str = "finished"
-    cpu_seconds: FiniteFloat | None = None
-    version: int = 0
-    steps: int | None = None
-    environment: str = ""
+    source: str = ""  #: the run or policy that was scored
+    state: str = "finished"  #: of the training
+    cpu_seconds: FiniteFloat | None = None  #: of the training; None where it is not known
+    version: int = 0  #: of the suite; 0 for what is not of it
+    steps: int | None = None  #: environment steps of the training; None where they are not known
+    environment: str = ""  #: in which it was trained: its id, and arguments that are not the default
 
     @property
     def key(self) -> tuple[str, str, int, str, str]:
@@ -91,11 +77,7 @@ REQUIRED = {"task", "learner", "seed", "policy", "column", "value"}
 
 
 def write_rows(path: str | Path, rows: Sequence[Row]) -> None:
-    """Write rows as CSV, a column for each attribute.
-
-    Raises:
-        OSError: if the file cannot be written; it is complete or unchanged.
-    """
+    """Write rows as CSV, a column for each attribute; the file is complete or unchanged."""
     names = [field.name for field in fields(Row)]
     atomic_write(Path(path), csv_bytes([names, *map(astuple, rows)]))
 
@@ -103,8 +85,7 @@ def write_rows(path: str | Path, rows: Sequence[Row]) -> None:
 def read_rows(path: str | Path) -> list[Row]:
     """The rows that :func:`write_rows` wrote, each of them valid, and each number there once.
 
-    Raises:
-        ValueError: if it is another file, or naming the line and what is wrong in it.
+    Of another file a ValueError, naming the line and what is wrong in it.
     """
     columns = {field.name: field.type == "str" for field in fields(Row)}  # by name, whether it is text
     rows: dict[tuple[Any, ...], Row] = {}
@@ -140,8 +121,7 @@ def _parse(cells: dict[str, str], where: str) -> Row:
 def check_of_suite(row: Row) -> None:
     """Refuse what is not of this version of the suite, or not one of its numbers.
 
-    Raises:
-        ValueError: naming the attribute, its value and what is allowed.
+    The ValueError names the attribute, its value and what is allowed.
     """
     suite = load()
     if row.task not in suite.tasks:

@@ -43,21 +43,13 @@ SCORE, CVAR, WORST, CONTROLLABILITY = "score", "cvar10", "worst_partner", "contr
 
 @dataclass(frozen=True)
 class Drives:
-    """Where, and how, a policy is driven to be scored.
+    """Where, and how, a policy is driven to be scored."""
 
-    Attributes:
-        task: the task.
-        env: its environment, perhaps perturbed.
-        seed: of the first episode.
-        episodes: E.
-        greedy: of agents, take the most likely (or mean) action instead of sampling.
-    """
-
-    task: Task
-    env: VectorEnv
-    seed: int
-    episodes: int
-    greedy: bool
+    task: Task  #: the task
+    env: VectorEnv  #: its environment, perhaps perturbed
+    seed: int  #: of the first episode
+    episodes: int  #: E
+    greedy: bool  #: of agents, take the most likely (or mean) action instead of sampling
 
     def returns(self, policy: Single, partner: str | None = None) -> NDArray[np.float64]:
         """(E, d) undiscounted returns of the scored vehicle of every episode, perhaps with a partner of the task."""
@@ -80,9 +72,8 @@ class Drives:
 def policies_of(policy: Any) -> Callable[[NDArray[np.float64]], Single] | list[Single]:
     """What a preference picks from: a function of the weights if the policy is told them, or else all policies.
 
-    Args:
-        policy: an agent or function, a list of them, an object with ``for_preference``, or a function of four
-            arguments, which is told the weights last.
+    The policy is an agent or function, a list of them, an object with ``for_preference``, or a function of four
+    arguments, which is told the weights last.
     """
     if hasattr(policy, "for_preference"):
         return policy.for_preference  # type: ignore[no-any-return]
@@ -104,11 +95,7 @@ def _arguments(function: Any) -> int:
 
 
 def single(policy: Any) -> Single:
-    """The policy of a task with a known utility.
-
-    Raises:
-        ValueError: if it is a front, or is to be told weights.
-    """
+    """The policy of a task with a known utility; a ValueError for a front, or for one that is to be told weights."""
     found = policies_of(policy)
     if not isinstance(found, list) or len(found) != 1:
         raise ValueError("a front, or a policy that is told weights, has no place where the utility is known")
@@ -129,11 +116,7 @@ def returns(drives: Drives, policy: Any) -> NDArray[np.float64]:
 
 
 def returns_of_front(drives: Drives, policy: Any) -> NDArray[np.float64]:
-    """(E, K, d) the undiscounted returns of K policies.
-
-    Raises:
-        ValueError: if the policy is told weights but has no front of its own.
-    """
+    """(E, K, d) the undiscounted returns of K policies; a ValueError if it is told weights and has no front."""
     policies = policies_of(policy)
     if not isinstance(policies, list):
         policies = list(getattr(policy, "front", ()))
@@ -237,16 +220,11 @@ def controllability(task: Task, samples: NDArray[np.float64]) -> dict[str, float
 
 @dataclass(frozen=True)
 class Scorer:
-    """How a task is scored.
+    """How a task is scored."""
 
-    Attributes:
-        collect: drives a policy; samples (E, ...), one row per scenario.
-        numbers: by column; "score" is the one that is normalised.
-        details: further columns, which have no intervals; None for none.
-    """
-
-    collect: Callable[[Drives, Any], NDArray[np.float64]]
-    numbers: Mapping[str, Callable[[Task], Statistic]]
+    collect: Callable[[Drives, Any], NDArray[np.float64]]  #: drives a policy; samples (E, ...), one row per scenario
+    numbers: Mapping[str, Callable[[Task], Statistic]]  #: by column; "score" is the one that is normalised
+    #: Further columns, which have no intervals; None for none.
     details: Callable[[Task, NDArray[np.float64]], dict[str, float]] | None = None
 
 

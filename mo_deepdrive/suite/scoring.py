@@ -113,10 +113,8 @@ def _is_agent(policy: Any) -> bool:
 def check_policy(policy: Any, task_id: str) -> None:
     """Refuse a policy that cannot drive in a task, by one decision in two scenarios.
 
-    Raises:
-        TypeError: for what cannot be called as a policy.
-        ValueError: naming the task, for an agent of another one, a front where the utility is known, or actions of the
-            wrong shape, type or range.
+    A TypeError for what cannot be called as a policy; a ValueError, naming the task, for an agent of another one, a
+    front where the utility is known, or actions of the wrong shape, type or range.
     """
     task = load().task(task_id)
     try:

@@ -129,11 +129,7 @@ class Task(Settings):
         return parse_arguments(spec.kwargs["scenario"], {**own, **self.environment.arguments})
 
     def differences(self, env_id: str, arguments: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-        """How an environment, of which all arguments are given, differs from the task's.
-
-        Returns:
-            The value there and the value here of what differs, "id" or "arguments.NAME".
-        """
+        """The values there and here of what differs in an environment of which all arguments are given."""
         of_task = self.config().model_dump(mode="json", exclude={"scenario"})
         needed = {"id": self.environment.id, **{f"arguments.{name}": value for name, value in of_task.items()}}
         given = {"id": env_id, **{f"arguments.{name}": value for name, value in arguments.items()}}
@@ -144,21 +140,13 @@ class Task(Settings):
         return chosen_objectives(self.config())
 
     def make_utility(self) -> Utility:
-        """The known utility, over the objectives of the environment.
-
-        Raises:
-            ValueError: if the task has none.
-        """
+        """The known utility, over the objectives of the environment; a ValueError if the task has none."""
         if self.utility is None:
             raise ValueError(f"the task {self.title!r} has no known utility")
         return make_utility(self.utility.name, self.objectives(), **self.utility.arguments)
 
     def hidden_weights(self) -> NDArray[np.float64]:
-        """(P, d) weights of the undiscounted returns, one row per hidden preference.
-
-        Raises:
-            ValueError: if the task has no preferences.
-        """
+        """(P, d) weights of the undiscounted returns, one row per hidden preference; a ValueError if there are none."""
         if self.preferences is None:
             raise ValueError(f"the task {self.title!r} has no preferences")
         objectives = self.objectives()
@@ -176,11 +164,7 @@ class Suite(Settings):
     """The tasks by id."""
 
     def task(self, name: str) -> Task:
-        """The task of an id.
-
-        Raises:
-            ValueError: if there is none.
-        """
+        """The task of an id; a ValueError if there is none."""
         if name not in self.tasks:
             raise ValueError(f"task {name!r} is unknown; {nearest(name, self.tasks)}")
         return self.tasks[name]

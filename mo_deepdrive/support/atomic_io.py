@@ -108,8 +108,7 @@ def leftovers(folder: Path) -> Iterator[Path]:
 def lock(path: Path, *, wait: bool) -> BaseFileLock:
     """Lock a file, made if it does not exist, until it is released or the process ends; if the file system has locks.
 
-    Raises:
-        BlockingIOError: if another process holds it, and ``wait`` is False.
+    A BlockingIOError if another process holds it, and ``wait`` is False.
     """
     from filelock import FileLock, Timeout  # of the training, which environments need not install
 

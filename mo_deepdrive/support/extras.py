@@ -42,9 +42,8 @@ class MissingExtraError(ImportError):
 def needed_for(what: str, extra: str | None = None) -> Iterator[None]:
     """In this context, a package that cannot be imported is reported with the extra that brings it.
 
-    Raises:
-        MissingExtraError: such as "training needs torch: pip install 'mo-deepdrive[train]'", where "training" is
-            ``what`` needs it; packages that no extra brings keep their own error.
+    Such as "training needs torch: pip install 'mo-deepdrive[train]'", where "training" is ``what`` needs it; packages
+    that no extra brings keep their own error.
     """
     try:
         yield

@@ -38,8 +38,7 @@ def check_numbers(numbers: Mapping[str, Any]) -> None:
 def check_vehicles(what: str, values: Any, env: str, names: Sequence[str] = ()) -> None:
     """Refuse ``values`` (..., N, V, k) of the vehicles of N environments that are not finite or beyond LARGEST.
 
-    Raises:
-        NotFinite: naming the environment, the vehicle and the component, by ``names`` where they are known.
+    NotFinite names the environment, the vehicle and the component, by ``names`` where they are known.
     """
     fine = np.abs(values) <= LARGEST
     if not fine.all():

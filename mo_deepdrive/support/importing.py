@@ -55,11 +55,9 @@ def import_file(what: str, path: Path) -> ModuleType:
 
 
 def import_module(what: str, name: str) -> ModuleType:
-    """The module ``name``.
+    """The module ``name``; a ValueError in one line that begins with ``what`` if it cannot be imported.
 
-    Raises:
-        ValueError: in one line that begins with ``what``, if it cannot be imported; if there is none, with the places
-            where it was looked for.
+    If there is none, the error has the places where it was looked for.
     """
     try:
         return importlib.import_module(name)

@@ -65,9 +65,7 @@ _ArgumentLoader.add_implicit_resolver("tag:yaml.org,2002:null", re.compile("^Non
 def read_mapping(path: str | Path) -> dict[str, Any]:
     """The mapping in a YAML file.
 
-    Raises:
-        ValueError: naming the file and what is wrong with it: missing, unreadable, not YAML, not a mapping, a
-            duplicated key.
+    The ValueError names the file and what is wrong: missing, unreadable, not YAML, not a mapping, a duplicated key.
     """
     path = Path(path)
     try:
@@ -84,11 +82,7 @@ def read_mapping(path: str | Path) -> dict[str, Any]:
 
 
 def read_value(text: str) -> Any:
-    """A value written on a command line: a YAML scalar, list or mapping; ``None`` means null.
-
-    Raises:
-        ValueError: if it is not valid YAML.
-    """
+    """A value written on a command line, a YAML scalar, list or mapping; ``None`` means null."""
     shown = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
     return _parse(text, _ArgumentLoader, f"{shown!r} is not a valid value")
 

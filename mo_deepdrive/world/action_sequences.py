@@ -29,15 +29,11 @@ _DISCRETE_RUN = re.compile(r"([a-z])(\d+)?")
 
 
 def encode(actions: NDArray[Any]) -> str:
-    """Write a sequence of actions as text.
+    """Write a sequence of actions, (n,) discrete, or (n, 3) continuous in multiples of CONTINUOUS_UNIT, as text.
 
-    Args:
-        actions: (n,) discrete actions, or (n, 3) continuous actions in whole multiples of CONTINUOUS_UNIT.
-
-    Returns:
-        Runs of equal actions. Discrete: a letter (a for 0) and, if it is repeated, the number of times: "d12a".
-        Continuous: steer, acceleration and, if used, brake, in multiples of CONTINUOUS_UNIT, and the number of times:
-        "0,512*12 0,0,3".
+    It has runs of equal actions. Discrete: a letter (a for 0) and, if it is repeated, the number of times: "d12a".
+    Continuous: steer, acceleration and, if used, brake, in multiples of CONTINUOUS_UNIT, and the number of times:
+    "0,512*12 0,0,3".
     """
     rows = np.rint(actions / CONTINUOUS_UNIT).astype(np.int64) if actions.ndim == 2 else actions[:, None]
     starts = np.flatnonzero(np.r_[len(rows) > 0, (rows[1:] != rows[:-1]).any(axis=1)])
@@ -52,13 +48,9 @@ def encode(actions: NDArray[Any]) -> str:
 
 
 def decode(text: str, action_type: str) -> NDArray[Any]:
-    """Read a sequence of actions written by :func:`encode`.
+    """The (n,) int64 discrete actions, or (n, 3) float64 continuous ones, that :func:`encode` wrote.
 
-    Returns:
-        (n,) int64 discrete actions, or (n, 3) float64 continuous actions.
-
-    Raises:
-        ValueError: if the text is not such a sequence.
+    Another text is a ValueError.
     """
     continuous = action_type == CONTINUOUS
     matches = list((_CONTINUOUS_RUN if continuous else _DISCRETE_RUN).finditer(text))
@@ -81,15 +73,11 @@ def idle(action_type: str) -> NDArray[Any]:
 
 
 def replay(config: EnvConfig, sequences: Iterable[NDArray[Any]]) -> NDArray[np.float32]:
-    """Replay sequences of actions, each in its own environment; after its last action a vehicle is idle.
+    """Replay K sequences of actions, each in its own environment; after its last action a vehicle is idle.
 
-    Args:
-        config: an environment with one vehicle that is the same in every episode, as
-            :func:`mo_deepdrive.fronts.reference_fronts.front_config` makes it.
-        sequences: K sequences, as :func:`decode` returns them.
-
-    Returns:
-        (K, decisions, d) rewards of all objectives; zero after the end of an episode.
+    The environment has one vehicle and is the same in every episode, as of
+    :func:`mo_deepdrive.fronts.reference_fronts.front_config`. Returns the rewards (K, decisions, d) of all objectives;
+    zero after the end of an episode.
     """
     listed = list(sequences)
     batch = WorldBatch(config, len(listed))

@@ -41,13 +41,9 @@ if TYPE_CHECKING:
 
 
 class Draws:
-    """Random numbers for new episodes, drawn when they are needed.
+    """Random numbers for new episodes, drawn when they are needed, a ``block`` of episodes at a time.
 
-    Args:
-        worlds: how many worlds.
-        draws: how many uniforms an episode takes.
-        generators: one per world; without them all numbers are zero.
-        block: how many episodes' numbers are drawn at a time.
+    An episode takes ``draws`` uniforms of the generator of its world; without generators all numbers are zero.
 
     Attributes:
         blocks: (worlds, block, draws) uniforms in [0, 1), a row for every scenario that is drawn.
@@ -83,28 +79,18 @@ CAR_TELEMETRY = ("x", "y", "speed", "acceleration", "present")
 
 
 class Transition(NamedTuple):
-    """One decision of N worlds with V vehicles each: arrays of NumPy, or tensors.
+    """One decision of N worlds with V vehicles each: arrays of NumPy, or tensors."""
 
-    Attributes:
-        observations: (N, V, size) float32 for the next decision.
-        final: (N, V, size) after this one: others where an episode was over and the next one has begun in
-            the same step; ``observations`` themselves in other autoreset modes.
-        rewards: (N, V, d) float32; zero for vehicles that had ended before.
-        acted: (N, V) bool, which vehicles were on the road before the decision.
-        terminated: (N, V) bool, after it, before a reset in the same step.
-        truncated: (N, V) bool, likewise.
-        over: (N,) bool, where no vehicle was on the road after it.
-        ends: (N, V) why vehicles have ended: positions in :data:`mo_deepdrive.simulation.state.ENDS`.
-    """
-
-    observations: Any
+    observations: Any  #: (N, V, size) float32 for the next decision
+    #: (N, V, size) after this one: others where an episode was over and the next one has begun in the same step;
+    #: ``observations`` themselves in other autoreset modes.
     final: Any
-    rewards: Any
-    acted: Any
-    terminated: Any
-    truncated: Any
-    over: Any
-    ends: Any
+    rewards: Any  #: (N, V, d) float32; zero for vehicles that had ended before
+    acted: Any  #: (N, V) bool, which vehicles were on the road before the decision
+    terminated: Any  #: (N, V) bool, after it, before a reset in the same step
+    truncated: Any  #: (N, V) bool, likewise
+    over: Any  #: (N,) bool, where no vehicle was on the road after it
+    ends: Any  #: (N, V) why vehicles have ended: positions in :data:`mo_deepdrive.simulation.state.ENDS`
 
 
 @dataclass(frozen=True)
@@ -160,25 +146,16 @@ class ThreadPool:
 class WorldBatch:
     """``worlds`` independent copies of one scenario, moved together.
 
-    Random numbers come from the caller. A checkpoint is a copy of ``state``.
-
-    Args:
-        config: the environment's configuration.
-        worlds: how many worlds.
-        threads: how many threads share a step.
+    Random numbers come from the caller. A checkpoint is a copy of ``state``. Every call overwrites the other arrays.
 
     Attributes:
         state: (worlds, vehicles) of VEHICLE, with the room of :func:`mo_deepdrive.world.params.vehicle_record`.
-        observations: (worlds, vehicles, size), overwritten by every call.
-        rewards: (worlds, vehicles, d), overwritten by every step.
-        acted: (worlds, vehicles) whether a vehicle was on the road before the step, overwritten by every step.
-        terminated: (worlds, vehicles), overwritten by every call.
-        truncated: (worlds, vehicles), overwritten by every call.
-        objectives: names of the d objectives.
-        continuous: whether actions are continuous.
+        observations: (worlds, vehicles, size).
+        rewards: (worlds, vehicles, d).
+        acted: (worlds, vehicles) whether a vehicle was on the road before the step.
+        terminated, truncated: (worlds, vehicles).
         table: (actions, 4) of the discrete actions, none if they are continuous.
         measures: what measures the objectives that the kernel does not measure.
-        step_function: of :func:`mo_deepdrive.simulation.kernel.batch_step`, with these measures.
         no_pins: (1,) of SPAWN that pins nothing.
     """
 
@@ -260,31 +237,20 @@ class WorldBatch:
         )
 
     def place(self, draws: Draws | None = None, rows: NDArray[np.bool_] | None = None, pins: Any = None) -> None:
-        """Start new episodes.
+        """Start new episodes in ``rows`` (worlds,), or in all worlds; all random numbers are zero without ``draws``.
 
-        Args:
-            draws: random numbers, all zero if None.
-            rows: (worlds,) in which worlds; in all if None.
-            pins: (1,) of SPAWN; entries that are not NaN are used instead of drawn ones.
-
-        Raises:
-            ValueError: if no valid scenario is found, because the pins or the scenario's routes allow none.
+        Entries of ``pins`` (1,) of SPAWN that are not NaN are used instead of drawn ones. A ValueError if no valid
+        scenario is found, because the pins or the scenario's routes allow none.
         """
         count = len(self.state)
         waiting = np.ones(count, dtype=np.bool_) if rows is None else rows.copy()
         self.reset(NEXT_STEP, waiting, draws or Draws(count, self.scenario.draws), pins)
 
     def reset(self, mode: int, waiting: NDArray[np.bool_], draws: Draws, pins: NDArray[Any] | None = None) -> None:
-        """Start new episodes where the autoreset mode says so.
+        """Start new episodes where the autoreset mode says so, one of :mod:`mo_deepdrive.simulation.autoreset`.
 
-        Args:
-            mode: NEXT_STEP, SAME_STEP or DISABLED of :mod:`mo_deepdrive.simulation.autoreset`.
-            waiting: (worlds,) whether the episode is over and its world has not been reset; written.
-            draws: random numbers.
-            pins: as of :meth:`place`.
-
-        Raises:
-            ValueError: as :meth:`place`.
+        Written: ``waiting`` (worlds,), whether the episode is over and its world has not been reset. Pins and errors
+        are those of :meth:`place`.
         """
         worlds = (
             self.state, mode, waiting, draws.blocks, draws.cursors, self._attempts, self._drawn,
@@ -311,11 +277,8 @@ class WorldBatch:
     def step(self, actions: NDArray[Any]) -> None:
         """Move every running vehicle by one decision.
 
-        Args:
-            actions: (worlds, vehicles) integers, or (worlds, vehicles, 3) real numbers in [-1, 1] (clipped).
-
-        Raises:
-            ValueError: for actions that are out of range, not finite or of the wrong type; no state has changed.
+        The actions are (worlds, vehicles) integers, or (worlds, vehicles, 3) real numbers in [-1, 1] (clipped). A
+        ValueError for some that are out of range, not finite or of the wrong type; no state has changed.
         """
         actions = self._checked(actions)
         self._threads.run(lambda part: self._run(part, actions), self._parts)

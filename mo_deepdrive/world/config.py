@@ -82,11 +82,7 @@ def _model_at(model: Any, path: tuple[int | str, ...]) -> type[Settings] | None:
 
 
 def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
-    """Build ``model`` from ``values``.
-
-    Raises:
-        ValueError: with every invalid key, its value and what is allowed.
-    """
+    """Build ``model`` from ``values``; a ValueError with every invalid key, its value and what is allowed."""
     try:
         return model.model_validate(dict(values))
     except pydantic.ValidationError as error:
@@ -243,9 +239,8 @@ class EnvConfig(Settings):
 def parse_arguments(scenario: str, options: Mapping[str, Any]) -> EnvConfig:
     """The configuration of an environment from its keyword arguments.
 
-    Raises:
-        TypeError: if an argument is unknown, as Python raises it; it names every invalid argument too.
-        ValueError: with every invalid argument, its value and what is allowed.
+    A ValueError with every invalid argument, its value and what is allowed; a TypeError, which says the same, if one is
+    unknown, as Python raises it.
     """
     try:
         return parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")

@@ -23,12 +23,7 @@ from mo_deepdrive.simulation.state import (
     STEER_RANGE,
     TOP_SPEED,
 )
-from mo_deepdrive.simulation.traffic import (
-    DESIRED_SPEEDS,
-    HEADWAYS,
-    MAX_BRAKING,
-    YIELDINGS,
-)
+from mo_deepdrive.simulation.traffic import DESIRED_SPEEDS, HEADWAYS, MAX_BRAKING, YIELDINGS
 from mo_deepdrive.support.plain_values import is_finite
 from mo_deepdrive.world.actions import CONTINUOUS, action_table
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
@@ -72,6 +67,7 @@ _POSITIVE = {
 def limits(config: EnvConfig) -> dict[str, float]:
     """Largest magnitudes that the dynamics allow, by unit (m/s, m/s^2, m/s^3, g, ...) and entry name."""
     rate = float(config.simulation_frequency)
+    longest = max(route.length for route in config.scenario_data.routes)  # of lanes of segments; 0 where there are none
     speed = TOP_SPEED + TOP_THROTTLE / rate + 1.0
     acceleration = 2 * speed * rate
     return {
@@ -83,7 +79,7 @@ def limits(config: EnvConfig) -> dict[str, float]:
         "throttle": TOP_THROTTLE,
         # The distance of one decision, the swing of the front, and the change to the next waypoint. In a bend the inner
         # edge of the road is shorter than its line.
-        "distance": speed / config.decision_frequency + 2 * LENGTH + 2.0 + _longest_route(config),
+        "distance": speed / config.decision_frequency + 2 * LENGTH + 2.0 + longest,
         "lane_violation": 2 * FAR + 2 * config.lane_margin,
         "right_of_way": MAX_BRAKING / config.decision_frequency,
         "energy": TOP_THROTTLE * speed / config.decision_frequency,
@@ -91,17 +87,8 @@ def limits(config: EnvConfig) -> dict[str, float]:
     }
 
 
-def _longest_route(config: EnvConfig) -> float:
-    """The length (m) of the longest lane of segments; 0 where there is none."""
-    return max(route.length for route in config.scenario_data.routes)
-
-
 def objective_bound(name: str, config: EnvConfig) -> float:
-    """Largest magnitude of an objective in one decision.
-
-    Raises:
-        ValueError: if the function of a registered objective gives no positive number.
-    """
+    """Largest magnitude of an objective in one decision; a ValueError if a registered one gives no positive number."""
     bound = OBJECTIVES[INDEX[name]].bound
     if isinstance(bound, str):
         return limits(config)[bound]
@@ -126,6 +113,9 @@ def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str
         "objective": max(most.values()),
     }
     most = {name: value * (1 + ROUNDING) for name, value in most.items()}
+    pending = (-MAX_ACCELERATION, MAX_ACCELERATION)  # of delayed actions
+    if config.action_type != CONTINUOUS:
+        pending = (0, len(action_table(config.action_type)) - 1)
     return {
         **{name: (-most[limit], most[limit]) for limit, names in _SIGNED.items() for name in names},
         **{name: (0.0, most[limit]) for limit, names in _POSITIVE.items() for name in names},
@@ -138,16 +128,9 @@ def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str
         "entered": (NEVER, config.max_decisions),
         "decisions": (0, config.max_decisions),
         "end": (0, len(ENDS) - 1),
-        "pending": _pending_range(config),
+        "pending": pending,
         **{f"cars.{name}": bounds for name, bounds in _car_ranges(config, most).items()},
     }
-
-
-def _pending_range(config: EnvConfig) -> tuple[float, float]:
-    """The lowest and the highest number of a delayed action."""
-    if config.action_type == CONTINUOUS:
-        return -MAX_ACCELERATION, MAX_ACCELERATION
-    return 0, len(action_table(config.action_type)) - 1
 
 
 def _car_ranges(config: EnvConfig, most: dict[str, float]) -> dict[str, tuple[float, float]]:
@@ -172,15 +155,10 @@ def _car_ranges(config: EnvConfig, most: dict[str, float]) -> dict[str, tuple[fl
 
 
 def check_state(state: NDArray[Any], config: EnvConfig, n_waypoints: NDArray[np.int64]) -> None:
-    """Refuse a state that the kernel cannot take.
+    """Refuse a state (worlds, vehicles) of VEHICLE that the kernel cannot take.
 
-    Args:
-        state: (worlds, vehicles) of VEHICLE.
-        config: of the environment.
-        n_waypoints: (vehicles,) how many waypoints each vehicle has.
-
-    Raises:
-        ValueError: naming the first field out of range or not finite, its value and its range.
+    The vehicles have ``n_waypoints`` (vehicles,). The ValueError names the first field out of range or not finite, its
+    value and its range.
     """
     # Worlds that were never reset have no waypoints, and nothing in them moves.
     unplaced = (state["n_waypoints"] == 0) & (state["end"] != RUNNING)

@@ -26,33 +26,14 @@ FAR = 2000.0
 
 @dataclass(frozen=True)
 class Entry:
-    """One observed quantity.
+    """One observed quantity."""
 
-    Attributes:
-        name: unique within a layout.
-        unit: SI.
-        low: lower bound of the observation space; None if it follows from the configuration (see :func:`bounds`).
-        high: upper bound, likewise.
-        scale: nominal magnitude, by which learners divide.
-    """
-
-    name: str
-    unit: str
+    name: str  #: unique within a layout
+    unit: str  #: SI
+    #: Lower bound of the observation space; None if it follows from the configuration (see :func:`bounds`).
     low: float | None
-    high: float | None
-    scale: float
-
-
-def _corner_entries() -> tuple[Entry, ...]:
-    corners = ("front_left", "front_right", "back_right", "back_left")
-    return tuple(
-        entry
-        for corner in corners
-        for entry in (
-            Entry(f"other_{corner}_angle", "rad", -_TURN, _TURN, 1.0),
-            Entry(f"other_{corner}_distance", "m", 0.0, FAR, 20.0),
-        )
-    )
+    high: float | None  #: upper bound, likewise
+    scale: float  #: nominal magnitude, by which learners divide
 
 
 # Of every vehicle.
@@ -88,7 +69,14 @@ OTHER: tuple[Entry, ...] = (
     Entry("other_vy", "m/s", None, None, 5.0),
     Entry("other_ax", "m/s^2", None, None, 5.0),
     Entry("other_ay", "m/s^2", None, None, 5.0),
-    *_corner_entries(),
+    *(
+        entry
+        for corner in ("front_left", "front_right", "back_right", "back_left")
+        for entry in (
+            Entry(f"other_{corner}_angle", "rad", -_TURN, _TURN, 1.0),
+            Entry(f"other_{corner}_distance", "m", 0.0, FAR, 20.0),
+        )
+    ),
 )
 # Of the nearest oncoming car: from its front to the crossing, negative inside it.
 ONCOMING: tuple[Entry, ...] = (
@@ -117,26 +105,22 @@ NEIGHBOUR: tuple[Entry, ...] = (
 )
 
 
+def _numbered(entries: tuple[Entry, ...], word: str, numbers: range) -> list[Entry]:
+    return [replace(each, name=each.name.replace(word, f"{word}_{number}")) for number in numbers for each in entries]
+
+
 def layout(scenario: Scenario) -> tuple[Entry, ...]:
     """The entries that are observed in ``scenario``, in order."""
     if scenario.roads:
-        near = [
-            replace(entry, name=entry.name.replace("near", f"near_{number}"))
-            for number in range(1, NEIGHBOURS + 1)
-            for entry in NEIGHBOUR
-        ]
-        return (*OWN, *ROAD, *near)
-    obstacles = [
-        replace(entry, name=entry.name.replace("obstacle", f"obstacle_{number}" if number > 1 else "obstacle"))
-        for number in range(1, scenario.obstacles + 1)
-        for entry in OBSTACLE
-    ]
-    oncoming = [
-        replace(entry, name=entry.name.replace("oncoming", f"oncoming_{number}"))
-        for number in range(1, NEAREST_CARS + 1 if scenario.cars else 1)
-        for entry in ONCOMING
-    ]
-    return (*OWN, *obstacles, *(OTHER if scenario.vehicles > 1 else ()), *oncoming)
+        return (*OWN, *ROAD, *_numbered(NEIGHBOUR, "near", range(1, NEIGHBOURS + 1)))
+    obstacles = [*OBSTACLE, *_numbered(OBSTACLE, "obstacle", range(2, scenario.obstacles + 1))]
+    oncoming = _numbered(ONCOMING, "oncoming", range(1, NEAREST_CARS + 1))
+    return (
+        *OWN,
+        *(obstacles if scenario.obstacles else ()),
+        *(OTHER if scenario.vehicles > 1 else ()),
+        *(oncoming if scenario.cars else ()),
+    )
 
 
 def scales(scenario: Scenario) -> NDArray[np.float64]:

@@ -33,11 +33,7 @@ ORIGINAL_FREQUENCY = 60  # Hz; the frictions are per physics step at this freque
 
 
 def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
-    """The names of the objectives that an environment of this configuration emits, in order.
-
-    Raises:
-        ValueError: if the scenario does not have one of them.
-    """
+    """The objectives of an environment, in order; a ValueError if the scenario does not have one of them."""
     scenario = config.scenario_data
     if config.objectives is None:
         return scenario.objectives
@@ -93,8 +89,7 @@ def vehicle_record(config: EnvConfig) -> np.dtype[Any]:
 def make_params(config: EnvConfig) -> np.ndarray:
     """The parameters of a configuration, shape (1,) of dtype PARAMS.
 
-    Raises:
-        ValueError: if a setting has no effect in the scenario, or there are too many objectives.
+    A ValueError if a setting has no effect in the scenario, or there are too many objectives.
     """
     scenario = config.scenario_data
     settings = _has_effect(scenario)

@@ -105,8 +105,7 @@ class BestFirstSearch:
     def run(self) -> str:
         """Expand nodes until one arrives, all are expanded, or no more can be kept.
 
-        Returns:
-            A letter per decision ("a" for action 0) that leads to the destination; "" if none was found.
+        A letter per decision ("a" for action 0) that leads to the destination; "" if none was found.
         """
         while len(self.paths) < len(self.states):
             nodes = self._best_nodes()
@@ -162,10 +161,6 @@ class BestFirstSearch:
 
 
 def solve_scenario(start: NDArray[Any], beam: int) -> list[int]:
-    """Search from ``start`` (1,) of VEHICLE, ever wider and finer, until a search arrives.
-
-    Returns:
-        An action per decision; none if no search arrives.
-    """
+    """An action per decision from ``start`` (1,) of VEHICLE, searched ever wider and finer; none if none arrives."""
     found = (BestFirstSearch(start, limits, beam).run() for limits in SEARCHES)
     return [LETTERS.index(letter) for letter in next(filter(None, found), "")]

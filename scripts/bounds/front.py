@@ -23,7 +23,7 @@ import heapq
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import moocore
 import numpy as np
@@ -206,18 +206,12 @@ def select_front(evaluated: EvaluatedPlans, references: Sequence[NDArray[Any]]) 
     return selected.take(np.lexsort(selected.returns[0].T[::-1])[::-1])
 
 
-@dataclass(frozen=True)
-class RunRecording:
-    """What the policies of a run do in the scenario of a front: (t,) or (t, 3) environment actions per episode."""
+class RunRecording(NamedTuple):
+    """What the policies of a run do in the scenario of a front."""
 
     name: str
-    description: str
-    sequences: list[NDArray[Any]]
-
-    @property
-    def source(self) -> str:
-        """The run as the source of a policy of a front."""
-        return f"run {self.name}: {self.description}"
+    source: str  # the run as that of a policy of a front
+    sequences: list[NDArray[Any]]  # (t,) or (t, 3) environment actions per episode
 
 
 def record_run(path: str, scenario: str, action_type: str, episodes: int, *, trust: bool = False) -> RunRecording:
@@ -239,24 +233,17 @@ def record_run(path: str, scenario: str, action_type: str, episodes: int, *, tru
     arguments: dict[str, Any] = front_config(scenario, action_type).model_dump(mode="json", exclude={"scenario"})
     arguments |= {name: settings.arguments[name] for name in ("objectives", "cost_sign") if name in settings.arguments}
     sequences = []
-    for sampled in (False, True):
-        repeats = episodes if sampled else 1
+    generator = torch.Generator(agent.device).manual_seed(0)
+    for repeats, random in ((1, None), (episodes, generator)) if episodes else ((1, None),):
         policy: Policy = agent
         num_envs = repeats
         if isinstance(agent, FrontAgent):
             conditions = np.repeat(agent.conditions(), repeats, axis=0)
-            policy = agent.policies(conditions)
-            num_envs = len(conditions)
-        if num_envs:
-            env = EnvAdapter(make_env(settings.id, num_envs, arguments))
-            generator = torch.Generator(agent.device).manual_seed(0) if sampled else None
-            sequences += record_episodes(policy, env, generator)
-    training = run.experiment.training
-    return RunRecording(
-        name="/".join(run.path.absolute().parts[-3:]),
-        description=f"{run.experiment.algorithm.name}, seed {training.seed}, {training.total_timesteps} steps",
-        sequences=sequences,
-    )
+            policy, num_envs = agent.policies(conditions), len(conditions)
+        sequences += record_episodes(policy, EnvAdapter(make_env(settings.id, num_envs, arguments)), random)
+    name, training = "/".join(run.path.absolute().parts[-3:]), run.experiment.training
+    learner = f"{run.experiment.algorithm.name}, seed {training.seed}, {training.total_timesteps} steps"
+    return RunRecording(name, f"run {name}: {learner}", sequences)
 
 
 def record_episodes(policy: Policy, env: EnvAdapter, generator: torch.Generator | None) -> list[NDArray[Any]]:
@@ -348,13 +335,9 @@ def improve_front(
         on_progress(evaluator.simulated_decisions)
 
     after = search.select_front(also=start)
-    volumes = zip(search.hypervolumes(before), search.hypervolumes(after), strict=True)
-    return FrontImprovement(
-        settings=settings,
-        policies=_known_policies(search, after, sources),
-        sizes=list(zip(_nondominated_counts(before), _nondominated_counts(after), strict=True)),
-        hypervolumes=list(volumes),
-    )
+    volumes = list(zip(search.hypervolumes(before), search.hypervolumes(after), strict=True))
+    sizes = list(zip(_nondominated_counts(before), _nondominated_counts(after), strict=True))
+    return FrontImprovement(settings, _known_policies(search, after, sources), sizes, volumes)
 
 
 def _nondominated_counts(evaluated: EvaluatedPlans) -> list[int]:
@@ -367,16 +350,9 @@ def _known_policies(search: FrontSearch, evaluated: EvaluatedPlans, sources: Seq
     undiscounted, discounted = (
         np.round(evaluated.returns[CRITERIA.index(Criterion(gamma))], 6).tolist() for gamma in (1.0, GAMMA)
     )
-    rows = zip(evaluated.plans, undiscounted, discounted, evaluated.sources, strict=True)
-    return [
-        KnownPolicy(
-            actions=encode_actions(search.evaluator.format.to_sequence(plan)),
-            undiscounted=tuple(whole),
-            discounted=tuple(present),
-            source=sources[source],
-        )
-        for plan, whole, present, source in rows
-    ]
+    actions = [encode_actions(search.evaluator.format.to_sequence(plan)) for plan in evaluated.plans]
+    rows = zip(actions, map(tuple, undiscounted), map(tuple, discounted), evaluated.sources, strict=True)
+    return [KnownPolicy(text, whole, present, sources[source]) for text, whole, present, source in rows]
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:

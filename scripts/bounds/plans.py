@@ -102,19 +102,12 @@ class PlanFormat:
 
 @dataclass(frozen=True)
 class EvaluatedPlans:
-    """n plans and the returns of their episodes.
+    """n plans and the returns of their episodes."""
 
-    Attributes:
-        plans: (n, decisions, k) the actions; idle after the end of the episode.
-        lengths: (n,) decisions until the episode ended.
-        returns: (n, d) returns for each of CRITERIA, maximised.
-        sources: (n,) index of what found the plan, in a list that the caller keeps.
-    """
-
-    plans: Plans
-    lengths: NDArray[np.int64]
-    returns: tuple[NDArray[np.float64], ...]
-    sources: NDArray[np.int64]
+    plans: Plans  # (n, decisions, k) the actions; idle after the end of the episode
+    lengths: NDArray[np.int64]  # (n,) decisions until the episode ended
+    returns: tuple[NDArray[np.float64], ...]  # (n, d) returns for each of CRITERIA, maximised
+    sources: NDArray[np.int64]  # (n,) index of what found the plan, in a list that the caller keeps
 
     def take(self, rows: NDArray[Any]) -> EvaluatedPlans:
         """The plans at ``rows``, in this order."""
@@ -274,10 +267,7 @@ def simulate_plans(
 class PlanEvaluator:
     """Evaluates plans from the start in ``batch``, at first that of the scenario of a best-known front.
 
-    Args:
-        scenario: "one_waypoint" or "static_obstacle".
-        action_type: "discrete", "discrete-16" or "continuous".
-        time_limit: seconds after which an episode ends; the environment's by default.
+    An episode ends after ``time_limit`` seconds, the environment's by default.
     """
 
     def __init__(self, scenario: str, action_type: str, time_limit: float | None = None):

@@ -6,6 +6,7 @@ Planned drives are the best that are found in scenarios of the test split, each 
 from __future__ import annotations
 
 import json
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -54,12 +55,9 @@ class UtilitySearch:
     best plans, and an offspring of any of them may improve any utility. Random driving rules make the first generation,
     and take over from some of the offspring later.
 
-    Args:
-        evaluator: of the scenario's plans; its start is overwritten.
-        values: from returns (n, d) to utilities (n, P); the returns are undiscounted, in the order of the evaluator's
-            objectives with the time after them.
-        unfinished: seconds that are charged unless the drive arrives.
-        seed: of all random choices.
+    The start of the evaluator is overwritten. The values map returns (n, d) to utilities (n, P); the returns are
+    undiscounted, in the order of the evaluator's objectives with the time after them, of which ``unfinished`` seconds
+    are charged unless the drive arrives.
     """
 
     def __init__(
@@ -314,10 +312,7 @@ def best_of(candidates: dict[str, Any], task_id: str) -> Found:
     tried = TRIED_FOR_RISK if task.score == "certainty_equivalent" else tried
     tried = TRIED_IN_ROUNDABOUTS if task.config().scenario in ROUNDABOUTS else tried
     start = SPLITS["validation"].start
-    worth = {
-        name: score_of(policy, task_id, episodes=tried, first_episode=start) for name, policy in candidates.items()
-    }
-    name = max(worth, key=lambda each: worth[each])
+    name = max(candidates, key=lambda name: score_of(candidates[name], task_id, episodes=tried, first_episode=start))
     return Found(score_of(candidates[name], task_id), name)
 
 
@@ -326,8 +321,8 @@ def floor(task_id: str) -> Found:
     task = suite.load().task(task_id)
     candidates = dict(unskilled_policies(task.config()))
     if task.utility is None:
-        by = f"the best of {len(candidates)} policies without skill, for each preference"
-        by = f"the front of {len(candidates)} policies without skill" if task.preferences is None else by
+        policies = f"{len(candidates)} policies without skill"
+        by = f"the front of {policies}" if task.preferences is None else f"the best of {policies}, for each preference"
         return Found(score_of(list(candidates.values()), task_id), by)
     scenario = SCENARIOS[task.config().scenario]
     if not scenario.lanes and not scenario.roads and not task.config().fixed_destination:
@@ -382,16 +377,15 @@ def ceiling(task_id: str) -> Found:
         return Found(1.0 / (1.0 + x), f"1 / (1 + x), x = {x:.4f}: the calmest drive with this probability, else none")
     if task_id == "U1":
         sequences = [decode(each.actions, config.action_type) for each in shipped(config.scenario, config.action_type)]
-        front = [Playback([sequence], config.action_type) for sequence in sequences]
+        front: list[Any] = [Playback([sequence], config.action_type) for sequence in sequences]
         return Found(score_of(front, task_id, episodes=1), f"the {len(front)} drives of the best-known front")
     if task.partners is not None:
-        return best_of(
-            {f"the rule that waits for a gap of {gap} s": meeting_rule(gap) for gap in MEETING_GAPS}, task_id
-        )
+        rules = {f"the rule that waits for a gap of {gap} s": meeting_rule(gap) for gap in MEETING_GAPS}
+        return best_of(rules, task_id)
     if config.scenario == "left_turn":
         if task.preferences is not None:
-            rules: list[Any] = [*unskilled_policies(config).values(), *left_turn_rules(FRONT_GAPS).values()]
-            return Found(score_of(rules, task_id), f"the best of {len(rules)} rules for each preference")
+            front = [*unskilled_policies(config).values(), *left_turn_rules(FRONT_GAPS).values()]
+            return Found(score_of(front, task_id), f"the best of {len(front)} rules for each preference")
         return best_of(left_turn_rules(GAPS), task_id)
     if config.scenario in ROUNDABOUTS:
         return best_of(roundabout_rules(), task_id)
@@ -404,22 +398,20 @@ def ceiling(task_id: str) -> Found:
 def left_turn_rules(gaps: Any) -> dict[str, GapDriver]:
     """Rules for the left turn by name: every gap with every set of speeds."""
     found = {}
-    for gap in gaps:
-        for approach, turn, leave in SPEEDS:
-            rule = GapRule(gap=gap, approach_speed=approach, turn_speed=turn, exit_speed=leave)
-            name = f"the rule that waits for a gap of {gap:g} s and drives at {approach:g}, {turn:g} and {leave:g} m/s"
-            found[name] = GapDriver(rule)
+    for gap, (approach, turn, leave) in product(gaps, SPEEDS):
+        rule = GapRule(gap=gap, approach_speed=approach, turn_speed=turn, exit_speed=leave)
+        name = f"the rule that waits for a gap of {gap:g} s and drives at {approach:g}, {turn:g} and {leave:g} m/s"
+        found[name] = GapDriver(rule)
     return found
 
 
 def roundabout_rules() -> dict[str, RoundaboutDriver]:
     """Rules for the roundabout by name: every gap with every set of speeds."""
     found = {}
-    for gap in ENTRY_GAPS:
-        for approach, inside, leave in ROUNDABOUT_SPEEDS:
-            rule = RoundaboutRule(gap=gap, approach_speed=approach, inside_speed=inside, exit_speed=leave)
-            speeds = f"{approach:g}, {inside:g} and {leave:g} m/s"
-            found[f"the rule that enters with a gap of {gap:g} s and drives at {speeds}"] = RoundaboutDriver(rule)
+    for gap, (approach, inside, leave) in product(ENTRY_GAPS, ROUNDABOUT_SPEEDS):
+        rule = RoundaboutRule(gap=gap, approach_speed=approach, inside_speed=inside, exit_speed=leave)
+        speeds = f"{approach:g}, {inside:g} and {leave:g} m/s"
+        found[f"the rule that enters with a gap of {gap:g} s and drives at {speeds}"] = RoundaboutDriver(rule)
     return found
 
 
