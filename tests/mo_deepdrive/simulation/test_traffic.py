@@ -182,8 +182,10 @@ def test_a_car_that_has_left_the_map_is_gone(worlds: Any) -> None:
     env = worlds()
     env.reset(options={"start": WAITING, "cars": 2, "desired_speeds": (12.0, 7.0), "headways": (0.0, 4.0)})
     while cars_of(env)[0]["present"]:
-        assert cars_of(env)[0]["y"] > -LENGTH / 2 - 12.0 * 0.1
+        y = float(cars_of(env)[0]["y"])
+        assert y > -LENGTH / 2 - 12.0 * 0.1
         idle(env, 1)
+    assert y - 12.0 * 0.1 <= -LENGTH / 2
     gone = cars_of(env)[0].copy()
     idle(env, 30)
     assert cars_of(env)[0] == gone
