@@ -368,7 +368,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     add("--from", dest="runs", nargs="+", default=[], metavar="RUN", help="also start from the policies of these runs")
     add("--episodes", type=int, default=8, metavar="N", help="sampled, of each policy of a run (default: %(default)s)")
     add("--output", type=Path, metavar="FILE", help="write to FILE instead of replacing the shipped front")
-    TRUST.add_to(parser)
+    TRUST(parser)
     options = parser.parse_args(arguments)
     check_least(parser, options, 0, "decisions", "seed", "episodes")
     check_folder(parser, options.output)
