@@ -11,8 +11,7 @@ from algorithms import ALGORITHMS
 from algorithms.commands.keys import Key, differing_values, experiment_keys, model_keys
 from algorithms.peers import PEERS
 from algorithms.runs.config import load_experiment
-from algorithms.studies.settings import Learner, Study, StudyTask
-from algorithms.studies.sweep_settings import SweepSettings
+from algorithms.studies.settings import Learner, Study, StudyTask, SweepSettings
 from mo_deepdrive.world.config import Settings
 from tests.helpers.script_runs import Call, refused
 
