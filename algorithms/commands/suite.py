@@ -117,13 +117,12 @@ def suite_verify(options: Namespace) -> int:
     console, faults = make_console(), []
     table = [["policy", "task", "column", "scenarios", "recorded", "found", "verdict"]]
     for (source, task_id), policy in policies.items():
-        claims = [row for row in recorded if (row.source, row.task) == (source, task_id)]
         first = fresh_seed(number, suite.load().task(task_id).episodes)
         for scenarios, start in (("test split", None), (f"fresh: {number}", first)):
             with console.status(f"{source} on {task_id}"):
                 scored = opened[source].score(policy, task_id, first_episode=start)
             again = {(row.policy, row.column): row for row in scored}
-            for claim in claims:
+            for claim in (row for row in recorded if (row.source, row.task) == (source, task_id)):
                 found = again.get((claim.policy, claim.column))
                 wrong = disagreement(claim, found, fresh=start is not None)
                 value = "" if found is None or found.value is None else f"{found.value:.4f}"

@@ -93,11 +93,9 @@ def paper_plan(study: Study, tasks: Sequence[str], *, seeds: int | None = None, 
     if quick:
         selected = [key for key in selected if key.partition("/")[2] in QUICK_PROTOCOLS]
     if count := seeds or (min(QUICK_SEEDS, len(study.seeds)) if quick else None):
-        fewer = {
-            key: task.model_copy(update={"seeds": task.seeds and task.seeds[:count]})
-            for key, task in study.tasks.items()
-        }
-        first = study.seeds[0]
+        first, fewer = study.seeds[0], dict(study.tasks)
+        for key, changed in fewer.items():
+            fewer[key] = changed.model_copy(update={"seeds": changed.seeds and changed.seeds[:count]})
         study = study.model_copy(update={"tasks": fewer, "seeds": list(range(first, first + count))})
     plan = StudyPlan(study, selected)
     if quick:
@@ -108,11 +106,8 @@ def paper_plan(study: Study, tasks: Sequence[str], *, seeds: int | None = None, 
 def _shortened(arm: Arm) -> Arm:
     """An arm of a quick reproduction."""
     steps = arm.values["training"]["total_timesteps"] // QUICK_SHARE
-    changes = {
-        "training.total_timesteps": steps,
-        "evaluation.interval": steps // QUICK_EVALUATIONS,
-        "evaluation.final_episodes": QUICK_EPISODES,
-    }
+    changes = {"training.total_timesteps": steps, "evaluation.interval": steps // QUICK_EVALUATIONS}
+    changes["evaluation.final_episodes"] = QUICK_EPISODES
     return replace(arm, values=overridden(arm.values, changes, {}))
 
 

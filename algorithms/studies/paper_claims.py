@@ -146,15 +146,10 @@ class TaskResults:
 
     def learning_curves(self, learner: str) -> list[Columns]:
         """Learning curves of all runs of a learner, in the order of seeds."""
-        runs = self.curves.filter(learner=learner).sort("seed", STEP).partition_by("seed", maintain_order=True)
-        return [
-            {
-                name: column.to_numpy().astype(np.float64)
-                for name, column in run.drop("task", "learner", "seed").to_dict().items()
-                if column.null_count() < len(column)
-            }
-            for run in runs
-        ]
+        curves = self.curves.filter(learner=learner).drop("task", "learner").sort("seed", STEP)
+        runs = curves.partition_by("seed", maintain_order=True, include_key=False)
+        known = ([column for column in run if not column.is_null().all()] for run in runs)
+        return [{column.name: column.to_numpy().astype(np.float64) for column in columns} for columns in known]
 
 
 @dataclass(frozen=True)

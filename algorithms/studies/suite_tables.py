@@ -166,10 +166,9 @@ class Scoreboard:
             for learner, scores in self.scores(name).items():
                 if task.counted and scores.by_seed:
                     tracks.setdefault(task.track, {}).setdefault(learner, {})[name] = scores
-        return {
-            track: {learner: by_learner[learner] for learner in self.learners if learner in by_learner}
-            for track, by_learner in tracks.items()
-        }
+        for track, of_track in tracks.items():
+            tracks[track] = {learner: of_track[learner] for learner in self.learners if learner in of_track}
+        return tracks
 
     def comparison(self, baseline: str | None, own: Container[str] = ()) -> tuple[Rows, Rows]:
         """Scores of learners by tasks, and their differences from a baseline; the last row is the mean over tasks.
@@ -191,14 +190,10 @@ class Scoreboard:
             means[learner] = {seed: fmean(runs[task][learner][seed] for task in tasks) for seed in sorted(common)}
         lines["mean"] = means
         others = [learner for learner in shown if learner != other]
-        scores = [
-            ["task", *shown],
-            *([name, *(_mean(line[learner]) for learner in shown)] for name, line in lines.items()),
-        ]
-        differences = [
-            ["task", *(f"{learner} - {other}" for learner in others)],
-            *([name, *(_difference(line[learner], line[other]) for learner in others)] for name, line in lines.items()),
-        ]
+        scores, differences = [["task", *shown]], [["task", *(f"{learner} - {other}" for learner in others)]]
+        for name, line in lines.items():
+            scores.append([name, *(_mean(line[learner]) for learner in shown)])
+            differences.append([name, *(_difference(line[learner], line[other]) for learner in others)])
         return scores, differences
 
     def draw_profiles(self, path: Path, labels: Mapping[str, str]) -> None:
