@@ -26,7 +26,7 @@ def test_without_options_the_keys_of_all_algorithms_and_of_sweeps_are_listed(cal
         'algorithm.advantage: "utility_difference" or "as_printed" or "utility_gradient" or '
         '"expected_utility", default',
         "training.seed: int >= 0, < 2147483648, default 0",
-        "search.trials: int >= 1, required",
+        "search.trials: int >= 1, <= 1e+15, required",
     ):
         assert f"\n{line}\n    " in out
     assert max(map(len, out.splitlines())) <= 120
@@ -115,7 +115,8 @@ def test_own_settings_are_described_at_their_fields_and_those_of_their_bases() -
 def test_types_and_defaults_are_those_that_are_checked() -> None:
     keys = {key.name: key for key in experiment_keys("mo_ppo")}
     assert keys["training.total_timesteps"].text() == (
-        "training.total_timesteps: int >= 1, required\n    Environment steps, summed over the parallel environments."
+        "training.total_timesteps: int >= 1, <= 1e+15, required\n"
+        "    Environment steps, summed over the parallel environments."
     )
     assert keys["environment.arguments.cost_sign"].type == '"maximise" or "paper"'
     assert (keys["logging.wandb"].type, keys["logging.wandb"].default) == ("section", "null")
