@@ -1,4 +1,4 @@
-"""Fronts: fronts.csv is continued by a resumed run, and the report of a front fits the terminal."""
+"""fronts.csv is continued by a resumed run."""
 
 from __future__ import annotations
 

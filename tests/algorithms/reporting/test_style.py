@@ -1,4 +1,4 @@
-"""Colours, order and limits that all figures share."""
+"""The colours that all figures share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Videos of policies: what the frames show, of one and of several side by side, and captions."""
+"""Videos of policies: how long they are, of one and of several side by side, and what is left of one that fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals are recorded, a second SIGINT acts as before; a full disk is distinguished from other errors."""
+"""Signals are recorded, and a second SIGINT acts as before."""
 
 from __future__ import annotations
 

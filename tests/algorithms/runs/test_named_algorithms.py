@@ -1,4 +1,4 @@
-"""Names of algorithms and trained policies: looked up without importing what is not asked for."""
+"""A user's algorithm is found by its path, and what cannot be used is refused."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from algorithms.runs.config import (
     find_algorithm,
     is_peer,
 )
-
-# ------------------------------------------------------------------------------------------------- a user's algorithm
 
 USERS = """
 from algorithms import Agent, FrontAgent

@@ -1,4 +1,4 @@
-"""Progress: the counts of runs by state, the time left, compilation, and how often it is printed."""
+"""Progress: the counts of runs by state, the time left, compilation, and what is printed."""
 
 from __future__ import annotations
 
@@ -58,9 +58,6 @@ def shown(console: Console) -> list[str]:
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", printed(console)).replace("\r", "\n").splitlines()
 
 
-# ------------------------------------------------------------------------------------------------------------- numbers
-
-
 def test_runs_are_counted_by_their_states(tmp_path: Path) -> None:
     wanted = jobs(tmp_path, 9)
     states = ["finished", "finished", "pruned", "failed", "running", "trained", "interrupted"]
@@ -91,9 +88,6 @@ def test_the_time_left_is_extrapolated_from_the_steps_so_far(tmp_path: Path, clo
     dashboard.update()
     assert dashboard.seconds_left == 0
     assert dashboard.summary() == "4 done, 0 running, 0 failed, 0 waiting of 4"
-
-
-# --------------------------------------------------------------------------------------------------------- on a console
 
 
 def test_without_a_terminal_there_is_a_line_every_fifteen_seconds_and_one_at_the_end(
@@ -140,9 +134,6 @@ def test_a_terminal_shows_the_running_runs(tmp_path: Path, clock: Clock, monkeyp
     assert [line for line in seen if line.endswith("seed 2")][-1].split()[-3:] == ["100%", "seed", "2"]
     assert not any("seed 0" in line or "seed 3" in line or "more" in line for line in seen)
     assert all(len(line) <= 100 for line in seen)
-
-
-# ------------------------------------------------------------------------------------------------------------- one run
 
 
 @pytest.mark.parametrize(("module", "said"), [("mo_deepdrive.simulation.kernel", [COMPILING]), ("users_code", [])])

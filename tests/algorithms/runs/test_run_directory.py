@@ -158,6 +158,3 @@ def test_what_an_experiment_would_import_is_found_whatever_its_form() -> None:
     assert imported_paths({"algorithm": {"name": 3, "network": ["a:b"]}}) == {}
     assert imported_paths({"algorithm": ["a:b"]}) == {}
     assert imported_paths({"environment": {"id": 3}, "utility": {"name": None, "vehicles": "a:b"}}) == {}
-
-
-# ------------------------------------------------------------------------------------------- the files of finished runs

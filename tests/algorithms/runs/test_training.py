@@ -1,4 +1,4 @@
-"""Training a run: what a resumed run finds in its directory, and in which order checkpoints reach the disk."""
+"""Training a run: what a resumed run finds in its directory, and which runs can be trained longer."""
 
 from __future__ import annotations
 
@@ -67,6 +67,25 @@ def test_a_run_that_was_killed_after_its_checkpoint_is_resumed_silently(tmp_path
         assert perform(each) == "trained"
     assert "warning" not in (wanted.path / "train.log").read_text()
     assert_same_run(wanted.path, whole.path)
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs the names of open files")
+def test_metrics_reach_the_disk_before_each_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[str] = []
+    fsync = os.fsync
+
+    def record(descriptor: int) -> None:
+        name = Path(f"/proc/self/fd/{descriptor}").readlink().name
+        synced.append(name.lstrip(".").split(".")[0])
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", record)
+    wanted = job(tmp_path)
+    perform(wanted)
+    checkpoints = [i for i, name in enumerate(synced) if name == "checkpoint"]
+    assert len(checkpoints) == 11
+    for i in checkpoints:
+        assert synced[i - 1] == "metrics"
 
 
 CONSTANT: dict[str, dict[str, Any]] = {

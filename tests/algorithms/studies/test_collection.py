@@ -16,8 +16,6 @@ from algorithms.studies.collection import Collection, collect
 from algorithms.studies.manifest import ManifestRow
 from tests.helpers.made_up_sweeps import end, make_sweep, record, scores_of
 
-# -------------------------------------------------------------------------------------------------------------- content
-
 
 @pytest.mark.slow
 def test_the_files_have_the_metrics_and_scores_of_all_runs(tmp_path: Path, grid: list[ManifestRow]) -> None:
@@ -36,9 +34,6 @@ def test_the_files_have_the_metrics_and_scores_of_all_runs(tmp_path: Path, grid:
     one = scores.filter(run=rows[4].id, policy="stochastic", metric="utility_esr").row(0, named=True)
     assert {name: one[name] for name in expected} == expected
     assert found.runs["run"].to_list() == [row.id for row in rows]
-
-
-# ------------------------------------------------------------------------------------------------------------ written
 
 
 def collected(sweep: Path) -> tuple[Collection, list[str]]:
@@ -60,9 +55,6 @@ def test_a_sweep_that_cannot_be_written_is_still_shown(
     assert said == ["the collected results are not stored: [Errno 28] No space left on device"]
     assert len(found.metrics) == 18 * 24
     assert list((tmp_path / "collected").iterdir()) == []
-
-
-# --------------------------------------------------------------------------------------------- broken and missing files
 
 
 def test_unfinished_and_missing_runs_are_counted_and_the_first_ones_named(

@@ -1,4 +1,4 @@
-"""The order in which a sweep's runs are made, what is repeated, and the exit codes, with runs that do not train."""
+"""The order in which a sweep's runs are made, and what is repeated, with runs that do not train."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of a sweep: which cells are compared, their order and their labels."""
+"""The tables of a sweep: which cells are compared, and their order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The data of the explorer's page: exact returns, drives within their resolution, few bytes."""
+"""The data of the explorer's page: exact returns, drives within their resolution."""
 
 from __future__ import annotations
 

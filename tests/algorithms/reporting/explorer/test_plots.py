@@ -1,4 +1,4 @@
-"""Figures of a front: what they show, that every kind of front can be drawn, and the numbers that they share."""
+"""Figures of a front: every kind of front can be drawn, and the numbers that they share."""
 
 from __future__ import annotations
 
