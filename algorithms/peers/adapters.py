@@ -75,8 +75,8 @@ def _networks(
         actions: NDArray[Any] = np.zeros((len(rows), *shape), dtype=kind)
         for policy in np.unique(rows):
             mine = rows == policy
-            seen, accrued, decisions, generator = inputs
-            part = PolicyInputs(seen[mine], accrued[mine], decisions[mine], generator)
+            observations, accrued, decisions = (each[mine] for each in inputs[:3])
+            part = PolicyInputs(observations, accrued, decisions, inputs.generator)
             actions[mine] = as_array(act(*networks[policy], part))
         return actions
 

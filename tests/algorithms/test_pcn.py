@@ -404,7 +404,7 @@ def test_episodes_are_random_from_the_drawn_decision_on(place: str, monkeypatch:
     monkeypatch.setattr(agent, "_random_actions", lambda previous: drawn)
     monkeypatch.setattr(agent, "choose_actions", lambda *inputs: np.ones_like(drawn[:, 0]))
     agent._collect(policy)
-    for episode, followed in zip(rounds[0], (0, 3, len(rounds[0][2]), 1), strict=True):
+    for episode, followed in zip(rounds[0], (0, 3, len(rounds[0][2].returns), 1), strict=True):
         expected = (np.arange(len(episode.returns)) < followed).astype(float)
         np.testing.assert_array_equal(episode.actions.reshape(len(episode.returns), -1)[:, 0], expected)
 

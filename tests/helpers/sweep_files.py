@@ -169,13 +169,24 @@ def assert_same_sweep(first: Path, second: Path) -> None:
 
 @contextlib.contextmanager
 def forked_workers() -> Iterator[None]:
-    """Fork worker processes from this one, which has imported everything, instead of starting new interpreters."""
-    context = multiprocessing.get_context("fork")
+    """Fork worker processes from one that has imported everything, instead of starting new interpreters.
+
+    Not from this one, of which Polars' threads would be missing.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["algorithms.runs.training", "tests.helpers.sweep_files"])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            pool._Workers, "_executor", staticmethod(lambda: ProcessPoolExecutor(1, context, pool._begin_worker))
+            pool._Workers,
+            "_executor",
+            staticmethod(lambda: ProcessPoolExecutor(1, context, _begin_worker, (dict(os.environ),))),
         )
         yield
+
+
+def _begin_worker(environment: dict[str, str]) -> None:
+    os.environ.update(environment)
+    pool._begin_worker()
 
 
 @contextlib.contextmanager
