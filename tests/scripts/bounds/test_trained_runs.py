@@ -20,7 +20,7 @@ def test_a_run_is_recorded_with_its_name_and_description(
 ) -> None:
     recording = record_run(str(make_run(**arguments)), "one_waypoint", "discrete", 3)
     assert recording.name.endswith("/untrained/a2c-seed0")
-    assert recording.description.startswith("a2c, seed 0, ")
+    assert recording.source.startswith(f"run {recording.name}: a2c, seed 0, ")
     assert len(recording.sequences) == 4
     assert all(1 <= len(sequence) <= 600 and sequence.max() < 22 for sequence in recording.sequences)
 
