@@ -185,6 +185,7 @@ def forked_workers() -> Iterator[None]:
 
 
 def _begin_worker(environment: dict[str, str]) -> None:
+    os.environ.clear()
     os.environ.update(environment)
     pool._begin_worker()
 
