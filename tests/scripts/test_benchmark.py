@@ -78,40 +78,6 @@ def test_what_a_tree_cannot_run_is_said_once(benchmark: ModuleType) -> None:
     assert calls.count("import") == 2, "not again in later pairs"
 
 
-def test_the_file_has_a_row_per_measurement(
-    benchmark: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rows = [benchmark.comparison("make", [1.0] * 6, [1.5] * 6), benchmark.comparison("import", [], [], "no")]
-    benchmark.show(rows, tmp_path / "pairs.csv", {"old_commit": "a", "machine": "b, 2 CPUs", "threads": 1})
-    assert "make" in capsys.readouterr().out
-    with (tmp_path / "pairs.csv").open(newline="") as file:
-        made, imported = csv.DictReader(file)
-    numbers = [made[name] for name in ("measurement", "speedup", "low", "high", "pairs")]
-    assert numbers == ["make", "1.5", "1.5", "1.5", "6"]
-    assert (imported["speedup"], imported["problem"], imported["machine"]) == ("", "no", "b, 2 CPUs")
-
-
-def test_names_are_selected_by_patterns(benchmark: ModuleType) -> None:
-    assert benchmark.select([]) == list(benchmark.CASES)
-    assert benchmark.select(["make_vec*", "import"]) == [
-        "make_vec-one-waypoint",
-        "make_vec-static-obstacle",
-        "make_vec-intersection",
-        "make_vec-left-turn",
-        "make_vec-roundabout-8",
-        "import",
-    ]
-    with pytest.raises(ValueError, match="'imports' matches no measurement"):
-        benchmark.select(["make", "imports"])
-
-
-def test_every_algorithm_is_measured(benchmark: ModuleType) -> None:
-    for algorithm in ("a2c", "mo_a2c", "ppo", "mo_ppo"):
-        for rest in ("64-32-discrete", "64-32-continuous", "128-64-discrete", "128-64-continuous"):
-            assert f"{algorithm}-{rest}" in benchmark.CASES
-    assert {"two-a2c-128-64", "two-mo_ppo-128-64", "pcn-collection", "pcn", "make"} <= set(benchmark.CASES)
-
-
 @needs_git
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -179,11 +145,3 @@ def test_packages_of_the_given_tree_are_measured(benchmark: ModuleType) -> None:
         with pytest.raises(benchmark.CannotMeasureError, match="RuntimeError: this tree"):
             benchmark.measure_apart(tree, "import")
     assert not tree.exists()
-
-
-@pytest.mark.slow
-def test_modules_of_another_tree_are_an_error(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(benchmark.CASES, "make", lambda place: 1.0)
-    assert benchmark.measure("make", benchmark.CPU_TIME, REPOSITORY) == 1.0
-    with pytest.raises(ImportError, match=r"elsewhere has no module (algorithms|mo_deepdrive)"):
-        benchmark.measure("make", benchmark.CPU_TIME, Path("elsewhere"))

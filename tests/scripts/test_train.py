@@ -84,14 +84,6 @@ def test_an_interrupted_and_resumed_run_is_the_same_run(driving: Path, call: Cal
     assert_same_run(whole, run)
 
 
-def test_a_finished_run_has_nothing_to_resume(finished: Path, call: Call) -> None:
-    before = (finished / "checkpoint.safetensors").read_bytes()
-    code, out, _ = call("train", "--resume", finished)
-    assert code == 0
-    assert "nothing to resume" in out
-    assert (finished / "checkpoint.safetensors").read_bytes() == before
-
-
 def test_a_full_disk_stops_training_and_the_run_can_be_resumed(
     driving: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.drawing import rendering
 from mo_deepdrive.drawing.canvas import ASPHALT, TRAFFIC_PAINT
-from mo_deepdrive.drawing.rendering import EpisodeTrace, Panel, Viewer
+from mo_deepdrive.drawing.rendering import Panel, Viewer
 from mo_deepdrive.simulation.state import ENDS, LENGTH, MAP_SIZE
 from mo_deepdrive.world.batch import Draws, WorldBatch
 from mo_deepdrive.world.config import EnvConfig, parse
@@ -170,24 +170,6 @@ def test_the_panel_shows_the_return_with_the_sign_of_the_rewards(
     assert list(map(float, totals)) == pytest.approx(returns, abs=0.006)
     assert list(map(float, decision)) == pytest.approx(batch.rewards[0, 0], abs=0.006)
     assert "-0.00" not in [text for text, _ in written]
-
-
-def test_sums_count_every_decision_once_and_are_marked_incomplete_if_one_is_missing() -> None:
-    batch, _ = start("intersection")
-    trace = EpisodeTrace(2, 6, 10)
-    expected = np.zeros_like(trace.sums)
-    trace.follow(batch.state[0], batch.state[0]["objectives"])
-    for _ in range(15):
-        drive(batch)
-        expected += batch.state[0]["objectives"]
-        trace.follow(batch.state[0], batch.state[0]["objectives"])
-        trace.follow(batch.state[0], batch.state[0]["objectives"])
-    assert trace.complete.all()
-    np.testing.assert_allclose(trace.sums, expected)
-    assert [len(trail) for trail in trace.trails] == [10, 10]
-    drive(batch, 2)
-    trace.follow(batch.state[0], batch.state[0]["objectives"])
-    assert not trace.complete.any()
 
 
 @pytest.mark.parametrize("mode", ["ansi", "", None])

@@ -68,25 +68,6 @@ def test_discrete_observations_become_one_hot() -> None:
     assert step.observations[1, 0].tolist() == [0.0, 1.0, 0.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize(
-    "space", [spaces.Discrete(5, start=-1), spaces.Box(0, 9, (2, 3), dtype=np.int32), spaces.Box(-1.0, 9.0, (4,))]
-)
-def test_observations_can_be_turned_back_into_those_of_the_environment(space: spaces.Space[Any]) -> None:
-    adapter = toy_worlds(spaces.Discrete(2), space)
-    for raw in (adapter.vector_env.reset()[0], adapter.vector_env.step(np.zeros(2, dtype=np.int64))[0]):
-        found = adapter.environment_observations(adapter.policy_observations(raw))
-        np.testing.assert_array_equal(found, raw)
-        assert found.dtype == raw.dtype
-
-
-def test_actions_can_be_turned_back_into_those_of_the_policy() -> None:
-    box = toy_worlds(spaces.Box(np.float32([2.0, -3.0]), np.float32([6.0, -1.0])))
-    actions = np.array([[[0.0, -1.0]], [[0.5, 0.25]]], dtype=np.float32)
-    np.testing.assert_array_equal(box.policy_actions(box.environment_actions(actions)), actions)
-    discrete = toy_worlds(spaces.Discrete(3, start=4))
-    np.testing.assert_array_equal(discrete.policy_actions(np.array([4, 6])), [[0], [2]])
-
-
 def test_success_and_end_are_read_from_the_info_of_other_environments() -> None:
     adapter = toy_worlds(spaces.Discrete(2))
     adapter.reset(0)

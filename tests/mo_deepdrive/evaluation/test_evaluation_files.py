@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -122,18 +121,6 @@ def test_what_cannot_be_saved_is_refused(tmp_path: Path, options: dict[str, Any]
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nothing_is_left_of_an_evaluation_that_cannot_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: Any, **__: Any) -> None:
-        raise OSError("disk full")
-
-    monkeypatch.setattr(np, "savez_compressed", fail)
-    with pytest.raises(OSError, match="disk full"):
-        made().save(tmp_path / "saved", name="hold", seed=0)
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize("content", [None, b"", b"PK", "objects"], ids=["missing", "empty", "cut", "pickled"])
 def test_files_that_are_no_evaluation_are_refused(tmp_path: Path, content: Any) -> None:
     path = tmp_path / "episodes.npz"
@@ -143,16 +130,3 @@ def test_files_that_are_no_evaluation_are_refused(tmp_path: Path, content: Any) 
         path.write_bytes(content)
     with pytest.raises(ValueError, match=r"episodes\.npz"):
         Evaluation.load(tmp_path)
-
-
-@pytest.mark.slow
-def test_saving_and_loading_need_no_torch(run_python: Callable[[str], str], tmp_path: Path) -> None:
-    loaded = run_python(
-        "import sys, numpy as np\n"
-        "from mo_deepdrive.evaluation import Evaluation, evaluate\n"
-        f"found = evaluate(lambda o, *_: np.zeros(len(o), int), {ONE_WAYPOINT!r}, episodes=2, env_kwargs={SHORT})\n"
-        f"found.save({str(tmp_path / 'saved')!r}, name='idle', seed=0)\n"
-        f"Evaluation.load({str(tmp_path / 'saved')!r})\n"
-        "print('torch' in sys.modules)"
-    )
-    assert loaded == "False\n"

@@ -139,18 +139,6 @@ def test_arrivals_are_unknown_where_the_environment_says_nothing() -> None:
 # Selections.
 
 
-@pytest.mark.parametrize("indices", [[2, 0], [True, False, True], np.array([1]), []])
-def test_policies_are_taken_with_all_their_numbers(indices: Any) -> None:
-    front = make_front()
-    chosen = np.array(indices, dtype=int if not indices else None) if isinstance(indices, list) else indices
-    part = front.take(chosen)
-    rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
-    assert len(part) == len(rows)
-    for name in ARRAYS:
-        np.testing.assert_array_equal(getattr(part, name), getattr(front, name)[rows])
-    assert (part.gamma, part.episodes, part.seed, part.objectives) == (0.9, 40, 17, NAMES)
-
-
 def test_dominance_is_determined_by_discounted_returns_and_policies_are_sorted_by_the_first() -> None:
     discounted = np.array([[5.0, 0.0], [1.0, 4.0], [1.0, 3.0], [3.0, 2.0], [5.0, 0.0], [0.0, 4.0]])
     front = make_front(

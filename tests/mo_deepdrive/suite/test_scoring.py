@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mo_deepdrive import suite
 from mo_deepdrive.suite import Row
-from mo_deepdrive.suite.scorers import SCORERS, controllability, policies_of
+from mo_deepdrive.suite.scorers import SCORERS, controllability
 
 TASKS = suite.load().tasks
 
@@ -62,14 +62,6 @@ def test_returns_that_follow_the_weights_are_controllable_and_constant_ones_are_
     assert found["controllability/distance"] == 0.0
     assert found["controllability/time"] == pytest.approx(1.0)
     assert found["controllability"] == pytest.approx(1.0 - 1.0 / len(task.objectives()))
-
-
-def test_a_policy_is_told_the_weights_or_picked_from_a_front() -> None:
-    told = policies_of(lambda _observations, _accrued, _discounts, weights: weights)
-    assert callable(told)
-    assert told(np.array([0.25, 0.75]))(None, None, None).tolist() == [0.25, 0.75]  # type: ignore[operator]
-    assert policies_of([still, faster]) == [still, faster]
-    assert policies_of(still) == [still]
 
 
 @pytest.mark.slow

@@ -25,15 +25,3 @@ def test_returns_are_those_of_a_replay(scenario: str, action_type: str) -> None:
         np.testing.assert_allclose(returns, expected, rtol=1e-5, atol=2e-5)
     assert evaluated.sources.tolist() == [3] * 8
     assert evaluator.simulated_decisions == evaluated.lengths.sum()
-
-
-def test_plans_idle_after_the_end_and_follow_a_rule_from_its_first_decision_on() -> None:
-    evaluator = PlanEvaluator("one_waypoint", "discrete")
-    plans = evaluator.format.idle_plans(64)
-    plans[:] = 3  # full throttle
-    rules = random_calm_rules(64, np.random.default_rng(2))
-    rules["first_decision"] = 5
-    evaluated = evaluator.evaluate(plans, 0, rules)
-    assert (evaluated.plans[:, :5] == 3).all()
-    assert (evaluated.plans[:, 5:] != 3).any()
-    assert all((plan[length:] == 0).all() for plan, length in zip(evaluated.plans, evaluated.lengths, strict=True))

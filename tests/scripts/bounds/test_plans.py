@@ -1,4 +1,4 @@
-"""The format of plans, and sets of evaluated plans."""
+"""The format of plans."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from mo_deepdrive.world.action_sequences import decode as decode_actions
 from mo_deepdrive.world.action_sequences import encode as encode_actions
 from scripts.bounds.front import record_run
-from scripts.bounds.plans import CRITERIA, EvaluatedPlans, PlanFormat
+from scripts.bounds.plans import PlanFormat
 from scripts.bounds.variation import FULL_SCALE
 
 
@@ -41,18 +41,3 @@ def test_continuous_actions_of_a_run_are_rounded_to_what_can_be_written(make_run
         written = plan_format.to_sequence(plan)
         np.testing.assert_allclose(written, sequence[: len(written)], atol=0.5 / 1024)
         np.testing.assert_array_equal(decode_actions(encode_actions(written), "continuous"), written)
-
-
-def test_evaluated_plans_are_appended_and_taken_row_by_row() -> None:
-    def evaluated(n: int, source: int) -> EvaluatedPlans:
-        plans = np.arange(n * 4, dtype=np.int16).reshape(n, 4, 1)
-        returns = np.arange(len(CRITERIA) * n * 2, dtype=np.float64).reshape(len(CRITERIA), n, 2)
-        return EvaluatedPlans(plans, np.arange(n), tuple(returns), np.full(n, source))
-
-    first, second = evaluated(3, 0), evaluated(2, 1)
-    taken = first.append(second).take(np.array([4, 0]))
-    np.testing.assert_array_equal(taken.plans, [second.plans[1], first.plans[0]])
-    for found, of_first, of_second in zip(taken.returns, first.returns, second.returns, strict=True):
-        np.testing.assert_array_equal(found, [of_second[1], of_first[0]])
-    assert taken.lengths.tolist() == [1, 0]
-    assert taken.sources.tolist() == [1, 0]

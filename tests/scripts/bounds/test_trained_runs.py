@@ -4,25 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pytest
 
 from algorithms.runs.build import build
 from algorithms.runs.config import load_experiment
 from scripts.bounds.front import record_run
-
-
-@pytest.mark.parametrize("arguments", [{}, {"objectives": ["jerk", "distance", "destination", "g_force"]}])
-def test_a_run_is_recorded_with_its_name_and_description(
-    make_run: Callable[..., Path], arguments: dict[str, Any]
-) -> None:
-    recording = record_run(str(make_run(**arguments)), "one_waypoint", "discrete", 3)
-    assert recording.name.endswith("/untrained/a2c-seed0")
-    assert recording.description.startswith("a2c, seed 0, ")
-    assert len(recording.sequences) == 4
-    assert all(1 <= len(sequence) <= 600 and sequence.max() < 22 for sequence in recording.sequences)
 
 
 def test_every_policy_of_a_front_acts_greedily_once_and_then_sampled(make_run: Callable[..., Path]) -> None:

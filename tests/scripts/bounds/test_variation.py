@@ -1,27 +1,11 @@
-"""Mutation and crossover of plans."""
+"""Offspring of plans."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from scripts.bounds.variation import make_offspring, resize_segment
-
-
-def test_resizing_a_segment_moves_what_follows() -> None:
-    def resized(first: int, last: int, room: int) -> list[int]:
-        plan = np.arange(10, dtype=np.int16)[:, None]
-        length = resize_segment(plan, 8, first, last, room)
-        kept = plan[:length, 0].tolist()
-        kept[first : min(first + room, length)] = [-1] * (min(first + room, length) - first)
-        return kept
-
-    assert resized(2, 4, 2) == [0, 1, -1, -1, 4, 5, 6, 7]
-    assert resized(2, 4, 0) == [0, 1, 4, 5, 6, 7]
-    assert resized(2, 2, 1) == [0, 1, -1, 2, 3, 4, 5, 6, 7]
-    assert resized(6, 8, 4) == [0, 1, 2, 3, 4, 5, -1, -1, -1, -1]
-    assert resized(1, 2, 6) == [0, -1, -1, -1, -1, -1, -1, 2, 3, 4]  # no longer than a plan
-    assert resized(0, 8, 0) == []
+from scripts.bounds.variation import make_offspring
 
 
 @pytest.mark.parametrize("n_actions", [0, 16, 22])
