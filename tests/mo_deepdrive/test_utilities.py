@@ -339,9 +339,6 @@ def test_a_custom_function_is_given_by_its_path(own_module: str) -> None:
     point = torch.tensor([2.0, 3.0], requires_grad=True)
     (gradient,) = torch.autograd.grad(utility(point), point)
     assert gradient.tolist() == [3.0, 2.0]
-
-
-def test_a_custom_function_receives_its_arguments(own_module: str) -> None:
     utility = make_utility(f"{own_module}:power", ("a",), exponent=2.0, shift=1.0)
     assert float(utility(np.array([2.0]))) == 9.0
     assert float(make_utility(f"{own_module}:power", ("a",))(np.array([2.0]))) == 2.0
@@ -393,17 +390,7 @@ VECTORS_OF_NUMBERS = (
     ("generalised_gini", "weights", {}),
     ("generalised_gini", "scales", {"weights": [0.5, 0.5]}),
 )
-NOT_TWO_NUMBERS = (
-    [],
-    [1.0],
-    [1.0, 0.5, 0.1],
-    [1.0, math.nan],
-    [math.inf, 1.0],
-    [True, 1],
-    [10**400, 1],
-    ["1", "2"],
-    3.0,
-)
+NOT_TWO_NUMBERS = ([], [1.0, 0.5, 0.1], [1.0, math.nan], [True, 1], ["1", "2"], 3.0)
 REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("zzz", {}, "is unknown; known: "),
     ("one_waypoint_liner", {}, "'one_waypoint_liner' is unknown; did you mean 'one_waypoint_linear'"),
@@ -420,17 +407,13 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("generalised_gini", {"weights": [0.4, 0.6]}, "must be non-increasing"),
     ("generalised_gini", {"weights": [0.5, -0.1]}, "must be non-increasing"),
     ("generalised_gini", {"weights": [0.5, 0.5], "scales": [1.0, 0.0]}, "scales"),
-    ("generalised_gini", {"weights": {"time": 2, "energy": 1}}, "must be 2 finite numbers"),
     ("linear", {"weights": {"time": 1, "enrgy": 2}}, "weights of utility 'linear' has 'enrgy'; did you mean 'energy'?"),
-    ("linear", {"weights": {3: 1}}, "weights of utility 'linear' has 3; known: energy, time"),
     ("linear", {"weights": {"time": "much"}}, "weights = ['much', 0.0] must be 2 finite numbers"),
     ("augmented_chebyshev", {"weights": {"time": 1}, "ideal": {"time": 1}}, "has no number for energy"),
     ("users_package_of_utilities.mine:absent", {}, "absent"),
     ("users_package_of_utilities.broken:product", {}, "a_module_that_nobody_has"),
     ("a_package_that_nobody_has:product", {}, "a_package_that_nobody_has"),
     ("users_package_of_utilities.mine:number", {}, "not callable"),
-    ("users_package_of_utilities.mine:", {}, "users_package_of_utilities.mine"),
-    (".mine:product", {}, "mine"),
 ]
 
 

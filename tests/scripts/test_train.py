@@ -45,13 +45,7 @@ def test_training_leaves_everything_in_its_directory(finished: Path) -> None:
     assert status(finished)["state"] == "finished"
     assert status(finished)["step"] == 2016
     columns = read_metrics(finished / "metrics.csv")
-    for name in (
-        "train/utility",
-        "train/return/jerk",
-        "loss/policy",
-        "eval/greedy/utility_esr",
-        "eval/stochastic/success",
-    ):
+    for name in ("train/utility", "loss/policy", "eval/greedy/utility_esr", "eval/stochastic/success"):
         assert np.isfinite(columns[name]).any(), name
     policies = json.loads((finished / "evaluation.json").read_text())["policies"]
     for policy in ("greedy", "stochastic"):

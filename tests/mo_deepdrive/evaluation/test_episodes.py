@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import gymnasium
@@ -358,9 +357,7 @@ def test_without_a_utility_the_estimates_are_those_of_returns_and_rates() -> Non
         (idle, {"split": "test", "seed": 3}, ValueError, "split = 'test' and seed = 3 are both given"),
         (idle, {"split": "test", "episodes": 2001}, ValueError, "episodes = 2001 exceeds the 2,000 scenarios"),
         (idle, {"episodes": 0}, ValueError, "episodes = 0 must be a positive integer"),
-        (idle, {"episodes": True}, ValueError, "episodes = True must be a positive integer"),
         (idle, {"gamma": 1.5}, ValueError, "gamma = 1.5 must be between 0 and 1"),
-        (idle, {"gamma": math.nan}, ValueError, "gamma = nan must be between 0 and 1"),
         (idle, {"greedy": False}, ValueError, "greedy = False is for agents"),
         (idle, {"utility": "one_waypoint_linaer"}, ValueError, "did you mean 'one_waypoint_linear'"),
         (idle, {"utility": [NONLINEAR] * 2}, ValueError, "2 utilities are given for 1 vehicles"),
@@ -369,12 +366,6 @@ def test_without_a_utility_the_estimates_are_those_of_returns_and_rates() -> Non
         (idle, {"utility": make_utility("linear", OBJECTIVES[::-1], weights=[1.0] * 4)}, ValueError, "in this order"),
         (idle, {"env_kwargs": {"time_limt": 3.0}}, TypeError, "did you mean 'time_limit'"),
         ("ppo", {}, TypeError, "policy = 'ppo' must be an agent or a function"),
-        (
-            lambda observation: 0,
-            {},
-            TypeError,
-            r"<lambda>\(observation\) cannot be called as policy\(obs",
-        ),
         (lambda a, b, c, d: 0, {}, TypeError, r"<lambda>\(a, b, c, d\) cannot be called as policy\(observations, accr"),
     ],
 )

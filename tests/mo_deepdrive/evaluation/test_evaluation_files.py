@@ -107,9 +107,7 @@ def test_saved_evaluations_are_compared_with_runs_of_the_same_task(
     ("options", "message"),
     [
         ({"name": ""}, "name = '' must be the label of the algorithm"),
-        ({"name": "a\nb"}, "must be the label"),
         ({"seed": -1}, "seed = -1 must be an integer of at least 0"),
-        ({"seed": 0.5}, "seed = 0.5 must be an integer"),
         ({"steps": -1}, "steps = -1 must be"),
         ({"directory": "."}, "'.' exists; choose another"),
     ],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -136,9 +135,6 @@ def test_arrivals_are_unknown_where_the_environment_says_nothing() -> None:
     np.testing.assert_allclose(Front.of_evaluations(arrived, gamma=0.9, seed=0).success, [0.0, 0.0, 1 / 3])
 
 
-# Selections.
-
-
 def test_dominance_is_determined_by_discounted_returns_and_policies_are_sorted_by_the_first() -> None:
     discounted = np.array([[5.0, 0.0], [1.0, 4.0], [1.0, 3.0], [3.0, 2.0], [5.0, 0.0], [0.0, 4.0]])
     front = make_front(
@@ -193,36 +189,16 @@ def edit_cell(column: str, value: str) -> Callable[[str], str]:
 @pytest.mark.parametrize(
     ("name", "edit", "message"),
     [
-        ("front.csv", lambda text: "", "ValueError"),
-        ("front.csv", lambda text: text.splitlines()[0] + "\n", "ValueError"),
         ("front.csv", lambda text: text[: len(text) - 40], "ValueError"),
         ("front.csv", lambda text: text.replace("\n2,", "\nx,"), "could not convert string to float: 'x'"),
-        (
-            "front.csv",
-            lambda text: text.replace("return/comfort/low", "return/other"),
-            "KeyError: 'return/comfort/low'",
-        ),
         ("front.csv", lambda text: text.replace("success", "arrived"), "KeyError: 'success'"),
         ("front.csv", edit_cell("return/comfort", "nan"), "return/comfort = nan must be between -1e+100 and 1e+100"),
-        ("front.csv", edit_cell("return/comfort", "-inf"), "return/comfort = -inf must be between"),
-        ("front.csv", edit_cell("condition/horizon", "1e308"), "condition/horizon = 1e+308 must be between"),
-        ("front.csv", edit_cell("success", "1.5"), "success = 1.5 must be between 0 and 1"),
         ("front.csv", edit_cell("length", "-3"), "length = -3 must be between 1 and 1e+100"),
         ("front.csv", lambda text: text.replace("success", "length"), "front.csv has two columns of the same name"),
-        ("front.csv", lambda text: text + "x" * 200_000, "field larger than field limit"),
-        (
-            "evaluation.json",
-            edit_json(lambda about: about.update(gamma=math.nan)),
-            "gamma = nan must be between 0 and 1",
-        ),
         ("evaluation.json", edit_json(lambda about: about.update(episodes=0)), "episodes = 0 must be between 1 and"),
-        ("evaluation.json", edit_json(lambda about: about.update(episodes=math.inf)), "OverflowError"),
-        ("evaluation.json", edit_json(lambda about: about.update(objectives=[{}])), "KeyError"),
         ("evaluation.json", lambda text: text[:20], "JSONDecodeError"),
         ("evaluation.json", lambda text: "[]", "TypeError"),
         ("evaluation.json", edit_json(lambda about: about.pop("gamma")), "KeyError: 'gamma'"),
-        ("evaluation.json", edit_json(lambda about: about.pop("objectives")), "KeyError: 'objectives'"),
-        ("evaluation.json", edit_json(lambda about: about.update(episodes=None)), "TypeError"),
         ("evaluation.json", edit_json(lambda about: about["objectives"].append("z")), "KeyError: 'return/z'"),
     ],
 )

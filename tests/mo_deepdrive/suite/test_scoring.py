@@ -103,11 +103,7 @@ def test_a_policy_is_scored_under_perturbations_and_with_strangers() -> None:
         (still, "V1", r"task V1: the policy returned actions of shape \(2,\); expected \(2, 2\) integers"),
         (still, "K2", r"task K2: the policy returned actions of shape \(2,\); expected \(2, 3\) numbers"),
         (lambda seen, *_: np.full(len(seen), 40), "K1", "task K1: the policy returned the action 40; it must be from"),
-        (
-            [still, faster],
-            "K1",
-            "task K1: a front, or a policy that is told weights, has no place where the utility is",
-        ),
+        ([still, faster], "K1", "task K1: a front, or a policy that is told weights, has no place where the utility"),
         ([], "U2", "task U2: the front has no policy"),
     ],
 )
