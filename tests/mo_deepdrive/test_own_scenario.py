@@ -30,7 +30,6 @@ ACCELERATE = 3
 
 @pytest.fixture
 def two_bicycles(examples: None) -> ModuleType:
-    """The example of the documentation."""
     return importlib.import_module("two_bicycles")
 
 

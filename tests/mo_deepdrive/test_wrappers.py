@@ -111,8 +111,6 @@ def test_unsuitable_utilities_are_refused(arguments: dict[str, Any], message: st
 
 
 class NamedObjectives(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Names the components of a reward."""
-
     objectives = ("treasure", "time")
 
 

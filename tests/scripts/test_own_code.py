@@ -41,7 +41,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def shorten(path: Path, changes: dict[str, dict[str, Any]]) -> None:
-    """Change the YAML file of an experiment."""
     values = yaml.safe_load(path.read_text())
     for section, settings in changes.items():
         values[section] = {**values.get(section, {}), **settings}

@@ -21,7 +21,6 @@ ROUNDABOUT = "mo-deepdrive-roundabout-v0"
 
 
 def make_run(path: Path, env_id: str = TWO, utility: str = "intersection_linear", **arguments: Any) -> Path:
-    """A run that was trained for a few updates."""
     experiment = make_experiment(
         {
             "environment": {"id": env_id, "arguments": arguments},

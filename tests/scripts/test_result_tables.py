@@ -21,7 +21,6 @@ NO_RESULTS = {"provenance.csv", "changes.csv", "views.sql"}
 
 @pytest.fixture
 def script(load_script: Callable[[str], ModuleType]) -> ModuleType:
-    """The script as a module."""
     return load_script("result_tables")
 
 

@@ -32,7 +32,6 @@ def read(path: Path) -> list[dict[str, str]]:
 
 
 def pick(rows: list[dict[str, str]], **wanted: str) -> list[dict[str, str]]:
-    """The rows with the values that are wanted."""
     return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
 
 

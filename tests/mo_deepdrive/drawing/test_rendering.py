@@ -116,7 +116,6 @@ def test_the_destination_and_the_bicycle_show_where_they_are() -> None:
 
 
 def oncoming(acceleration: float = 0.0, y: float = 42.0) -> tuple[WorldBatch, Viewer, Any]:
-    """LeftTurn with one oncoming car in view."""
     batch, viewer = start("left_turn")
     batch.state["cars"]["present"] = False
     car = batch.state[0, 0]["cars"][0]

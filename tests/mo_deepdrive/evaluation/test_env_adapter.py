@@ -14,11 +14,10 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
-from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.evaluation import env_adapter
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.support import machine
-from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, SEA
+from tests.helpers.agents import ONE_WAYPOINT, SEA
 from tests.helpers.toy_env import toy_worlds
 
 
@@ -77,17 +76,6 @@ def test_success_and_end_are_read_from_the_info_of_other_environments() -> None:
     assert steps[-1].ends.tolist() == ["three", "three"]
 
 
-def test_a_reset_clears_the_end_of_the_previous_episode() -> None:
-    adapter = toy_worlds(spaces.Discrete(2))
-    adapter.reset(0)
-    for _ in range(3):
-        step = adapter.step(np.zeros((2, 1), dtype=np.int64))
-    assert step.terminated.all()
-    adapter.reset(0)
-    step = adapter.step(np.zeros((2, 1), dtype=np.int64))
-    assert step.acted.all()
-
-
 @pytest.mark.parametrize(
     ("action_space", "observation_space", "message"),
     [
@@ -109,15 +97,6 @@ def test_native_environments_need_same_step_autoreset(mode: AutoresetMode) -> No
         EnvAdapter(gymnasium.make_vec(ONE_WAYPOINT, num_envs=2, autoreset_mode=mode))
 
 
-@pytest.mark.parametrize("env_id", [ONE_WAYPOINT, f"mo_deepdrive:{ONE_WAYPOINT}", INTERSECTION])
-def test_our_ids_make_native_vector_environments(env_id: str) -> None:
-    env = make_env(env_id, 3, {"time_limit": 5.0})
-    assert isinstance(env.unwrapped, DrivingVectorEnv)
-    assert env.num_envs == 3
-    assert env.unwrapped.autoreset_mode is AutoresetMode.SAME_STEP
-    assert env.unwrapped.config.time_limit == 5.0
-
-
 def test_the_vector_entry_point_of_another_library_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its rewards and autoreset are not known; copies of the single environment are."""
     spec = copy.deepcopy(gymnasium.spec(SEA))
@@ -129,8 +108,6 @@ def test_the_vector_entry_point_of_another_library_is_not_used(monkeypatch: pyte
 
 
 class Named(gymnasium.Wrapper):
-    """An environment with names of objectives."""
-
     def __init__(self, names: object):
         super().__init__(mo_gymnasium.make(SEA))
         self.objectives = names

@@ -80,20 +80,6 @@ def test_training_with_and_without_evaluations_gives_the_same_weights(cls: type[
         np.testing.assert_array_equal(array, found[name])
 
 
-@pytest.mark.parametrize("greedy", [True, False])
-def test_evaluating_touches_neither_the_agent_nor_any_global_generator(greedy: bool) -> None:
-    agent = make_agent(MOA2C)
-    agent.train(64)
-    before = {name: tensor.clone() for name, tensor in agent.learners[0].get_state().items()}
-    generators = agent.generator.get_state(), torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
-    evaluate(agent, make_env(ONE_WAYPOINT, 3, {"time_limit": 1.0}), episodes=4, greedy=greedy)
-    assert all(torch.equal(before[name], tensor) for name, tensor in agent.learners[0].get_state().items())
-    assert torch.equal(agent.generator.get_state(), generators[0])
-    assert torch.equal(torch.get_rng_state(), generators[1])
-    assert np.array_equal(np.random.get_state()[1], generators[2])  # noqa: NPY002
-    assert agent.step == 64
-
-
 @CLASSES
 @pytest.mark.parametrize("env_id", [ONE_WAYPOINT, INTERSECTION, SEA])
 @pytest.mark.parametrize("greedy", [True, False])
@@ -230,7 +216,6 @@ def test_vehicles_are_counted_separately_until_each_has_ended(together: bool) ->
 
 
 def made(returns: list[list[float]], utility: Utility, **others: Any) -> Evaluation:
-    """An evaluation of one vehicle with these returns."""
     array = np.array(returns)[:, None]
     e = len(array)
     defaults: dict[str, Any] = {

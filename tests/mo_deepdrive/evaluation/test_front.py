@@ -71,7 +71,6 @@ def test_intervals_are_as_wide_as_the_variation_of_the_episodes_implies() -> Non
 
 
 def make_evaluation(seed: int, arrives: bool, says: bool) -> Evaluation:
-    """Three episodes of one vehicle."""
     rng = np.random.default_rng(seed)
     returns = rng.normal(size=(3, 1, 2))
     return Evaluation(

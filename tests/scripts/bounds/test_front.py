@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from algorithms.runs.build import build
+from algorithms.runs.config import load_experiment
 from mo_deepdrive.fronts.reference_fronts import GAMMA, front_config
 from mo_deepdrive.fronts.reference_fronts import read as read_front
 from mo_deepdrive.fronts.reference_fronts import write as format_front
@@ -119,3 +121,16 @@ def test_policies_of_a_run_join_the_search(
     assert {source.split()[0] for source in sources} == {"run", "python"}
     assert settings.command([recording.name]) in sources
     assert settings.command([recording.name]).endswith(f"--anew --from {recording.name} --episodes 3")
+
+
+def test_every_policy_of_a_front_acts_greedily_once_and_then_sampled(make_run: Callable[..., Path]) -> None:
+    path = make_run("mo-deepdrive-static-obstacle-v0", algorithm="pcn", fixed_destination=True)
+    agent = build(load_experiment(path / "config.yaml"), num_envs=1)
+    agent.load(path / "checkpoint.safetensors", policy_only=True)
+    policies = len(agent.conditions())
+    greedy = record_run(str(path), "static_obstacle", "discrete", 0).sequences
+    sampled = record_run(str(path), "static_obstacle", "discrete", 3).sequences
+    assert len(greedy) == policies
+    assert len(sampled) == 4 * policies
+    for first, again in zip(greedy, sampled, strict=False):
+        np.testing.assert_array_equal(first, again)
