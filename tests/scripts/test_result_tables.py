@@ -87,9 +87,6 @@ def test_the_scoreboard_normalises_and_counts_failed_runs(script: ModuleType) ->
     for table in ("tasks", "normalised", "learners", "board"):
         database.execute(f"DROP TABLE suite_{table}")
     script.fill_suite(database, results)
-    assert database.execute("SELECT learner, score FROM suite_normalised").fetchall() == [
-        ("a", 1.0),
-        ("a", 1.0),
-        ("a", -1.0),
-    ]
+    scores = database.execute("SELECT learner, score FROM suite_normalised").fetchall()
+    assert scores == [("a", 1.0), ("a", 1.0), ("a", -1.0)]
     assert database.execute("SELECT * FROM suite_tracks").fetchall() == [("a", "0.33 (1)", None, None)]

@@ -13,13 +13,6 @@ NAMES = ("distance", "destination", "g_force", "jerk")
 RETURNS = np.random.default_rng(0).normal(0.0, [20.0, 1.0, 5.0, 500.0], (6, 8, 4))  # policies, episodes, objectives
 
 
-def test_a_weighted_sum_is_that_of_the_mean_returns() -> None:
-    preference = weighted_sum({"jerk": 0.01, "distance": 2.0}, NAMES)
-    means = RETURNS.mean(axis=1)
-    np.testing.assert_allclose(preference.values(RETURNS), 2.0 * means[:, 0] + 0.01 * means[:, 3])
-    assert preference.name == "weighted sum"
-
-
 def test_a_utility_is_averaged_over_the_episodes_and_not_taken_of_their_mean() -> None:
     utility = make_utility("one_waypoint_nonlinear", NAMES)
     preference = expected_utility(utility)

@@ -18,7 +18,6 @@ from mo_deepdrive.evaluation.statistics import (
     probability_of_improvement,
     rate,
     spread_ratio,
-    spread_ratio_power,
     utility_of_mean,
 )
 
@@ -70,19 +69,6 @@ def test_the_utility_of_the_mean_lies_in_its_interval_and_bootstraps_episodes() 
 )
 def test_estimates_are_formatted_to_the_digits_that_matter(estimate: Estimate, text: str) -> None:
     assert estimate.text() == text
-
-
-def test_the_digits_are_those_of_the_wider_of_two_intervals() -> None:
-    estimate = Estimate(10.0136, 10.0103, 10.0168)
-    assert estimate.text(0.0001) == "10.0136 [10.0103, 10.0168]"
-    assert estimate.text(1.2) == "10.0 [10.0, 10.0]"
-    assert Estimate(5.0, 5.0, 5.0).text(0.2) == "5"
-
-
-def test_the_power_of_a_comparison_of_deviations_grows_with_runs_and_effect() -> None:
-    assert spread_ratio_power(5, 1.0) < 0.1
-    assert spread_ratio_power(5, 0.5) < spread_ratio_power(5, 0.25) < spread_ratio_power(10, 0.25)
-    assert spread_ratio_power(10, 0.25) > 0.9
 
 
 def test_the_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter() -> None:

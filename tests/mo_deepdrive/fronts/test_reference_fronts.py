@@ -145,13 +145,9 @@ def test_a_front_of_fewer_objectives_is_non_dominated_in_them() -> None:
     assert {tuple(point) for point in front} == {tuple(point) for point in columns[kept]}
 
 
-@pytest.mark.parametrize("gamma", [-0.1, 1.1, float("nan")])
-def test_a_gamma_out_of_range_is_refused(gamma: float) -> None:
+def test_a_front_that_is_not_there_is_refused() -> None:
     with pytest.raises(ValueError, match=r"gamma = .* must lie in \[0, 1\]"):
-        mo_deepdrive.reference_front(gamma=gamma)
-
-
-def test_without_a_front_the_error_names_those_that_exist() -> None:
+        mo_deepdrive.reference_front(gamma=1.1)
     with pytest.raises(ValueError, match=r"no best-known front is shipped for scenario = 'intersection'.*discrete"):
         mo_deepdrive.reference_front("intersection")
 

@@ -99,8 +99,6 @@ def test_a_run_of_another_scenario_or_action_set_is_refused(shipped: Path, capsy
     [
         (["--scenario", "intersection"], "invalid choice: 'intersection'"),
         (["--decisions", "-1"], "--decisions -1 must be at least 0"),
-        (["--seed", "-1"], "--seed -1 must be at least 0"),
-        (["--episodes", "-1"], "--episodes -1 must be at least 0"),
         (["--output", "/no/such/folder/front.json"], "there is no folder /no/such/folder"),
     ],
 )
