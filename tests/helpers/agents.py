@@ -82,12 +82,10 @@ def experienced(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[Any, An
 
 
 def expect(agent: Any) -> None:
-    """Set the running mean of returns."""
     agent.learners[0].expected_return[:], agent.learners[0].episodes[:] = torch.tensor(EXPECTED_RETURN), 1
 
 
 def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
-    """Equal bit for bit."""
     return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
 
 
@@ -110,7 +108,6 @@ def recorded(agent: ActorCritic, total: int, **arguments: Any) -> list[tuple[int
 
 
 def parameters_of(learner: Any) -> list[torch.nn.Parameter]:
-    """Those of actor and critic."""
     return [*learner.actor.parameters(), *learner.critic.parameters()]
 
 
@@ -204,18 +201,15 @@ def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: 
 
 @torch.no_grad()
 def samples_of(agent: Any, made: Handmade) -> Any:
-    """The samples (M, ...) that the first policy learns from."""
     samples = agent.samples(agent.learners[0].networks, made.rollout(agent))
     return type(samples)(*(each if each is None else each.flatten(0, 1) for each in samples))
 
 
 def loss_of(agent: Any, samples: Any, entropy_coefficient: float = 0.05) -> Any:
-    """The loss of the first policy."""
     return agent.loss(agent.learners[0].networks, samples, torch.tensor(entropy_coefficient))
 
 
 def gradients_of(agent: Any, samples: Any, entropy_coefficient: float = 0.05) -> list[torch.Tensor]:
-    """Those of the loss by the parameters of actor and critic."""
     return [*torch.autograd.grad(loss_of(agent, samples, entropy_coefficient).total, parameters_of(agent.learners[0]))]
 
 

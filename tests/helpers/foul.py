@@ -48,13 +48,11 @@ class Foul(gymnasium.Env[Any, Any]):
         return (self.np_random.normal(size=size) * np.array([factor, *[1.0] * (size - 1)])).astype(np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode."""
         super().reset(seed=seed)
         self.decisions = 0
         return self._numbers("observation", 3), {}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Decide."""
         assert np.isfinite(action).all()
         time.sleep(self.pause)
         self.decisions += 1

@@ -39,17 +39,14 @@ class Golden:
     steps: dict[str, np.ndarray]
 
     def of(self, scenario: str) -> dict[int, list[Entry]]:
-        """The episodes of one scenario."""
         return {number: vehicles for number, vehicles in self.episodes.items() if vehicles[0]["scenario"] == scenario}
 
 
 def is_complete(directory: Path) -> bool:
-    """Whether a directory holds recorded trajectories."""
     return all((directory / name).is_file() for name in FILES)
 
 
 def read_golden(name: str, directory: Path) -> Golden:
-    """Read recorded trajectories."""
     episodes: dict[int, list[Entry]] = {}
     for entry in json.loads((directory / "episodes.json").read_text(encoding="utf-8")):
         episodes.setdefault(entry["episode"], []).append(entry)

@@ -76,7 +76,6 @@ class RecordedEpisodes:
 
     @property
     def vehicles(self) -> int:
-        """How many there are."""
         return int(self.actions[0].shape[1])
 
     def resets(self) -> list[tuple[dict[str, Any], np.ndarray]]:
@@ -112,7 +111,6 @@ def pursue(observation: np.ndarray, action_type: str) -> Any:
 
 
 def stay(observation: np.ndarray, action_type: str) -> Any:
-    """Stay at rest."""
     return np.array([0.0, 0.0, -1.0], dtype=np.float32) if action_type == CONTINUOUS else 0
 
 
@@ -123,7 +121,6 @@ def give_way(observation: np.ndarray, action_type: str) -> Any:
 
 
 def straight(observation: np.ndarray, action_type: str) -> Any:
-    """Drive straight on."""
     return control(observation, 0.0, 3.0, action_type)
 
 
@@ -253,7 +250,6 @@ def _replay_row(env: Any, row: int, actions: np.ndarray, observations: np.ndarra
 
 
 def replay_turn_based(recording: RecordedEpisodes) -> list[EpisodeReports]:
-    """The turn-based Gymnasium interface."""
     name = f"mo-deepdrive-{recording.scenario}-v0"
     env = gymnasium.make(name, disable_env_checker=True, **recording.arguments).unwrapped
     episodes = []
@@ -311,7 +307,6 @@ def replay_parallel(recording: RecordedEpisodes, keep_finished: bool = False) ->
 
 
 def replay_aec(recording: RecordedEpisodes) -> list[EpisodeReports]:
-    """The AEC interface."""
     env = mo_deepdrive.env(scenario=recording.scenario, **recording.arguments)
     episodes = []
     for reset, actions in recording.resets():

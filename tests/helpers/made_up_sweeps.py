@@ -64,7 +64,6 @@ def config_of(name: str) -> dict[str, Any]:
 
 
 def log(sweep: Path, row: ManifestRow, rows: Sequence[tuple[int, dict[str, float]]]) -> Path:
-    """Write the metrics of a run, as training does."""
     path = sweep / row.directory / "metrics.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
     file = MetricsFile(path)
@@ -99,7 +98,6 @@ def scores_of(row: ManifestRow) -> float:
 
 
 def make_sweep(sweep: Path, rows: Sequence[ManifestRow], points: int = 12) -> list[ManifestRow]:
-    """A finished sweep."""
     for row in rows:
         score = scores_of(row)
         logged: list[tuple[int, dict[str, float]]] = []

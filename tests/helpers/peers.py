@@ -17,7 +17,6 @@ FIXED = {"fixed_destination": True, "time_limit": 3.0}
 
 
 def make_task(env_id: str = ONE_WAYPOINT, arguments: dict[str, Any] | None = None, **changes: Any) -> PeerTask:
-    """A short task."""
     arguments = FIXED if arguments is None else arguments
     env = EnvAdapter(make_env(env_id, 2, arguments))
     task = PeerTask(

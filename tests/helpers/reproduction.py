@@ -47,7 +47,6 @@ tasks:
 
 @cache
 def paper() -> Study:
-    """The shipped study of the paper."""
     return load_paper("studies/paper")
 
 
@@ -78,7 +77,6 @@ def make_results(
 
 
 def together(*parts: PaperResults) -> PaperResults:
-    """The results of several tasks."""
     rows = [row for part in parts for row in part.rows]
     return PaperResults(paper(), rows, pl.concat([part.curves for part in parts], how="diagonal"))
 

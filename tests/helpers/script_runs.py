@@ -19,7 +19,6 @@ TIMEOUT = 240
 
 
 def exit_code(main: Callable[[list[str]], int], *arguments: object) -> int:
-    """The exit code of a command in this process."""
     try:
         return int(main([str(argument) for argument in arguments]))
     except SystemExit as end:
@@ -100,7 +99,6 @@ def refused(done: Done, *messages: str) -> None:
 
 
 def status(run: Path) -> dict[str, Any]:
-    """The contents of a run's status.json."""
     return json.loads((run / "status.json").read_text())
 
 

@@ -41,7 +41,6 @@ def quiet() -> Console:
 
 
 def printed(console: Console) -> str:
-    """The output that a quiet console has captured."""
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 

@@ -101,7 +101,6 @@ class SlurmCluster:
 
     @property
     def configuration(self) -> Path:
-        """The cluster's slurm.conf."""
         return Path(self.environment["SLURM_CONF"])
 
     def run(self, *command: str, timeout: float = 30.0) -> str:

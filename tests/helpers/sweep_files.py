@@ -47,7 +47,6 @@ def write_sweep(folder: Path, **settings: Any) -> Path:
 
 
 def sweep_command(file: Path, *options: str | Path) -> list[str]:
-    """The command line."""
     return [sys.executable, str(ROOT / "scripts" / "sweep.py"), "--config", str(file), *map(str, options)]
 
 
@@ -91,7 +90,6 @@ def start_sweep(
 
 
 def runs(sweep: Path) -> list[Path]:
-    """The run directories in a sweep's manifest."""
     return [sweep / json.loads(line)["directory"] for line in (sweep / "manifest.jsonl").read_text().splitlines()]
 
 
@@ -104,7 +102,6 @@ def status(run: Path) -> dict[str, Any]:
 
 
 def runs_in_progress(sweep: Path) -> list[Path]:
-    """Runs that are in progress and have a checkpoint."""
     return [
         run
         for run in (sweep / "runs").glob("*")
@@ -139,7 +136,6 @@ def own_algorithm(folder: Path) -> str:
 
 
 def eventually(condition: Callable[[], Any], seconds: float = PATIENCE) -> None:
-    """Wait until the condition holds; fails after ``seconds``."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "the condition did not hold in time"
@@ -147,7 +143,6 @@ def eventually(condition: Callable[[], Any], seconds: float = PATIENCE) -> None:
 
 
 def interrupt(process: subprocess.Popen[str], number: int = signal.SIGINT) -> tuple[int, str]:
-    """Send a signal; returns the exit code and the output."""
     process.send_signal(number)
     out, _ = process.communicate(timeout=120)
     print(out)

@@ -35,7 +35,6 @@ SMALL_PCN = {
 
 
 def experiment_of(name: str, env_id: str, arguments: dict[str, Any], **hyperparameters: Any) -> Experiment:
-    """A small experiment with four environments."""
     values: dict[str, Any] = {
         "environment": {"id": env_id, "arguments": arguments},
         "algorithm": {"name": name, **hyperparameters},
@@ -98,7 +97,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def whole_agent(run: Run) -> Any:
-    """The agent with a run's complete checkpoint."""
     agent = build(run.experiment)
     agent.load(run.checkpoint)
     return agent

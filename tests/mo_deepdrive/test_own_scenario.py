@@ -30,7 +30,6 @@ ACCELERATE = 3
 
 @pytest.fixture
 def two_bicycles(examples: None) -> ModuleType:
-    """The example of the documentation."""
     return importlib.import_module("two_bicycles")
 
 
@@ -267,35 +266,20 @@ def test_a_row_may_have_arrays_and_be_registered_twice(registries: None) -> None
         ({"name": "Two-Bicycles"}, "scenario name = 'Two-Bicycles' must be lower case letters"),
         ({"name": "one_waypoint"}, "scenario 'one_waypoint' is registered already, with other fields"),
         ({"routes": ()}, "scenario 'own': routes has 0 entries; it must have one per vehicle, at most 2"),
-        ({"routes": (None,)}, "routes = (None,) must be a tuple of Route, one per vehicle"),
-        ({"routes": (Route((7.0, 25.0, 0.0), None),)}, "waypoints = None of route 0 must be (x, y) pairs"),  # type: ignore[arg-type]
         ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), 230.0),)}, "route 0 with its spans leaves [-250, 250] m"),
         ({"routes": (Route((7.0, 25.0), ((20.0, 5.0),)),)}, "start = (7.0, 25.0) of route 0 must be (x, y, heading)"),
         ({"routes": (Route((7.0, 25.0, 0.0), ()),)}, "waypoints of route 0 has 0 points; it must have 1 to 3"),
-        ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), "5"),)}, "start_span = '5' of route 0 must be"),  # type: ignore[arg-type]
         ({"destination_span": 3.0}, "destination_span = 3.0 must be (x, y)"),
         ({"objectives": ("distance", "spending")}, "objective 'spending' is unknown; known: collision, destination"),
-        ({"objectives": ("jerk", "jerk")}, "objectives = ['jerk', 'jerk'] must be one or more distinct names"),
-        ({"obstacles": True}, "obstacles = True must be a number of bicycles"),
         ({"obstacles": 1, "routes": LANE, "lanes": True}, "obstacles = 1 must be 0 where there are two vehicles"),
         ({"obstacles": 1, "routes": (lane(),)}, "or roads of segments"),
         ({"lanes": True, "routes": (lane(),)}, "lanes and destination_span have no effect on roads of segments"),
         ({"routes": (lane(end=(25.0, 41.0, 0.0)),)}, "1.00 m and 0.000 rad from end = (25.0, 41.0, 0.0)"),
-        ({"routes": (lane(), lane(segments=()))}, "route 1 has 0 entries; an entry needs 1 to 8 to its exit"),
         ({"routes": (lane(), *row().routes)}, "route 1 has waypoints; where routes have segments, none may"),
         ({"routes": (lane(segments=(Segment(40.0, 0.4),)),)}, "must have a radius above the width of the lane"),
-        (
-            {"routes": (lane(segments=(Segment(40.0, 1e-160),)),)},
-            "and of at most 1e+09 m, and turn by less than a circ",
-        ),
-        ({"routes": (lane(segments=(Segment(-1.0),)),)}, "segment 0 of route 0"),
         ({"routes": (lane(start_span=36.0),)}, "start_span = 36.0 of route 0 must be at least 0 and leave 5.18 m"),
         ({"routes": (lane(priority=(9.0, 3.0)),)}, "priority = (9.0, 3.0) of route 0 must be (from, to) in m"),
-        ({"routes": (lane(priority=(1e6, 1e7)),)}, "0 <= from < to, and from within its length of 40 m"),
-        ({"routes": (lane(start=(25.0, 0.0, 1e9)),)}, "must have a heading in [-250, 250] rad"),
         ({"number": 2}, "number = 2 has no effect without roads of segments; omit it"),
-        ({"conflict_time": math.nan}, "conflict_time = nan must be a finite number of seconds above 0"),
-        ({"lanes": "no"}, "lanes = 'no' must be True or False"),
         ({"routes": (lane(lane_width=2.0),)}, "lane_width = 2.0 of route 0 must be more than a car's 2.30 m"),
         ({"routes": (lane(), lane(start_span=1.0))}, "route 1 must have the first segment and the start_span of"),
         (
@@ -304,7 +288,6 @@ def test_a_row_may_have_arrays_and_be_registered_twice(registries: None) -> None
         ),
         ({"cars": 101, "lanes": True}, "cars = 101 must be a number of cars: 0, 1, ... or 100"),
         ({"cars": 2}, "cars = 2 must be 0 where there are two vehicles or no lanes"),
-        ({"reference": {"jerk": math.inf}}, "reference = {'jerk': inf} must have a finite number per objective"),
         ({"reference": {"jrk": 1.0}}, "objective 'jrk' is unknown; did you mean 'jerk'?"),
     ],
 )

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
-from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.play import (
     END_HOLD,
     FRAMES_PER_DECISION,
@@ -112,15 +110,6 @@ def test_the_keys_drive_a_car(action_type: str) -> None:
     assert car.speed < 0.2
 
 
-def test_continuous_actions_drive_as_the_discrete_ones_do() -> None:
-    discrete, continuous = make_human_env(), make_human_env(action_type="continuous")
-    for keys in (UP, UP_LEFT, LEFT, NOTHING, RIGHT, DOWN):
-        for human_env in (discrete, continuous):
-            hold(human_env, keys, decisions=6)
-        for field in ("x", "y", "heading", "speed"):
-            assert vehicles(continuous)[0][field] == pytest.approx(vehicles(discrete)[0][field], abs=1e-4), field
-
-
 def test_a_key_pressed_for_one_frame_counts_for_a_whole_decision() -> None:
     short, long = make_human_env(), make_human_env()
     for frame in range(FRAMES_PER_DECISION):
@@ -172,50 +161,3 @@ def test_a_restarted_episode_has_the_same_scenario() -> None:
     assert (terminated, truncated, info) == (False, True, {})
     human_env.reset()
     assert vehicles(human_env).tobytes() == beginning.tobytes()
-
-
-def test_on_frame_receives_a_frame_per_decision() -> None:
-    frames: list[NDArray[np.uint8]] = []
-    human_env = make_human_env(time_limit=0.3, on_frame=frames.append)
-    start = human_env.render()
-    hold(human_env, UP, decisions=3 + round(END_HOLD * 10))
-    assert len(frames) == 3 + round(END_HOLD * 10)
-    assert np.array_equal(frames[0], start)
-    assert (frames[3] != frames[2]).any()
-    assert np.array_equal(frames[-1], frames[3])
-
-
-class RecordingPolicy:
-    """A policy that drives straight on and records the accrued reward that it is given."""
-
-    utilities = ()
-    gamma = 0.5
-
-    def __init__(self, action_type: str) -> None:
-        self.env = EnvAdapter(make_env(TWO, 1, {"action_type": action_type}))
-        speed_up = action_names("discrete").index("decay steer, increase speed")
-        self.actions = np.array([[speed_up] * 2] if action_type == "discrete" else [[(0.0, 1.0, -1.0)] * 2])
-        self.accrued: list[NDArray[np.float32]] = []
-
-    def act(self, observations: NDArray[np.float32], accrued_reward: AccruedReward, _generator: Any) -> NDArray[Any]:
-        assert observations.shape == (1, 2, self.env.observation_size)
-        self.accrued.append(accrued_reward.value.copy())
-        return self.actions
-
-
-@pytest.mark.parametrize("action_type", ["discrete", "continuous"])
-@pytest.mark.parametrize("mine", [0, 1])
-def test_a_policy_drives_the_other_vehicle_and_is_given_the_accrued_reward(mine: int, action_type: str) -> None:
-    policy: Any = RecordingPolicy(action_type)
-    human_env = HumanPlayEnv(make_play_env(TWO, action_type=action_type), (mine,), policy=policy)
-    human_env.reset(seed=1)
-    rewards = [human_env.step(pressed(NOTHING))[1] for _ in range(3 * FRAMES_PER_DECISION)]
-    first, second = (rewards[n * FRAMES_PER_DECISION - 1] for n in (1, 2))
-    for found, expected in zip(policy.accrued, (0.0 * first, first, first + 0.5 * second), strict=True):
-        np.testing.assert_allclose(found[0], expected, rtol=1e-6)
-    assert vehicles(human_env)[1 - mine].travelled > 0.0
-    assert vehicles(human_env)[mine].travelled == 0.0
-    human_env.reset()
-    for _ in range(FRAMES_PER_DECISION):
-        human_env.step(pressed(NOTHING))
-    assert not policy.accrued[-1].any()

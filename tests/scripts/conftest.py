@@ -40,7 +40,6 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def finished_front(load_script: Callable[[str], ModuleType], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished run that learnt a front."""
     folder = tmp_path_factory.mktemp("front")
     (folder / "front.yaml").write_text(FRONT)
     arguments = ["--config", str(folder / "front.yaml"), "--output", str(folder / "run")]

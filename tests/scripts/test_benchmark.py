@@ -22,7 +22,6 @@ needs_git = pytest.mark.skipif(IN_A_REPOSITORY.returncode != 0, reason="not a Gi
 
 @pytest.fixture
 def benchmark(load_script: Callable[[str], ModuleType]) -> ModuleType:
-    """The script as a module."""
     return load_script("benchmark")
 
 
@@ -63,72 +62,19 @@ def test_trees_alternate_and_the_first_round_is_not_counted(benchmark: ModuleTyp
     ]
 
 
-def test_what_a_tree_cannot_run_is_said_once(benchmark: ModuleType) -> None:
-    calls = []
-
-    def measure(tree: Path, name: str) -> float:
-        calls.append(name)
-        if tree == OLD and name == "import":
-            raise benchmark.CannotMeasureError("No module named 'x'")
-        return 1.0
-
-    rows = benchmark.compare(OLD, NEW, ["make", "import"], 3, measure)
-    assert [row["problem"] for row in rows] == ["", "the old side cannot run it: No module named 'x'"]
-    assert [row["pairs"] for row in rows] == [3, 0]
-    assert calls.count("import") == 2, "not again in later pairs"
-
-
-def test_the_file_has_a_row_per_measurement(
-    benchmark: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rows = [benchmark.comparison("make", [1.0] * 6, [1.5] * 6), benchmark.comparison("import", [], [], "no")]
-    benchmark.show(rows, tmp_path / "pairs.csv", {"old_commit": "a", "machine": "b, 2 CPUs", "threads": 1})
-    assert "make" in capsys.readouterr().out
-    with (tmp_path / "pairs.csv").open(newline="") as file:
-        made, imported = csv.DictReader(file)
-    numbers = [made[name] for name in ("measurement", "speedup", "low", "high", "pairs")]
-    assert numbers == ["make", "1.5", "1.5", "1.5", "6"]
-    assert (imported["speedup"], imported["problem"], imported["machine"]) == ("", "no", "b, 2 CPUs")
-
-
-def test_names_are_selected_by_patterns(benchmark: ModuleType) -> None:
-    assert benchmark.select([]) == list(benchmark.CASES)
-    assert benchmark.select(["make_vec*", "import"]) == [
-        "make_vec-one-waypoint",
-        "make_vec-static-obstacle",
-        "make_vec-intersection",
-        "make_vec-left-turn",
-        "make_vec-roundabout-8",
-        "import",
-    ]
-    with pytest.raises(ValueError, match="'imports' matches no measurement"):
-        benchmark.select(["make", "imports"])
-
-
-def test_every_algorithm_is_measured(benchmark: ModuleType) -> None:
-    for algorithm in ("a2c", "mo_a2c", "ppo", "mo_ppo"):
-        for rest in ("64-32-discrete", "64-32-continuous", "128-64-discrete", "128-64-continuous"):
-            assert f"{algorithm}-{rest}" in benchmark.CASES
-    assert {"two-a2c-128-64", "two-mo_ppo-128-64", "pcn-collection", "pcn", "make"} <= set(benchmark.CASES)
-
-
 @needs_git
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["--against", "no-such-commit"], "'no-such-commit' is not a commit of"),
-        (["--against", "HEAD:README.md"], "'HEAD:README.md' is not a commit of"),
         (["--against", "HEAD", "--only", "mak"], "'mak' matches no measurement; known: a2c-64-32-discrete"),
         (["--against", "HEAD", "--pairs", "0"], "--pairs 0 must be at least 1"),
         (["--only", "make"], "--only and --pairs are for --against COMMIT, --threads COUNT and --device D"),
         (["--against", "HEAD", "--threads", "2"], "make one at a time"),
-        (["--device", "cuda", "--threads", "2"], "make one at a time"),
         (["--device", "abacus"], "--device = 'abacus' is not a valid device"),
         (["--device", "cuda:99"], "'cuda:99' does not exist"),
-        (["--device", "cuda:99", "--only", "make"], "'make' matches no measurement; known: a2c-64-32-discrete"),
         (["--threads", "1"], "--threads 1 must be from 2 to "),
-        (["--threads", "2", "--only", "make"], "'make' matches no measurement; known: a2c-64-32-discrete"),
         (["--against", "HEAD", "--output", "no/pairs.csv"], "there is no folder no"),
     ],
 )
@@ -179,11 +125,3 @@ def test_packages_of_the_given_tree_are_measured(benchmark: ModuleType) -> None:
         with pytest.raises(benchmark.CannotMeasureError, match="RuntimeError: this tree"):
             benchmark.measure_apart(tree, "import")
     assert not tree.exists()
-
-
-@pytest.mark.slow
-def test_modules_of_another_tree_are_an_error(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(benchmark.CASES, "make", lambda place: 1.0)
-    assert benchmark.measure("make", benchmark.CPU_TIME, REPOSITORY) == 1.0
-    with pytest.raises(ImportError, match=r"elsewhere has no module (algorithms|mo_deepdrive)"):
-        benchmark.measure("make", benchmark.CPU_TIME, Path("elsewhere"))

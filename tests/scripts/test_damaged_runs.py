@@ -31,7 +31,6 @@ FINE = {
 VALUE = "'policies.greedy.utility_esr.value'"
 SCORES: dict[str, tuple[Any, str]] = {
     "no JSON": ("{", "is not a final evaluation: Expecting property name"),
-    "nested": ("[" * 100_000, "is not a final evaluation: maximum recursion depth exceeded"),
     "no policies": ({}, "'policies' is missing"),
     **{
         repr(value): ({"policies": {"greedy": {"utility_esr": {"value": value}}}}, f"{VALUE} = {value!r}: {fault}")

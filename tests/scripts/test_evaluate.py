@@ -12,11 +12,7 @@ import pytest
 
 from algorithms.runs.run_directory import changed_files
 from mo_deepdrive.evaluation.front import Front
-from tests.helpers.script_runs import (
-    PICTURES,
-    Call,
-    refused,
-)
+from tests.helpers.script_runs import PICTURES, Call, refused
 
 pytestmark = pytest.mark.slow
 
@@ -25,14 +21,7 @@ def test_evaluate_prints_and_writes_its_numbers(finished: Path, tmp_path: Path, 
     options = ["--episodes", 5, "--seed", 9, "--video", "drive.mp4", "--stochastic", "--output", "numbers"]
     code, out, error = call("evaluate", finished, *options)
     assert code == 0, out + error
-    for name in (
-        "utility_esr",
-        "success",
-        "discounted_return/jerk",
-        "mean_g_force",
-        "greedy",
-        "stochastic",
-    ):
+    for name in ("utility_esr", "success", "discounted_return/jerk", "mean_g_force", "greedy", "stochastic"):
         assert name in out
     assert (tmp_path / "drive.mp4").stat().st_size > 1000
     assert re.search(r"video: drive\.mp4: the stochastic policy from seed 9 on, [1-9]\d*\.\d s\n", out)

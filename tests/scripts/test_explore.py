@@ -21,7 +21,6 @@ pytestmark = pytest.mark.slow
 
 
 def data_of(path: Path) -> list[dict[str, Any]]:
-    """The fronts in the data of a page."""
     (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', path.read_text(encoding="utf-8"))
     return list(json.loads(data)["fronts"])
 

@@ -40,7 +40,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def shorten(path: Path, changes: dict[str, dict[str, Any]]) -> None:
-    """Change the YAML file of an experiment."""
     values = yaml.safe_load(path.read_text())
     for section, settings in changes.items():
         values[section] = {**values.get(section, {}), **settings}
@@ -160,25 +159,6 @@ def test_an_own_algorithm_that_is_killed_resumes_to_the_same_run_and_needs_trust
     for name in ("table", "plot"):
         code, out, error = call(name, "whole")
         assert (code, error) == (0, ""), out
-
-
-def test_the_hint_after_an_interrupt_is_a_command_that_resumes(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    def received(*_: Any, **__: Any) -> int:
-        return int(signal.SIGTERM)
-
-    monkeypatch.setattr("algorithms.runs.training.train_and_finish", received)
-    code, out, error = call("train", "--config", "reinforce.yaml", "--output", "my runs/first")
-    assert code == 128 + signal.SIGTERM, error
-    program, *words = shlex.split(out.partition("resume with: ")[2])
-    assert (program, words) == ("mo-deepdrive", ["train", "--resume", "my runs/first", "--trust"])
-    assert call(*words)[0] == 128 + signal.SIGTERM
-
-
-# --------------------------------------------------------------------------------------------- networks and activations
-
-
-def blocks(text: str) -> list[str]:
-    return re.findall(r"^```python\n(.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)
 
 
 # ------------------------------------------------------------------------------------------- an own front of policies

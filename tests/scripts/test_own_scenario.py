@@ -28,7 +28,6 @@ SHORT = [
 
 @pytest.fixture
 def folder(examples: None, tmp_path: Path) -> Path:
-    """A user's directory with the example."""
     for name in ("effort.py", "two_bicycles.py", "two_bicycles.yaml"):
         shutil.copy(REPOSITORY / "docs" / "examples" / name, tmp_path)
     return tmp_path

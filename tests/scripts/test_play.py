@@ -21,7 +21,6 @@ ROUNDABOUT = "mo-deepdrive-roundabout-v0"
 
 
 def make_run(path: Path, env_id: str = TWO, utility: str = "intersection_linear", **arguments: Any) -> Path:
-    """A run that was trained for a few updates."""
     experiment = make_experiment(
         {
             "environment": {"id": env_id, "arguments": arguments},
@@ -152,7 +151,6 @@ def test_invalid_options_are_refused(
         assert captured.err.startswith("error: ")
         return captured.err
 
-    assert "--env = 'mo-deepdrive-intersction-v0'" in refused("--env", "mo-deepdrive-intersction-v0")
     among_rules = ("--env", ROUNDABOUT, "--against", "rule:balanced")
     assert "did you mean 'mo-deepdrive-intersection-v0'" in refused("--env", "mo-deepdrive-intersction-v0")
     assert "only this package's environments" in refused("--env", "minecart-v0")
@@ -169,22 +167,17 @@ def test_invalid_options_are_refused(
     assert "nowhere" in refused("--env", TWO, "--record", str(tmp_path / "nowhere" / "drive.mp4"))
 
 
-def no_window(play: ModuleType, capsys: pytest.CaptureFixture[str]) -> str:
-    """The error where no window can be opened."""
-    with pytest.raises(SystemExit, match="2"):
-        play.main(["--env", ONE])
-    error = capsys.readouterr().err
-    assert error.startswith("error: cannot open a window")
-    assert "DISPLAY" in error
-    return error
-
-
 def test_without_a_display_the_error_says_what_is_missing(
     play: ModuleType, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pygame.display.quit()
     monkeypatch.setenv("SDL_VIDEODRIVER", "nonesuch")
-    assert "nonesuch" in no_window(play, capsys)
+    with pytest.raises(SystemExit, match="2"):
+        play.main(["--env", ONE])
+    error = capsys.readouterr().err
+    assert error.startswith("error: cannot open a window")
+    assert "DISPLAY" in error
+    assert "nonesuch" in error
 
 
 @pytest.mark.parametrize(("role", "seat"), [("strangers_0", 1), ("strangers_1", 0)])

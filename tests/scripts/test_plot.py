@@ -6,10 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.script_runs import (
-    Call,
-    refused,
-)
+from tests.helpers.script_runs import Call, refused
 
 pytestmark = pytest.mark.slow
 

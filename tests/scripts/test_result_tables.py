@@ -21,7 +21,6 @@ NO_RESULTS = {"provenance.csv", "changes.csv", "views.sql"}
 
 @pytest.fixture
 def script(load_script: Callable[[str], ModuleType]) -> ModuleType:
-    """The script as a module."""
     return load_script("result_tables")
 
 
@@ -34,16 +33,6 @@ def test_the_documentation_has_the_numbers_of_its_files(script: ModuleType) -> N
         assert script.refresh(text, database, path.parent) == text, f"python scripts/result_tables.py changes {path}"
         made += len(script.MADE.findall(text))
     assert made
-
-
-def test_a_table_is_made_whole_from_a_query(script: ModuleType) -> None:
-    text = "<!-- table: SELECT 'x' AS a, NULL AS b -->\n\n{}after\n"
-    database = script.sqlite3.connect(":memory:")
-    made = text.format("| a | b |\n| --- | --- |\n| x |  |\n\n")
-    assert script.refresh(text.format("| old |\n|---|\n| 1 |\n"), database) == made
-    assert script.refresh(made, database) == made
-    with pytest.raises(ValueError, match="no such column: x"):
-        script.refresh("<!-- table: SELECT x -->\n\n", database)
 
 
 def read(name: str) -> list[dict[str, str]]:
@@ -87,23 +76,6 @@ def test_the_code_of_a_result_has_the_changes_that_its_row_says() -> None:
         assert int(row["changes"]) == [*within, False].index(False), row
 
 
-def test_a_table_of_results_says_which_commits_made_them(script: ModuleType) -> None:
-    database = script.sqlite3.connect(":memory:")
-    script.fill(database, "runs", ["task", "score"], [["a", "0.5"]])
-    script.fill(database, "tasks", ["task"], [["a"]])
-    script.fill(database, "result_files", ["name", "file"], [["runs", "runs.csv"]])
-    script.fill(database, "provenance", ["file", "commit", "date"], [["runs.csv", "414765e9", "2026-11-24 01:58"]])
-    database.execute("CREATE VIEW best AS SELECT task, max(score) AS score FROM runs GROUP BY task")
-    line = "Results of commit `414765e9` ([what changed since](provenance.md)).\n\n"
-    for table, said in (("best", line), ("tasks", "")):
-        text = f"<!-- table: SELECT task FROM {table} -->\n\n"
-        made = script.refresh(text + "| old |\nafter\n", database, REPOSITORY / "docs")
-        assert made == f"{text}| task |\n| --- |\n| a |\n\n{said}after\n"
-        assert script.refresh(made, database, REPOSITORY / "docs") == made
-    script.fill(database, "provenance", ["file", "commit", "date"], [["*", c, c] for c in ("b1", "c2 d3", "a0")])
-    assert "of commits `a0` to `d3` (" in script.refresh("<!-- table: SELECT * FROM best -->\n\n", database)
-
-
 @pytest.mark.slow
 def test_the_scoreboard_normalises_and_counts_failed_runs(script: ModuleType) -> None:
     ceiling = suite.load().tasks["K1"].ceiling.value
@@ -115,9 +87,6 @@ def test_the_scoreboard_normalises_and_counts_failed_runs(script: ModuleType) ->
     for table in ("tasks", "normalised", "learners", "board"):
         database.execute(f"DROP TABLE suite_{table}")
     script.fill_suite(database, results)
-    assert database.execute("SELECT learner, score FROM suite_normalised").fetchall() == [
-        ("a", 1.0),
-        ("a", 1.0),
-        ("a", -1.0),
-    ]
+    scores = database.execute("SELECT learner, score FROM suite_normalised").fetchall()
+    assert scores == [("a", 1.0), ("a", 1.0), ("a", -1.0)]
     assert database.execute("SELECT * FROM suite_tracks").fetchall() == [("a", "0.33 (1)", None, None)]

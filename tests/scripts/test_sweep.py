@@ -53,7 +53,6 @@ def script(load_script: Callable[[str], ModuleType], tmp_path_factory: pytest.Te
 def call(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Call:
-    """Run the script in the test's folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
 
@@ -76,12 +75,10 @@ def whole(script: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def times(sweep: Path) -> dict[Path, int]:
-    """When each file of the runs was written."""
     return {path: path.stat().st_mtime_ns for path in (sweep / "runs").rglob("*") if path.is_file()}
 
 
 def states(sweep: Path) -> list[str | None]:
-    """The states of the runs, in the order of the manifest."""
     return [status(run).get("state") for run in runs(sweep)]
 
 
@@ -174,14 +171,12 @@ def test_an_invalid_sweep_is_refused_before_anything_is_written(call: Call, tmp_
 
 
 def edit(path: Path, old: str, new: str) -> None:
-    """Replace text in a file."""
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
 
 
 def cut(path: Path, size: int) -> None:
-    """Keep the beginning of a file."""
     path.write_bytes(path.read_bytes()[:size])
 
 

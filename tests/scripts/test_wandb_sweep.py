@@ -32,7 +32,6 @@ VALUES: dict[str, Any] = {
 
 @pytest.fixture
 def definition() -> dict[str, Any]:
-    """The sweep's file."""
     found: dict[str, Any] = yaml.safe_load((REPOSITORY / "configs/sweeps/wandb.yaml").read_text())
     return found
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.drawing import rendering
 from mo_deepdrive.drawing.canvas import ASPHALT, TRAFFIC_PAINT
-from mo_deepdrive.drawing.rendering import EpisodeTrace, Panel, Viewer
+from mo_deepdrive.drawing.rendering import Panel, Viewer
 from mo_deepdrive.simulation.state import ENDS, LENGTH, MAP_SIZE
 from mo_deepdrive.world.batch import Draws, WorldBatch
 from mo_deepdrive.world.config import EnvConfig, parse
@@ -116,7 +116,6 @@ def test_the_destination_and_the_bicycle_show_where_they_are() -> None:
 
 
 def oncoming(acceleration: float = 0.0, y: float = 42.0) -> tuple[WorldBatch, Viewer, Any]:
-    """LeftTurn with one oncoming car in view."""
     batch, viewer = start("left_turn")
     batch.state["cars"]["present"] = False
     car = batch.state[0, 0]["cars"][0]
@@ -172,28 +171,9 @@ def test_the_panel_shows_the_return_with_the_sign_of_the_rewards(
     assert "-0.00" not in [text for text, _ in written]
 
 
-def test_sums_count_every_decision_once_and_are_marked_incomplete_if_one_is_missing() -> None:
-    batch, _ = start("intersection")
-    trace = EpisodeTrace(2, 6, 10)
-    expected = np.zeros_like(trace.sums)
-    trace.follow(batch.state[0], batch.state[0]["objectives"])
-    for _ in range(15):
-        drive(batch)
-        expected += batch.state[0]["objectives"]
-        trace.follow(batch.state[0], batch.state[0]["objectives"])
-        trace.follow(batch.state[0], batch.state[0]["objectives"])
-    assert trace.complete.all()
-    np.testing.assert_allclose(trace.sums, expected)
-    assert [len(trail) for trail in trace.trails] == [10, 10]
-    drive(batch, 2)
-    trace.follow(batch.state[0], batch.state[0]["objectives"])
-    assert not trace.complete.any()
-
-
-@pytest.mark.parametrize("mode", ["ansi", "", None])
-def test_an_unknown_render_mode_is_an_error_that_names_the_allowed_ones(mode: Any) -> None:
+def test_an_unknown_render_mode_is_an_error_that_names_the_allowed_ones() -> None:
     with pytest.raises(ValueError, match=r"render_mode = .*rgb_array.*human"):
-        Viewer(EnvConfig(scenario="one_waypoint"), mode)
+        Viewer(EnvConfig(scenario="one_waypoint"), "ansi")
 
 
 def test_rgb_array_needs_no_display_and_works_after_pygame_quits(monkeypatch: pytest.MonkeyPatch) -> None:

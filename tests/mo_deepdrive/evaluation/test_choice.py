@@ -13,18 +13,6 @@ NAMES = ("distance", "destination", "g_force", "jerk")
 RETURNS = np.random.default_rng(0).normal(0.0, [20.0, 1.0, 5.0, 500.0], (6, 8, 4))  # policies, episodes, objectives
 
 
-def test_a_weighted_sum_is_that_of_the_mean_returns() -> None:
-    preference = weighted_sum({"jerk": 0.01, "distance": 2.0}, NAMES)
-    means = RETURNS.mean(axis=1)
-    np.testing.assert_allclose(preference.values(RETURNS), 2.0 * means[:, 0] + 0.01 * means[:, 3])
-    assert preference.name == "weighted sum"
-
-
-def test_negative_weights_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"weights \{'jerk': -1.0\}: .* must not be negative"):
-        weighted_sum({"jerk": -1.0}, NAMES)
-
-
 def test_a_utility_is_averaged_over_the_episodes_and_not_taken_of_their_mean() -> None:
     utility = make_utility("one_waypoint_nonlinear", NAMES)
     preference = expected_utility(utility)
@@ -70,9 +58,3 @@ def test_policies_are_ranked_by_value_and_equal_ones_by_the_sum_of_scaled_return
     assert rank_policies(values, returns, np.array([1.0, 1.0])).tolist() == [1, 2, 3, 0]
     assert rank_policies(values, returns, np.array([4.0, 1.0])).tolist() == [2, 1, 3, 0]
     assert rank_policies(np.zeros(4), returns, np.array([1.0, 1.0])).tolist() == [0, 1, 2, 3]
-
-
-@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
-def test_a_policy_that_is_not_worth_a_finite_number_is_refused(value: float) -> None:
-    with pytest.raises(ValueError, match=rf"^policy 1 is worth {value}; every policy must be worth a finite number$"):
-        rank_policies(np.array([1.0, value]), np.zeros((2, 2)), np.ones(2))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -108,9 +107,7 @@ def test_saved_evaluations_are_compared_with_runs_of_the_same_task(
     ("options", "message"),
     [
         ({"name": ""}, "name = '' must be the label of the algorithm"),
-        ({"name": "a\nb"}, "must be the label"),
         ({"seed": -1}, "seed = -1 must be an integer of at least 0"),
-        ({"seed": 0.5}, "seed = 0.5 must be an integer"),
         ({"steps": -1}, "steps = -1 must be"),
         ({"directory": "."}, "'.' exists; choose another"),
     ],
@@ -119,18 +116,6 @@ def test_what_cannot_be_saved_is_refused(tmp_path: Path, options: dict[str, Any]
     arguments: dict[str, Any] = {"directory": tmp_path / "saved", "name": "hold", "seed": 0, **options}
     with pytest.raises(ValueError, match=message):
         made().save(**arguments)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_nothing_is_left_of_an_evaluation_that_cannot_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: Any, **__: Any) -> None:
-        raise OSError("disk full")
-
-    monkeypatch.setattr(np, "savez_compressed", fail)
-    with pytest.raises(OSError, match="disk full"):
-        made().save(tmp_path / "saved", name="hold", seed=0)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -143,16 +128,3 @@ def test_files_that_are_no_evaluation_are_refused(tmp_path: Path, content: Any) 
         path.write_bytes(content)
     with pytest.raises(ValueError, match=r"episodes\.npz"):
         Evaluation.load(tmp_path)
-
-
-@pytest.mark.slow
-def test_saving_and_loading_need_no_torch(run_python: Callable[[str], str], tmp_path: Path) -> None:
-    loaded = run_python(
-        "import sys, numpy as np\n"
-        "from mo_deepdrive.evaluation import Evaluation, evaluate\n"
-        f"found = evaluate(lambda o, *_: np.zeros(len(o), int), {ONE_WAYPOINT!r}, episodes=2, env_kwargs={SHORT})\n"
-        f"found.save({str(tmp_path / 'saved')!r}, name='idle', seed=0)\n"
-        f"Evaluation.load({str(tmp_path / 'saved')!r})\n"
-        "print('torch' in sys.modules)"
-    )
-    assert loaded == "False\n"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -72,7 +71,6 @@ def test_intervals_are_as_wide_as_the_variation_of_the_episodes_implies() -> Non
 
 
 def make_evaluation(seed: int, arrives: bool, says: bool) -> Evaluation:
-    """Three episodes of one vehicle."""
     rng = np.random.default_rng(seed)
     returns = rng.normal(size=(3, 1, 2))
     return Evaluation(
@@ -136,21 +134,6 @@ def test_arrivals_are_unknown_where_the_environment_says_nothing() -> None:
     np.testing.assert_allclose(Front.of_evaluations(arrived, gamma=0.9, seed=0).success, [0.0, 0.0, 1 / 3])
 
 
-# Selections.
-
-
-@pytest.mark.parametrize("indices", [[2, 0], [True, False, True], np.array([1]), []])
-def test_policies_are_taken_with_all_their_numbers(indices: Any) -> None:
-    front = make_front()
-    chosen = np.array(indices, dtype=int if not indices else None) if isinstance(indices, list) else indices
-    part = front.take(chosen)
-    rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
-    assert len(part) == len(rows)
-    for name in ARRAYS:
-        np.testing.assert_array_equal(getattr(part, name), getattr(front, name)[rows])
-    assert (part.gamma, part.episodes, part.seed, part.objectives) == (0.9, 40, 17, NAMES)
-
-
 def test_dominance_is_determined_by_discounted_returns_and_policies_are_sorted_by_the_first() -> None:
     discounted = np.array([[5.0, 0.0], [1.0, 4.0], [1.0, 3.0], [3.0, 2.0], [5.0, 0.0], [0.0, 4.0]])
     front = make_front(
@@ -205,36 +188,16 @@ def edit_cell(column: str, value: str) -> Callable[[str], str]:
 @pytest.mark.parametrize(
     ("name", "edit", "message"),
     [
-        ("front.csv", lambda text: "", "ValueError"),
-        ("front.csv", lambda text: text.splitlines()[0] + "\n", "ValueError"),
         ("front.csv", lambda text: text[: len(text) - 40], "ValueError"),
         ("front.csv", lambda text: text.replace("\n2,", "\nx,"), "could not convert string to float: 'x'"),
-        (
-            "front.csv",
-            lambda text: text.replace("return/comfort/low", "return/other"),
-            "KeyError: 'return/comfort/low'",
-        ),
         ("front.csv", lambda text: text.replace("success", "arrived"), "KeyError: 'success'"),
         ("front.csv", edit_cell("return/comfort", "nan"), "return/comfort = nan must be between -1e+100 and 1e+100"),
-        ("front.csv", edit_cell("return/comfort", "-inf"), "return/comfort = -inf must be between"),
-        ("front.csv", edit_cell("condition/horizon", "1e308"), "condition/horizon = 1e+308 must be between"),
-        ("front.csv", edit_cell("success", "1.5"), "success = 1.5 must be between 0 and 1"),
         ("front.csv", edit_cell("length", "-3"), "length = -3 must be between 1 and 1e+100"),
         ("front.csv", lambda text: text.replace("success", "length"), "front.csv has two columns of the same name"),
-        ("front.csv", lambda text: text + "x" * 200_000, "field larger than field limit"),
-        (
-            "evaluation.json",
-            edit_json(lambda about: about.update(gamma=math.nan)),
-            "gamma = nan must be between 0 and 1",
-        ),
         ("evaluation.json", edit_json(lambda about: about.update(episodes=0)), "episodes = 0 must be between 1 and"),
-        ("evaluation.json", edit_json(lambda about: about.update(episodes=math.inf)), "OverflowError"),
-        ("evaluation.json", edit_json(lambda about: about.update(objectives=[{}])), "KeyError"),
         ("evaluation.json", lambda text: text[:20], "JSONDecodeError"),
         ("evaluation.json", lambda text: "[]", "TypeError"),
         ("evaluation.json", edit_json(lambda about: about.pop("gamma")), "KeyError: 'gamma'"),
-        ("evaluation.json", edit_json(lambda about: about.pop("objectives")), "KeyError: 'objectives'"),
-        ("evaluation.json", edit_json(lambda about: about.update(episodes=None)), "TypeError"),
         ("evaluation.json", edit_json(lambda about: about["objectives"].append("z")), "KeyError: 'return/z'"),
     ],
 )

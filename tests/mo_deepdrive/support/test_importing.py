@@ -39,13 +39,3 @@ def test_a_mistake_in_a_module_is_one_line_without_places(folder: Path) -> None:
         ValueError, match=r"^utility = 'two_lines:u': 'two_lines' cannot be imported: KeyError: .* at two_lines.py:1$"
     ):
         import_named("utility", "two_lines:u")
-
-
-def test_a_name_is_found_or_refused_with_the_nearest(folder: Path) -> None:
-    (folder / "own_utility.py").write_text("def total(returns):\n    return returns.sum(-1)\n")
-    assert import_named("utility", "own_utility:total").__name__ == "total"
-    with pytest.raises(ValueError, match=r"'own_utility' has no 'totl'; did you mean 'total'\? known: total$"):
-        import_named("utility", "own_utility:totl")
-    for path in ("own_utility:", ":total", "total"):
-        with pytest.raises(ValueError, match=f"^utility = '{path}' must have the form package.module:name$"):
-            import_named("utility", path)

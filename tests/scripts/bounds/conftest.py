@@ -16,8 +16,6 @@ from algorithms.runs.run_directory import Run
 
 @pytest.fixture
 def make_run(tmp_path: Path) -> Callable[..., Path]:
-    """Save a run that has hardly been trained."""
-
     def make(env_id: str = "mo-deepdrive-one-waypoint-v0", algorithm: str = "a2c", **arguments: Any) -> Path:
         config = tmp_path / "experiment.yaml"
         settings: dict[str, Any] = {

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import moocore
 import numpy as np
 import pytest
 
-from mo_deepdrive.fronts.reference_fronts import GAMMA, front_config, reference_point
+from algorithms.runs.build import build
+from algorithms.runs.config import load_experiment
+from mo_deepdrive.fronts.reference_fronts import GAMMA, front_config
 from mo_deepdrive.fronts.reference_fronts import read as read_front
 from mo_deepdrive.fronts.reference_fronts import write as format_front
 from mo_deepdrive.world.action_sequences import decode as decode_actions
@@ -98,8 +99,6 @@ def test_a_run_of_another_scenario_or_action_set_is_refused(shipped: Path, capsy
     [
         (["--scenario", "intersection"], "invalid choice: 'intersection'"),
         (["--decisions", "-1"], "--decisions -1 must be at least 0"),
-        (["--seed", "-1"], "--seed -1 must be at least 0"),
-        (["--episodes", "-1"], "--episodes -1 must be at least 0"),
         (["--output", "/no/such/folder/front.json"], "there is no folder /no/such/folder"),
     ],
 )
@@ -107,34 +106,6 @@ def test_bad_arguments_are_refused(arguments: list[str], message: str, capsys: p
     with pytest.raises(SystemExit):
         front.main(arguments)
     assert message in capsys.readouterr().err
-
-
-def replayed_returns(file: Path) -> np.ndarray:
-    """The discounted returns of a file's policies in OneWaypoint, by replay."""
-    policies = read_front(file.read_text(encoding="utf-8"))
-    sequences = [decode_actions(policy.actions, "discrete") for policy in policies]
-    return discounted_sum(replay_sequences(front_config("one_waypoint", "discrete"), sequences), GAMMA)
-
-
-def test_a_search_of_no_decisions_keeps_the_shipped_front(tmp_path: Path) -> None:
-    shipped = tmp_path / "shipped.json"
-    improve_front(FrontSearchSettings(decisions=300_000), shipped).write(shipped)
-    first = replayed_returns(shipped)
-    improvement = improve_front(FrontSearchSettings(decisions=0), shipped)
-    assert not improvement.loses_hypervolume
-    improvement.write(shipped)
-    second = replayed_returns(shipped)
-    reference = reference_point().values
-    volumes = [moocore.hypervolume(each, ref=reference, maximise=True) for each in (first, second)]
-    assert volumes[1] == pytest.approx(volumes[0], rel=1e-9)
-
-
-def test_progress_reaches_the_number_of_decisions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(front, "POPULATION", 64)
-    calls: list[int] = []
-    improve_front(FrontSearchSettings(decisions=50_000), tmp_path / "missing.json", on_progress=calls.append)
-    assert calls == sorted(calls)
-    assert calls[-1] >= 50_000 > calls[-2]
 
 
 @pytest.mark.parametrize("arguments", [{}, {"objectives": ["jerk", "distance", "destination", "g_force"]}])
@@ -148,3 +119,16 @@ def test_policies_of_a_run_join_the_search(
     assert {source.split()[0] for source in sources} == {"run", "python"}
     assert settings.command([recording.name]) in sources
     assert settings.command([recording.name]).endswith(f"--anew --from {recording.name} --episodes 3")
+
+
+def test_every_policy_of_a_front_acts_greedily_once_and_then_sampled(make_run: Callable[..., Path]) -> None:
+    path = make_run("mo-deepdrive-static-obstacle-v0", algorithm="pcn", fixed_destination=True)
+    agent = build(load_experiment(path / "config.yaml"), num_envs=1)
+    agent.load(path / "checkpoint.safetensors", policy_only=True)
+    policies = len(agent.conditions())
+    greedy = record_run(str(path), "static_obstacle", "discrete", 0).sequences
+    sampled = record_run(str(path), "static_obstacle", "discrete", 3).sequences
+    assert len(greedy) == policies
+    assert len(sampled) == 4 * policies
+    for first, again in zip(greedy, sampled, strict=False):
+        np.testing.assert_array_equal(first, again)

@@ -1,4 +1,4 @@
-"""The evolutionary search for a front: its archive, compared with a plain loop over boxes, and its selection."""
+"""The evolutionary search for a front: what it improves, and its selection."""
 
 from __future__ import annotations
 
@@ -7,20 +7,15 @@ import numpy as np
 import pytest
 
 from mo_deepdrive.fronts.reference_fronts import reference_point
-from mo_deepdrive.world.objectives import scales
 from scripts.bounds import front
 from scripts.bounds.front import (
-    EPSILON,
     RULE_GENERATIONS,
     FrontSearch,
     dominated_volume,
-    epsilon_nondominated,
     greedy_hypervolume_subset,
     select_front,
 )
-from scripts.bounds.plans import CRITERIA, EvaluatedPlans, PlanEvaluator
-
-OBJECTIVES = [criterion.objectives("one_waypoint") for criterion in CRITERIA]
+from scripts.bounds.plans import CRITERIA, PlanEvaluator
 
 
 def test_offspring_improve_on_what_rules_find(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,39 +38,6 @@ def test_a_plan_of_the_front_is_not_lost_when_its_box_keeps_another(monkeypatch:
     before = search.hypervolumes(search.front)
     search.archive = search.archive.take(np.arange(1))
     assert search.hypervolumes(search.select_front()) == pytest.approx(before, rel=1e-9)
-
-
-def kept_by_a_loop(returns: np.ndarray, lengths: np.ndarray, names: tuple[str, ...]) -> set[int]:
-    scaled = returns / scales(names)
-    best: dict[tuple[float, ...], int] = {}
-    for row, box in enumerate(map(tuple, np.floor(scaled / EPSILON).tolist())):
-        if box not in best or (scaled[row].sum(), -lengths[row]) > (scaled[best[box]].sum(), -lengths[best[box]]):
-            best[box] = row
-    return {
-        row
-        for box, row in best.items()
-        if not any(other != box and all(a >= b for a, b in zip(other, box, strict=True)) for other in best)
-    }
-
-
-def test_one_plan_of_every_nondominated_box_is_kept() -> None:
-    rng = np.random.default_rng(0)
-    n = 400
-    # On a coarse scale, so that many returns are in one box.
-    returns = tuple(rng.normal(0.0, 2.0 * EPSILON, (n, len(names))) * scales(names) for names in OBJECTIVES)
-    lengths = rng.integers(1, 600, n)
-    evaluated = EvaluatedPlans(np.zeros((n, 1, 1), dtype=np.int16), lengths, returns, np.zeros(n, dtype=np.int64))
-    rows = epsilon_nondominated(evaluated, OBJECTIVES)
-    kept = [kept_by_a_loop(each, lengths, names) for each, names in zip(returns, OBJECTIVES, strict=True)]
-    assert set(rows.tolist()) == set().union(*kept)
-    assert (np.diff(rows) > 0).all()
-
-
-def test_of_equal_returns_the_shortest_episode_is_kept() -> None:
-    returns = tuple(np.zeros((3, len(names))) for names in OBJECTIVES)
-    plans = np.zeros((3, 1, 1), dtype=np.int16)
-    evaluated = EvaluatedPlans(plans, np.array([7, 5, 6]), returns, np.zeros(3, np.int64))
-    assert epsilon_nondominated(evaluated, OBJECTIVES).tolist() == [1]
 
 
 def test_the_greedy_subset_is_that_of_a_plain_loop() -> None:

@@ -1,18 +1,23 @@
-"""The format of plans, and sets of evaluated plans."""
+"""Plans: their format, their evaluation compared with a replay, rules that arrive, and offspring."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from mo_deepdrive.fronts.reference_fronts import front_config
 from mo_deepdrive.world.action_sequences import decode as decode_actions
+from mo_deepdrive.world.action_sequences import discounted_sum
 from mo_deepdrive.world.action_sequences import encode as encode_actions
+from mo_deepdrive.world.action_sequences import replay as replay_sequences
 from scripts.bounds.front import record_run
-from scripts.bounds.plans import CRITERIA, EvaluatedPlans, PlanFormat
-from scripts.bounds.variation import FULL_SCALE
+from scripts.bounds.plans import CRITERIA, PlanEvaluator, PlanFormat, random_calm_rules, random_rules
+from scripts.bounds.variation import FULL_SCALE, make_offspring
 
 
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16"])
@@ -43,16 +48,45 @@ def test_continuous_actions_of_a_run_are_rounded_to_what_can_be_written(make_run
         np.testing.assert_array_equal(decode_actions(encode_actions(written), "continuous"), written)
 
 
-def test_evaluated_plans_are_appended_and_taken_row_by_row() -> None:
-    def evaluated(n: int, source: int) -> EvaluatedPlans:
-        plans = np.arange(n * 4, dtype=np.int16).reshape(n, 4, 1)
-        returns = np.arange(len(CRITERIA) * n * 2, dtype=np.float64).reshape(len(CRITERIA), n, 2)
-        return EvaluatedPlans(plans, np.arange(n), tuple(returns), np.full(n, source))
+@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
+@pytest.mark.parametrize("action_type", ["discrete", "continuous"])
+def test_returns_are_those_of_a_replay(scenario: str, action_type: str) -> None:
+    evaluator = PlanEvaluator(scenario, action_type)
+    rules = random_calm_rules(8, np.random.default_rng(1))
+    evaluated = evaluator.evaluate(evaluator.format.idle_plans(8), 3, rules)
+    sequences = [evaluator.format.to_sequence(plan) for plan in evaluated.plans]
+    for returns, criterion in zip(evaluated.returns, CRITERIA, strict=True):
+        objectives = {"objectives": criterion.objectives(scenario)}
+        config = front_config(scenario, action_type).model_copy(update=objectives)
+        expected = discounted_sum(replay_sequences(config, sequences), criterion.gamma)
+        np.testing.assert_allclose(returns, expected, rtol=1e-5, atol=2e-5)
+    assert evaluated.sources.tolist() == [3] * 8
+    assert evaluator.simulated_decisions == evaluated.lengths.sum()
 
-    first, second = evaluated(3, 0), evaluated(2, 1)
-    taken = first.append(second).take(np.array([4, 0]))
-    np.testing.assert_array_equal(taken.plans, [second.plans[1], first.plans[0]])
-    for found, of_first, of_second in zip(taken.returns, first.returns, second.returns, strict=True):
-        np.testing.assert_array_equal(found, [of_second[1], of_first[0]])
-    assert taken.lengths.tolist() == [1, 0]
-    assert taken.sources.tolist() == [1, 0]
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
+@pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
+@pytest.mark.parametrize("draw", [random_rules, random_calm_rules])
+def test_some_random_rules_arrive(scenario: str, action_type: str, draw: Callable[..., NDArray[Any]]) -> None:
+    evaluator = PlanEvaluator(scenario, action_type)
+    rules = draw(256, np.random.default_rng(0))
+    evaluated = evaluator.evaluate(evaluator.format.idle_plans(256), 0, rules)
+    destination = evaluator.batch.objectives.index("destination")
+    assert (evaluated.returns[1][:, destination] == 1.0).any()
+
+
+@pytest.mark.parametrize("n_actions", [0, 16, 22])
+def test_offspring_are_valid_plans_and_differ_from_their_parents(n_actions: int) -> None:
+    rng = np.random.default_rng(0)
+    k = 1 if n_actions else 3
+    idle = np.array([0] if n_actions else [0, 0, -1024], dtype=np.int16)
+    low, high = (0, n_actions) if n_actions else (-1024, 1025)
+    parents = np.repeat(rng.integers(low, high, (300, 12, k)), 5, axis=1).astype(np.int16)
+    lengths = rng.integers(0, 61, 300)
+    offspring = np.tile(idle, (300, 60, 1))
+    make_offspring(parents, lengths, parents[::-1].copy(), lengths[::-1].copy(), offspring, n_actions, idle, rng)
+    assert offspring.min() >= low
+    assert offspring.max() < high
+    same = [np.array_equal(*each) for each in zip(offspring, parents, strict=True)]
+    assert sum(same) < 100

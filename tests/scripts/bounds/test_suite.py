@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from algorithms import zoo
 from scripts.bounds import suite
 from scripts.bounds.suite_bounds import roundabout_rules
 
@@ -26,10 +25,3 @@ def test_the_table_has_the_bounds_in_place_of_older_ones(tmp_path: Path, monkeyp
     assert float(rows[1]["worst_off"]) == float(rows[1]["utility"])
     assert suite.main(arguments) == 0
     assert path.read_bytes() == first
-
-
-def test_a_run_that_drives_elsewhere_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = str(zoo.find("one_waypoint_linear-ppo"))
-    output = str(tmp_path / "drivers.csv")
-    assert suite.main(["drivers", "R1", "--runs", run, "--label", "a", "--output", output]) == 2
-    assert "drives in the environment of none of R1" in capsys.readouterr().err
