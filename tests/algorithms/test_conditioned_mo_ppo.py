@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from itertools import combinations, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from gymnasium.vector import VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 from algorithms import ConditionedMOPPO
-from algorithms.learning.actors import GaussianActor, StateGaussianActor
 from algorithms.learning.storage import Rollout
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.pareto import non_dominated
@@ -57,23 +56,6 @@ class Arms(gymnasium.Env[Any, Any]):
         return np.zeros(1, dtype=np.float32), self.arms[int(action)].copy(), True, False, {}
 
 
-class Wobble(gymnasium.Env[Any, Any]):
-    """One decision, which costs the square of a continuous action."""
-
-    observation_space = spaces.Box(0.0, 1.0, (1,), dtype=np.float32)
-    action_space = spaces.Box(-1.0, 1.0, (1,), dtype=np.float32)
-    reward_space = spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
-    objectives = ("gain", "cost")
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        super().reset(seed=seed)
-        return np.zeros(1, dtype=np.float32), {}
-
-    def step(self, action: Any) -> tuple[Any, np.ndarray, bool, bool, dict[str, Any]]:
-        cost = np.array([0.0, -(float(action[0]) ** 2)], dtype=np.float32)
-        return np.zeros(1, dtype=np.float32), cost, True, False, {}
-
-
 def arms_env(arms: list[list[float]], num_envs: int = 16) -> VectorEnv:
     return MOSyncVectorEnv(lambda: Arms(arms) for _ in range(num_envs))
 
@@ -94,15 +76,8 @@ def trained_on(arms: list[list[float]], steps: int = 12_000, **changed: Any) -> 
 
 # ---------------------------------------------------------------------------------------- each preference its best arm
 
-CONVEX = [[1.0, 0.0], [0.8, 0.8], [0.0, 1.0]]
 CONCAVE = [[1.0, 0.0], [0.4, 0.4], [0.0, 1.0]]
 WEIGHTS = [(0.95, 0.05), (0.5, 0.5), (0.05, 0.95)]
-
-
-def test_linear_weights_find_each_arm_of_a_convex_front() -> None:
-    agent = trained_on(CONVEX, concentration=1.0)
-    arms = [chosen_arm(agent, "linear", weights={"gain": a, "cost": b}) for a, b in WEIGHTS]
-    assert arms == [0, 1, 2]
 
 
 def test_chebyshev_weights_find_the_arm_of_a_concave_front_that_linear_weights_do_not() -> None:
@@ -350,39 +325,6 @@ def test_an_emphasis_sets_the_share_of_the_weight() -> None:
     np.testing.assert_allclose(weights.mean(axis=0), np.array([3.0, 1.0, 1.0, 2.0]) / 7.0, atol=0.01)
     without = preferences.draw(20_000, np.random.default_rng(0), emphasis=False)
     np.testing.assert_allclose(without.mean(axis=0), 0.25, atol=0.01)
-
-
-@pytest.mark.parametrize(
-    "families", [each for n in (1, 2, 3) for each in combinations(("linear", "chebyshev", "comfort_budget"), n)]
-)
-def test_what_is_drawn_is_a_preference_and_other_rows_are_not(families: tuple[str, ...]) -> None:
-    budgets = {"budgets": MIXTURE["budgets"]} if "comfort_budget" in families else {}
-    preferences = make_agent(families=dict.fromkeys(families, 1.0), **budgets).preferences
-    rows = preferences.draw(200, np.random.default_rng(0))
-    preferences.check(rows)
-    for column in range(rows.shape[1]):
-        broken = rows[:1].copy()
-        broken[0, column] += 200.0
-        with pytest.raises(ValueError, match="is no preference; it must have one family"):
-            preferences.check(broken)
-
-
-@pytest.mark.slow
-def test_a_preference_that_pays_for_exploring_does_not_stop_the_others() -> None:
-    deviations = {}
-    for of_state in (True, False):
-        env = MOSyncVectorEnv(Wobble for _ in range(16))
-        hyper = {"hidden": [16], "steps": 16, "learning_rate": 1e-2, "concentration": 0.1, "entropy_end": 0.01}
-        agent = ConditionedMOPPO(env, seed=0, state_dependent_std=of_state, **hyper)
-        agent.train(10_000)
-        actor, start = agent.learners[0].actor, AccruedReward.begin(400, 1, 2)
-        observations, generator = np.zeros((400, 1, 1), dtype=np.float32), torch.Generator().manual_seed(0)
-        for name in ("gain", "cost"):
-            policy = agent.policy(agent.preferences.condition("linear", {name: 1.0}))
-            deviations[of_state, name] = policy.act(observations, start, generator).std()
-        assert type(actor) is (StateGaussianActor if of_state else GaussianActor)
-    assert deviations[True, "cost"] < 0.5 * deviations[True, "gain"]
-    assert deviations[False, "cost"] == pytest.approx(deviations[False, "gain"], rel=0.15)
 
 
 # ---------------------------------------------------------------------------------------------------------- checkpoints

@@ -109,27 +109,6 @@ def test_the_extremes_are_kept_where_the_front_does_not_fit(n: int, capacity: in
     assert len(set(names(buffer))) == len(buffer)
 
 
-def test_a_front_that_does_not_fit_is_thinned_evenly() -> None:
-    buffer = make_store([(i, -i) for i in range(101)], 6)
-    gaps = np.diff(np.sort(buffer.returns[:, 0]))
-    assert gaps.max() <= 2 * gaps.min() + 1
-
-
-def test_the_episode_farthest_from_the_front_is_removed_first() -> None:
-    buffer = make_store([(6, 3), (3, 6), (1, 1), (5, 3), (3, 5)], 4, crowding=0.0)
-    assert sorted(names(buffer)) == [0, 1, 3, 4]
-
-
-def test_crowded_episodes_are_removed_before_isolated_ones() -> None:
-    # Two at 1.0 scaled units from the front: one among many alike, one alone.
-    crowd = [(10.0 + 0.001 * i, 0.0) for i in range(4)]
-    points = [(12.0, 0.0), (0.0, 50.0), *crowd, (0.0, 44.0)]
-    buffer = make_store(points, 6)
-    assert 6 in names(buffer)
-    assert buffer.scores()[names(buffer).index(6)] == pytest.approx(-1.2)
-    assert make_store(points).scores()[3] == pytest.approx(-2 * (12.0 - 10.001) / 2.0, rel=1e-5)
-
-
 def test_bounds_cover_every_time_step_and_follow_additions_and_removals() -> None:
     buffer = EpisodeBuffer(2, SCALES, 0.2)
     buffer.add([make_episode([5.0, 0.0], 4), make_episode([0.0, 5.0], 2)])

@@ -10,12 +10,11 @@ import pytest
 import torch
 from hypothesis import given
 
-from algorithms import A2C, MOA2C, MOCAC, MOPPO, PPO
+from algorithms import A2C, MOA2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
 from algorithms.learning.advantages import generalised_advantages
-from algorithms.learning.learner import NORM
-from mo_deepdrive.utilities import Utility, make_utility
-from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections, crooked
+from mo_deepdrive.utilities import Utility
+from tests.helpers.advantage_data import CROOKED, collections, crooked
 from tests.helpers.agents import (
     ALL_FORMS,
     CONTINUOUS,
@@ -26,12 +25,8 @@ from tests.helpers.agents import (
     learner_of,
     loss_of,
     make_agent,
-    parameters_of,
-    same,
     samples_of,
     seen_by,
-    state,
-    step_of,
     value_of,
     value_scale,
 )
@@ -74,27 +69,6 @@ def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_sta
                 expected = value_of(agent, form, r.observations[t + 1, i], r.accrued[t + 1, i], r.discounts[t + 1, i])
             torch.testing.assert_close(found[t, i], expected.reshape(-1), rtol=1e-4, atol=1e-4)
     assert len(kinds) == 4
-
-
-def test_with_accrued_gamma_1_a_linear_utility_gives_the_advantages_of_a2c() -> None:
-    weights = torch.tensor([0.5, 1.0, 0.03, 0.001])
-    utility = make_utility("linear", ("distance", "destination", "g_force", "jerk"), weights=weights.tolist())
-    agent = make_agent(MOA2C, num_envs=3, utility=utility, gamma=0.9, gae_lambda=0.8, accrued_gamma=1.0)
-    r = handmade(agent)
-    assert (r.discounts == 1.0).all()
-    rng = np.random.default_rng(2)
-    values, following = (torch.tensor(rng.normal(size=r.rewards.shape), dtype=torch.float32) for _ in range(2))
-    advantages, targets = agent.advantages(r.rollout(agent), values, following)
-    deltas = (r.rewards + 0.9 * following - values) @ weights
-    over = r.terminated | r.truncated
-    steps, n = deltas.shape
-    for i in range(n):
-        later = 0.0
-        for t in range(steps - 1, -1, -1):
-            later = float(deltas[t, i]) + (0.0 if over[t, i] else 0.9 * 0.8 * later)
-            assert float(advantages[t, i]) == pytest.approx(later, rel=1e-4, abs=1e-4)
-            # The targets of the critic are the same, one per objective.
-            assert float((targets - values)[t, i] @ weights) == pytest.approx(later, rel=1e-4, abs=1e-4)
 
 
 @pytest.mark.parametrize("cls", [MOA2C, MOPPO])
@@ -252,53 +226,6 @@ def test_samples_that_did_not_act_have_no_influence_on_the_gradient(form: str, c
     assert not all(torch.equal(one, other) for one, other in zip(after, changed, strict=True))
 
 
-@pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO, MOCAC])
-def test_samples_of_which_none_counts_change_nothing(cls: type[ActorCritic]) -> None:
-    agent = make_agent(cls, num_envs=3)
-    step_of(agent, samples_of(agent, handmade(agent)))
-    before = state(agent)
-    rollout = handmade(agent, seed=1)
-    rollout.acted[:] = False
-    step_of(agent, samples_of(agent, rollout))
-    assert same(before, state(agent))
-
-
-@pytest.mark.parametrize("cls", [A2C, MOA2C])
-def test_an_update_takes_one_clipped_step_of_adam(cls: type[ActorCritic]) -> None:
-    agent = make_agent(cls, num_envs=3, max_grad_norm=0.01)
-    learner = agent.learners[0]
-    samples = samples_of(agent, handmade(agent))
-    raw = gradients_of(agent, samples)
-    norm = torch.cat([gradient.flatten() for gradient in raw]).norm()
-    assert norm > 0.01
-    before = [parameter.detach().clone() for parameter in parameters_of(learner)]
-    metrics = step_of(agent, samples, learning_rate=0.003)
-    assert metrics.keys() == {"loss/policy", "loss/value", "policy/entropy", NORM}
-    assert float(metrics[NORM]) == pytest.approx(float(norm), rel=1e-5)
-    for parameter, old, gradient in zip(parameters_of(learner), before, raw, strict=True):
-        clipped = gradient * 0.01 / norm
-        # Adam's first step: its running means are corrected to the gradient itself.
-        expected = old - 0.003 * clipped / (clipped.abs() + 1e-8)
-        torch.testing.assert_close(parameter.detach(), expected, rtol=1e-4, atol=1e-5)
-
-
-def test_the_expected_return_is_a_running_mean_over_episodes() -> None:
-    learner = make_agent(MOA2C, num_envs=1).learners[0]
-
-    def note(*returns: list[float]) -> list[float]:
-        """One step of as many environments, and one in which no episode ends."""
-        ended = torch.tensor([True] * len(returns) + [False]).view(1, 1, -1)
-        learner.update_on_episode_end(torch.tensor([*returns, [9.0] * 4]).view(1, 1, -1, 4), ended)
-        return learner.get_state()["expected_return"].tolist()
-
-    assert note() == [0.0] * 4
-    assert note([1.0, 2.0, 3.0, 4.0], [3.0, 2.0, 1.0, 0.0]) == [2.0] * 4
-    assert note() == [2.0] * 4
-    expected = 0.99**2 * 2.0 + (1 - 0.99**2) * 7.0
-    assert note([12.0] * 4, [2.0] * 4) == pytest.approx([expected] * 4)
-    assert int(learner.get_state()["episodes"]) == 4
-
-
 # Equation 4, alone: with lambda = 0 the advantages are the differences U_t.
 
 
@@ -353,39 +280,6 @@ def test_utility_differences_equal_the_equation_row_by_row(c: dict[str, torch.Te
             printed = crooked(after + c["next_values"][t, n]) - before
             torch.testing.assert_close(found[False][t, n], consistent)
             torch.testing.assert_close(found[True][t, n], printed)
-
-
-@given(c=collections())
-def test_under_a_linear_utility_the_difference_is_the_discounted_scalar_temporal_difference(
-    c: dict[str, torch.Tensor],
-) -> None:
-    weights = torch.tensor(WEIGHTS, dtype=torch.float64)
-    deltas = c["rewards"] + float(c["gamma"]) * c["next_values"] - c["values"]
-    torch.testing.assert_close(differences(c, LINEAR, as_printed=False), c["discount"] * (deltas @ weights))
-
-
-@given(c=collections())
-def test_as_printed_differs_by_the_undiscounted_next_value_alone(c: dict[str, torch.Tensor]) -> None:
-    weights = torch.tensor(WEIGHTS, dtype=torch.float64)
-    gap = differences(c, LINEAR, as_printed=True) - differences(c, LINEAR, as_printed=False)
-    following = c["discount"] * float(c["gamma"])  # gamma^{t+1}
-    torch.testing.assert_close(gap, (1.0 - following) * (c["next_values"] @ weights))
-
-
-def test_as_printed_equals_the_consistent_form_without_discounting_and_at_the_end() -> None:
-    rng = np.random.default_rng(0)
-    accrued, rewards, values, next_values = (torch.tensor(rng.normal(size=(5, 3))) for _ in range(4))
-    ones = torch.ones(5, dtype=torch.float64)
-    undiscounted = [
-        utility_differences(CROOKED, accrued, rewards, ones, values, next_values, 1.0, as_printed=form)
-        for form in (False, True)
-    ]
-    torch.testing.assert_close(*undiscounted)
-    terminal = [
-        utility_differences(CROOKED, accrued, rewards, 0.7 * ones, values, 0.0 * values, 0.9, as_printed=form)
-        for form in (False, True)
-    ]
-    torch.testing.assert_close(*terminal)
 
 
 @given(c=collections())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import warnings
 from pathlib import Path
@@ -18,7 +17,6 @@ from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors.torch import load_file
-from scipy.stats import binomtest
 
 from algorithms import PCN
 from algorithms.pcn import Episode
@@ -175,12 +173,6 @@ def test_an_untrained_agent_has_no_commands() -> None:
     agent = small_pcn("deep-sea-treasure")
     with pytest.raises(ValueError, match="holds no episode yet: train first"):
         agent.conditions()
-
-
-def test_acting_without_a_command_is_refused() -> None:
-    agent = small_pcn("deep-sea-treasure")
-    with pytest.raises(TypeError, match="pcn acts under a condition"):
-        agent.act(np.zeros((1, 1, 2), dtype=np.float32), AccruedReward.begin(1, 1, 2), None)
 
 
 @pytest.fixture(scope="module")
@@ -382,31 +374,7 @@ def test_inputs_from_another_library_are_standardised_after_the_warm_up() -> Non
     assert torch.equal(agent.get_state()["inputs"], before)
 
 
-def test_scales_that_are_given_are_not_replaced_by_those_of_random_episodes() -> None:
-    agent = small_pcn("deep-sea-treasure", objective_scales=[3.0, 7.0], horizon_scale=40.0)
-    agent.begin()
-    observations, wanted, left = inputs(agent, 5)
-    seen, asked = agent._scaled(observations, wanted, left)
-    np.testing.assert_allclose(seen, observations / agent.env.observation_scales, rtol=1e-6)
-    np.testing.assert_allclose(asked, np.column_stack([wanted / [3.0, 7.0], left / 40.0]), rtol=1e-6)
-
-
 # Episodes.
-
-
-@pytest.mark.parametrize("place", ["one_waypoint", "one_waypoint, continuous"])
-def test_episodes_are_random_from_the_drawn_decision_on(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    agent = small_pcn(place, exploration=0.5)
-    agent.begin()
-    rounds = collected(agent, monkeypatch)
-    policy, drawn = agent._sample_commands(), agent._random_actions(None) * 0
-    monkeypatch.setattr(agent, "_random_from", lambda policy: np.array([0.0, 3.0, np.inf, 1.0]))
-    monkeypatch.setattr(agent, "_random_actions", lambda previous: drawn)
-    monkeypatch.setattr(agent, "choose_actions", lambda *inputs: np.ones_like(drawn[:, 0]))
-    agent._collect(policy)
-    for episode, followed in zip(rounds[0], (0, 3, len(rounds[0][2].returns), 1), strict=True):
-        expected = (np.arange(len(episode.returns)) < followed).astype(float)
-        np.testing.assert_array_equal(episode.actions.reshape(len(episode.returns), -1)[:, 0], expected)
 
 
 @pytest.mark.parametrize("exploration", [0.0, 0.3, 1.0])
@@ -586,13 +554,6 @@ def test_a_seed_determines_everything_and_another_seed_gives_another_run(place: 
     assert runs[0][0] != runs[2][0]
 
 
-def test_training_does_not_touch_the_global_generators() -> None:
-    before = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
-    small_pcn("one_waypoint").train(TOTAL // 2)
-    assert torch.equal(torch.get_rng_state(), before[0])
-    assert np.array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("place", ["one_waypoint", "deep-sea-treasure"])
 def test_evaluations_do_not_disturb_training(place: str, tmp_path: Path) -> None:
@@ -706,12 +667,6 @@ def test_a_front_equals_episodes_run_one_by_one(env_id: str, arguments: dict[str
     assert np.isnan(front.success).all() == (env_id == SEA)
 
 
-def test_the_commands_of_a_front_are_the_returns_of_the_best_episodes(seasoned: PCN) -> None:
-    found = set(map(tuple, seasoned.conditions().tolist()))
-    best = seasoned.buffer.best()
-    assert found == {(*seasoned.buffer.returns[k].tolist(), float(seasoned.buffer.lengths[k])) for k in best}
-
-
 def test_a_front_has_no_more_policies_than_allowed_and_keeps_the_extremes(
     seasoned: PCN, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -773,16 +728,3 @@ def test_nine_treasures_of_the_deep_sea_at_least_are_driven_to(repository: Path)
     reached = np.isclose(known[:, None], front.discounted[None], rtol=1e-5).all(axis=2).any(axis=1)
     assert len(known) == 10
     assert reached.sum() >= 9
-
-
-def test_the_lab_has_the_shares_of_its_file_for_the_deep_sea(repository: Path) -> None:
-    with (repository / "docs" / "results" / "deep_sea_treasure.csv").open(encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["seed"] != "0"]
-    page = (repository / "docs" / "lab" / "fronts.md").read_text(encoding="utf-8")
-    assert {row["commit"] for row in rows} == {"4b261d45", "c267711e", "14bd8056"}
-    for commit in {row["commit"] for row in rows}:
-        (line,) = re.findall(rf"^\| `{commit}`.*$", page, flags=re.MULTILINE)
-        for cell, column in zip(line.split("|")[2:], ("found", "policies"), strict=False):
-            counted = [row[column] == "10" for row in rows if row["commit"] == commit and row[column]]
-            interval = binomtest(sum(counted), len(counted)).proportion_ci(method="wilson")
-            assert cell.strip() == f"{sum(counted)} of {len(counted)} [{interval.low:.0%}, {interval.high:.0%}]"

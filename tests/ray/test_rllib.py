@@ -262,11 +262,6 @@ def one_policy_each(config: dict[str, Any], vehicles: list[str]) -> PPOConfig:
 
 
 @pytest.mark.usefixtures("cluster")
-def test_ppo_trains_one_vehicle() -> None:
-    train(small(one_policy_each({"scenario": "one_waypoint", "time_limit": 5.0}, VEHICLES[:1])), VEHICLES[:1])
-
-
-@pytest.mark.usefixtures("cluster")
 def test_ppo_trains_two_vehicles_with_separate_utilities_if_one_leaves_early() -> None:
     utilities = {"vehicle_0": "intersection_nonlinear", "vehicle_1": "intersection_linear"}
     config = {"utility": utilities, "harmful_g_force": 0.2, "time_limit": 9.0}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import random
 from collections.abc import Callable
 from typing import Any
 
@@ -74,26 +73,6 @@ def test_actions_are_drawn_as_often_as_their_probabilities_say(probabilities: li
     actions = actor.act(torch.zeros(draws, 3), seeded(seed))
     counts = np.bincount(actions.numpy(), minlength=len(probabilities))
     assert scipy.stats.chisquare(counts, draws * np.array(probabilities)).pvalue > SIGNIFICANCE
-
-
-def test_every_row_is_drawn_independently_from_its_own_probabilities() -> None:
-    actor = categorical(2, [], 3, seeded(0))
-    logits = torch.tensor([[1.0, -1.0, 0.0], [-2.0, 0.5, 0.0]])
-    with torch.no_grad():
-        linear_layers(actor.body)[0].weight.copy_(logits.T)
-    rounds = 20_000
-    actions = actor.act(torch.eye(2).repeat(rounds, 1, 1), seeded(3))
-    assert actions.shape == (rounds, 2)
-    pairs = np.bincount(3 * actions[:, 0].numpy() + actions[:, 1].numpy(), minlength=9)
-    first, second = logits.softmax(-1).double().numpy()
-    expected = np.outer(first, second).ravel()
-    assert scipy.stats.chisquare(pairs, rounds * expected / expected.sum()).pvalue > SIGNIFICANCE
-
-
-@pytest.mark.parametrize("never", range(3))
-def test_an_action_without_probability_is_never_drawn(never: int) -> None:
-    actor = with_outputs(categorical(3, [4], 3, seeded(0)), [-200.0 if k == never else 0.0 for k in range(3)])
-    assert not (actor.act(torch.zeros(20_000, 3), seeded(0)) == never).any()
 
 
 @GAUSSIAN
@@ -207,48 +186,3 @@ def test_greedy_takes_the_most_probable_action_and_the_mean() -> None:
     assert torch.equal(of_state.act(x, None), of_state.body(x)[:, :3])
     fixed = with_outputs(categorical(3, [4], 4, seeded(0)), [0.0, 0.3, 2.0, 0.1])
     assert fixed.act(torch.zeros(2, 5, 3), None).tolist() == [[2] * 5] * 2
-
-
-@ACTORS
-def test_the_generator_determines_weights_and_samples(kind: Callable[..., Any]) -> None:
-    actors = [kind(6, [64, 32], 4, seeded(seed)) for seed in (7, 7, 8)]
-    states = [actor.state_dict() for actor in actors]
-    assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
-    assert not torch.equal(states[0]["body.0.weight"], states[2]["body.0.weight"])
-    x = torch.zeros(100, 6)
-    samples = [actors[0].act(x, seeded(seed)) for seed in (7, 7, 8)]
-    assert torch.equal(samples[0], samples[1])
-    assert not torch.equal(samples[0], samples[2])
-
-
-def test_policies_begin_nearly_uniform_and_nearly_centred() -> None:
-    x = torch.randn(100, 15, generator=seeded(1))
-    probabilities = categorical(15, [64, 32], 22, seeded(0)).body(x).softmax(-1)
-    assert (probabilities * 22 - 1).abs().max() < 0.1
-    means = gaussian(15, [64, 32], 3, seeded(0))
-    assert means.act(x, None).abs().max() < 0.1
-    assert torch.equal(means.log_std, torch.full((3,), -0.5))
-    of_state = normal_of(state_gaussian(15, [64, 32], 3, seeded(0)), x)
-    assert (of_state.stddev.log() + 0.5).abs().max() < 0.1
-
-
-def everything(kind: Callable[..., Any]) -> Callable[[], None]:
-    def use() -> None:
-        actor = kind(6, [8], 4, seeded(0))
-        x = torch.zeros(10, 6)
-        actions = actor.act(x, seeded(1))
-        actor.act(x, None)
-        log_prob, entropy = actor(x, actions)
-        (log_prob + entropy).sum().backward()
-        mlp(6, [8, 8], 2, seeded(0), output_gain=1.0)
-
-    return use
-
-
-@ACTORS
-def test_neither_building_nor_sampling_touches_any_global_generator(kind: Callable[..., Any]) -> None:
-    before = torch.get_rng_state(), random.getstate(), np.random.get_state()[1].copy()  # noqa: NPY002
-    everything(kind)()
-    assert torch.equal(torch.get_rng_state(), before[0])
-    assert random.getstate() == before[1]
-    assert np.array_equal(np.random.get_state()[1], before[2])  # noqa: NPY002

@@ -179,7 +179,6 @@ SITUATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "minecart": ("minecart-deterministic-v0", {"max_episode_steps": 30}),
 }
 ALL = pytest.mark.parametrize("situation", SITUATIONS)
-ONE_VEHICLE = pytest.mark.parametrize("situation", [s for s in SITUATIONS if s.startswith(("one_", "static_"))])
 TWO_VEHICLES = pytest.mark.parametrize("situation", [s for s in SITUATIONS if s.startswith("intersection")])
 FOREIGN = pytest.mark.parametrize("situation", ["deep-sea-treasure", "minecart"])
 
@@ -243,30 +242,6 @@ def test_a_rollout_continues_the_previous_one(collected: Callable[[str], Collect
     for before, after in itertools.pairwise(rollouts):
         for name in ("inputs", "accrued", "discounts"):
             assert torch.equal(getattr(before, name)[-1], getattr(after, name)[0])
-
-
-@ONE_VEHICLE
-def test_a_single_environment_replays_the_rollout_including_final_observations(
-    collected: Callable[[str], Collected], situation: str
-) -> None:
-    c = collected(situation)
-    env_id, arguments = SITUATIONS[situation]
-    options = {name: value for name, value in arguments.items() if name not in ("policy", "rollouts")}
-    single = gymnasium.make(env_id, disable_env_checker=True, **options).unwrapped
-    observations, final = c.all("inputs"), c.all("final_inputs")
-    actions, rewards = c.all("actions"), c.all("rewards")
-    assert c.all("acted").all()
-    for i in range(c.env.num_envs):
-        observation, _ = single.reset(seed=SEED + i)
-        for t in range(len(rewards)):
-            np.testing.assert_array_equal(observations[t, i, 0], observation)
-            observation, reward, terminated, truncated, _ = single.step(actions[t, i, 0])
-            np.testing.assert_array_equal(rewards[t, i, 0], reward)
-            assert (c.all("terminated")[t, i, 0], c.all("truncated")[t, i, 0]) == (terminated, truncated)
-            if truncated:
-                np.testing.assert_array_equal(final[t, i, 0], observation)
-            if terminated or truncated:
-                observation, _ = single.reset()
 
 
 @FOREIGN
@@ -409,12 +384,6 @@ def test_an_episode_has_succeeded_if_its_vehicle_arrived(collected: Callable[[st
     c = collected(situation)
     arrived = [episode.last_reward[DESTINATION] == 1.0 for episode in plain_episodes(c)]
     np.testing.assert_array_equal(c.episodes("succeeded"), arrived)
-
-
-def test_a_rollout_in_which_no_episode_ends_has_no_means() -> None:
-    collector = collector_of(adapter := EnvAdapter(make_env(ONE_WAYPOINT, 4)), random_policy(adapter), 2)
-    collector.collect()
-    assert collector.sums.take() == [[{}]]
 
 
 def started(env_id: str, arguments: dict[str, Any], seed: int = SEED) -> Collector:

@@ -13,7 +13,7 @@ import torch
 from algorithms import A2C, MOPPO
 from algorithms.hyperparameters import GuideSettings
 from algorithms.learning.guides import Guide
-from algorithms.runs.build import build, load_policy, open_population
+from algorithms.runs.build import build, load_policy
 from algorithms.runs.config import make_experiment
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -207,22 +207,6 @@ def test_a_guide_observes_rewards_that_are_accrued_as_here() -> None:
     assert list(agent_with(guide, 4, gamma=0.9).guides) == [guide]
     with pytest.raises(ValueError, match=r"cost_growth = 0.5 must be 0 with a guide that observes the accrued reward"):
         agent_with(guide, 4, gamma=0.9, cost_growth=0.5)
-
-
-def test_a_guide_that_was_trained_with_a_partner_observes_the_same_discount() -> None:
-    env = EnvAdapter(make_env(INTERSECTION, 4))
-    partner = Population([Constant(env)], 1)
-    observer = MOPPO(make_env(INTERSECTION, 4), "intersection_linear", gamma=0.9, partners={1: partner})
-    guide = Guide(Population([observer], 0), GuideSettings(driver="observer"), 4)
-    assert list(agent_with(guide, 4, gamma=0.9).guides) == [guide]
-
-
-def test_a_trained_pair_may_be_the_guide() -> None:
-    env = EnvAdapter(make_env(INTERSECTION, 4))
-    driver = open_population(["intersection_linear-ppo"], 0, env, experiment_with({}))
-    agent = agent_with(Guide(driver, GuideSettings(driver="intersection_linear-ppo"), 4), 4, hidden=[16], steps=8)
-    agent.train(64)
-    assert agent.step == 64
 
 
 def test_the_only_vehicle_may_have_a_guide() -> None:

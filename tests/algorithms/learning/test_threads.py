@@ -61,12 +61,6 @@ def test_torch_has_as_many_threads_as_asked_for() -> None:
         set_threads(1)
 
 
-def test_fewer_threads_stay_fewer() -> None:
-    with limited_threads():
-        assert torch.get_num_threads() == 1
-    assert torch.get_num_threads() == 1
-
-
 FORKED = """
 import multiprocessing, sys, torch
 

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import pickle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from safetensors import safe_open
-from safetensors.torch import load as from_bytes
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
 from algorithms import zoo
-from algorithms.runs.build import build, make_environment
+from algorithms.runs.build import make_environment
 from algorithms.runs.run_directory import Run, versions
 from algorithms.zoo.exporting import export
 from tests.helpers.agents import same
@@ -104,52 +101,3 @@ def test_a_policy_trained_on_another_device_is_exported_for_the_cpu(trained: Tra
     training = run.experiment.training.model_copy(update={"device": "cuda:99"})
     elsewhere = Run(run.path, run.experiment.model_copy(update={"training": training}))
     assert Run.open(export(elsewhere, "policy", tmp_path)).experiment.training.device == "cpu"
-
-
-# ------------------------------------------------------------------------------------------------------------- refused
-
-
-@pytest.mark.slow
-@EVERY_KIND
-def test_a_broken_policy_is_refused_and_changes_nothing(trained: Trained, kind: str, tmp_path: Path) -> None:
-    run = trained(kind)
-    path = export(run, "policy", tmp_path) / zoo.CHECKPOINT
-    content = path.read_bytes()
-    tensors = from_bytes(content)  # load_file would memory-map the file, which is about to change
-    with safe_open(path, framework="pt") as file:
-        metadata = file.metadata()
-    agent = build(run.experiment, num_envs=1)
-
-    def check(message: str) -> None:
-        agent.save(tmp_path / "before")
-        with pytest.raises(ValueError, match=message):
-            agent.load(path, policy_only=True)
-        agent.save(tmp_path / "after")
-        assert (tmp_path / "before").read_bytes() == (tmp_path / "after").read_bytes()
-
-    for kept in (0, 8, len(content) // 2, len(content) - 1):
-        path.write_bytes(content[:kept])
-        check("cannot be read")
-    path.write_bytes(pickle.dumps({"weights": [1.0]}) * 100)
-    check("cannot be read")
-    for name in [name for name in tensors if name.startswith("vehicle_0.actor.")]:
-        save_file({each: tensor for each, tensor in tensors.items() if each != name}, path, metadata)
-        check(f"has '{name}' of shape None")
-        save_file({**tensors, name: tensors[name][:0]}, path, metadata)
-        check(f"has '{name}' of shape ")
-    path.unlink()
-    check("cannot be read")
-
-
-def test_a_policy_is_read_without_running_code_from_it(
-    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def forbidden(*_: Any, **__: Any) -> None:
-        raise AssertionError("a pickle is being read")
-
-    paths = {kind: export(trained(kind), kind, tmp_path) for kind in ("mo_ppo", "pcn")}
-    agents = {kind: policy_of(path) for kind, path in paths.items()}  # compiled code is cached in pickles
-    for module, name in ((pickle, "load"), (pickle, "loads"), (pickle, "Unpickler"), (torch, "load"), (np, "load")):
-        monkeypatch.setattr(module, name, forbidden)
-    for kind, path in paths.items():
-        agents[kind].load(path / zoo.CHECKPOINT, policy_only=True)
