@@ -10,6 +10,7 @@ import pytest
 from algorithms import zoo
 from scripts.bounds import suite
 from scripts.bounds.suite_bounds import roundabout_rules
+from tests.helpers.script_runs import exit_code
 
 
 @pytest.mark.slow
@@ -31,5 +32,5 @@ def test_the_table_has_the_bounds_in_place_of_older_ones(tmp_path: Path, monkeyp
 def test_a_run_that_drives_elsewhere_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = str(zoo.find("one_waypoint_linear-ppo"))
     output = str(tmp_path / "drivers.csv")
-    assert suite.main(["drivers", "R1", "--runs", run, "--label", "a", "--output", output]) == 2
+    assert exit_code(suite.main, "drivers", "R1", "--runs", run, "--label", "a", "--output", output) == 2
     assert "drives in the environment of none of R1" in capsys.readouterr().err
