@@ -42,7 +42,6 @@ from scripts.bounds.suite_bounds import (
     TRIED_IN_ROUNDABOUTS,
     ceiling,
     floor,
-    plan_file,
     plan_task,
     roundabout_rules,
     with_spare_preferences,
@@ -141,7 +140,7 @@ def plan(task_id: str, options: argparse.Namespace) -> None:
         kept, left_out = worth_driving(task, values.mean(axis=0))
         texts, values = [[each[k] for k in kept.tolist()] for each in texts], values[:, kept]
         print(f"preferences.left_out: {left_out}")
-    write_plans(plan_file(task_id), task, texts)
+    write_plans(task_id, task, texts)
     print(f"{task_id}: {values.mean():.4f} over {len(values)} scenarios", flush=True)
 
 
