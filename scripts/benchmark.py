@@ -413,12 +413,9 @@ def machine() -> str:
 
 def measure_apart(side: Path | Place, name: str) -> float:
     """A measurement in a new process: of the packages in a tree in CPU time, or on the clock in a place."""
-    tree, threads, where = REPOSITORY, "1", ("", "")
-    if isinstance(side, Place):
-        threads = str(side.threads)
-        where = threads, side.device
-    else:
-        tree = side
+    place, tree = (side, REPOSITORY) if isinstance(side, Place) else (ONE_CORE, side)
+    threads = str(place.threads)
+    where = (threads, place.device) if isinstance(side, Place) else ("", "")
     variables = {**dict.fromkeys(THREADS, threads), **SPINNING, "PYTHONPATH": str(tree)}
     return float(_run([__file__, "--measure", name, *where], **variables))
 
@@ -447,11 +444,7 @@ def compare(
     measure: Callable[[Side, str], float],
     progress: Callable[[Sequence[Any]], Iterable[Any]] = iter,
 ) -> list[Row]:
-    """Measure two trees or two places, in alternation: ``measure(side, name)``.
-
-    Every measurement runs once on each side first, which fills the caches of the compiler and is not counted. Then each
-    pair measures one side and the other right after it; which one is first changes from pair to pair.
-    """
+    """Measure two trees or places by turns, in changing order; the first pair fills caches and is not counted."""
     values: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in names}
     problems: dict[str, str] = {}
     for pair, name in progress(list(product(range(-1, pairs), names))):
@@ -468,10 +461,7 @@ def compare(
 
 
 def comparison(name: str, old: Sequence[float], new: Sequence[float], problem: str = "") -> Row:
-    """The medians of both sides and of how many times as fast the new one is in each pair, with its 95% interval.
-
-    The interval is from order statistics (Conover 1999) and needs six pairs.
-    """
+    """Medians of both sides and of the speedup in pairs; of six or more its 95% interval (order statistics, Conover 1999)."""
     from scipy.stats import quantile_test
 
     seconds = name in IN_SECONDS

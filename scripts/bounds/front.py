@@ -128,10 +128,8 @@ class FrontSearch:
         return rows[self.rng.random(POPULATION) < rates]
 
     def select_front(self, also: EvaluatedPlans | None = None) -> EvaluatedPlans:
-        """The plans that make up the front, of those in the archive, on the front of before, and ``also``.
-
-        The archive keeps one plan per box, and may have dropped one that adds more hypervolume.
-        """
+        """The plans that make up the front, of those in the archive, on the front of before, and ``also``."""
+        # The archive keeps one plan per box, and may have dropped one that adds more hypervolume.
         candidates = self.archive.append(self.front)
         return select_front(candidates if also is None else candidates.append(also), self.references)
 
@@ -163,10 +161,7 @@ def dominated_volume(returns: NDArray[Any], reference: NDArray[Any]) -> float:
 
 
 def greedy_hypervolume_subset(returns: NDArray[Any], reference: NDArray[Any], size: int) -> list[int]:
-    """At most ``size`` rows of ``returns`` (n, d), each the one that adds most hypervolume to those before it.
-
-    Rows that add nothing are not selected.
-    """
+    """At most ``size`` rows of ``returns`` (n, d), each the one that adds most hypervolume to those before it."""
     selected: list[int] = []
     volume = 0.0
     # Minus the contribution, the row, and how many rows were selected when the contribution was computed.
@@ -214,10 +209,7 @@ class RunRecording(NamedTuple):
 
 
 def record_run(path: str, scenario: str, action_type: str, episodes: int, *, trust: bool = False) -> RunRecording:
-    """Record a run's policies: every policy of a run that learnt a front, the one policy of any other.
-
-    Of each there is an episode of greedy actions, and then ``episodes`` of sampled ones.
-    """
+    """Record one greedy episode and then ``episodes`` sampled ones of the policy of a run, or of all of its front."""
     run = Run.open(path, trust=trust)
     settings = run.experiment.environment
     for name, expected, found in (
@@ -307,10 +299,7 @@ def improve_front(
     recordings: Sequence[RunRecording] = (),
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> FrontImprovement:
-    """Search for a better front than the ``shipped`` one, whose file may be missing.
-
-    ``on_progress`` is called after every generation with the number of decisions simulated.
-    """
+    """Search for a better front than the ``shipped`` one; its file may be missing. Progress is in decisions."""
     search = FrontSearch(settings.scenario, settings.action_type, settings.seed)
     evaluator, plan_format = search.evaluator, search.evaluator.format
 

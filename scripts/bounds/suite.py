@@ -62,11 +62,7 @@ Driver = tuple[str, str, int | None, Any]  # name, kind, seed of a run, policy
 
 
 def bounds(task: Task) -> list[Driver]:
-    """The drivers that the bounds of a task are of.
-
-    The floors are standing still, acting at random, holding one action and the blind drivers; of the last two kinds,
-    and of the rules, there is the one that is best on the validation split.
-    """
+    """The drivers that bounds are of: without skill and by rules, of each kind the best on the validation split."""
     unskilled = unskilled_policies(task.config())
     found: list[Driver] = [(name, FLOOR, None, unskilled[name]) for name in (STILL, RANDOM)]
     for prefix, start in (("", "holds "), ("blind, ", "goes ")):
@@ -98,11 +94,7 @@ def drive(policy: Any, task: Task, episodes: int, split: Any) -> Evaluation:
 
 
 def measures(found: Evaluation) -> dict[str, float | None]:
-    """Means over the episodes and over the vehicles of what is driven, with the ends of their 95% intervals.
-
-    "arrived" and "collided" are shares of the vehicles, "utility" is that of a vehicle, "worst_off" the least of them
-    and "gini" the sum that counts the worse-off for more; then come the returns of the objectives.
-    """
+    """Means over episodes and vehicles, with the ends of their 95% intervals; last the returns of the objectives."""
     team = found.team_samples()
     samples: Mapping[str, Any] = {
         "arrived": team[SHARE_ARRIVED],
