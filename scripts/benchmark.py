@@ -461,7 +461,7 @@ def compare(
 
 
 def comparison(name: str, old: Sequence[float], new: Sequence[float], problem: str = "") -> Row:
-    """Medians of both sides and of the speedup in pairs; of six or more its 95% interval (order statistics, Conover 1999)."""
+    """Medians of both sides and of the speedup in pairs; of six or more its 95% interval (Conover 1999)."""
     from scipy.stats import quantile_test
 
     seconds = name in IN_SECONDS

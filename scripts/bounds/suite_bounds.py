@@ -76,7 +76,7 @@ class UtilitySearch:
     def best(
         self, start: NDArray[Any], sequences: Sequence[NDArray[Any]], generations: int
     ) -> tuple[EvaluatedPlans, NDArray[np.float64]]:
-        """The best plan found for each utility and its value (P,); from ``start`` (1,) of VEHICLE and known sequences."""
+        """The best plan for each utility and its value (P,), from ``start`` (1,) of VEHICLE and known sequences."""
         self.evaluator.batch.state[0] = start
         plan_format = self.evaluator.format
         idle = plan_format.to_sequence(plan_format.idle_plans(1)[0])
