@@ -19,9 +19,7 @@ several threads, or on a GPU, with one thread of the CPU, in pairs of measuremen
 
 from __future__ import annotations
 
-import argparse
 import io
-import json
 import os
 import platform
 import re
@@ -37,9 +35,12 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from argparse import Namespace
 
 Side = TypeVar("Side")
 
@@ -95,6 +96,14 @@ class Place:
 
     def __str__(self) -> str:
         return self.device if self.on_gpu else f"{self.threads} thread{'' if self.threads == 1 else 's'}"
+
+    def device_name(self) -> str:
+        """The model of the device, or "cpu"."""
+        if not self.on_gpu:
+            return self.device
+        import torch
+
+        return torch.cuda.get_device_name(self.device)
 
     def now(self) -> float:
         """The time (s), when all that was begun on the device is done."""
@@ -402,19 +411,12 @@ def machine() -> str:
     return f"{model[1] if model else platform.processor() or platform.machine()}, {os.cpu_count()} CPUs"
 
 
-def _device_name(device: str) -> str:
-    if device == "cpu":
-        return device
-    import torch
-
-    return torch.cuda.get_device_name(device)
-
-
 def measure_apart(side: Path | Place, name: str) -> float:
     """A measurement in a new process: of the packages in a tree in CPU time, or on the clock in a place."""
     place, tree = (side, REPOSITORY) if isinstance(side, Place) else (ONE_CORE, side)
-    where = ["--threads", str(place.threads), "--device", place.device] if isinstance(side, Place) else []
-    variables = {**dict.fromkeys(THREADS, str(place.threads)), **SPINNING, "PYTHONPATH": str(tree)}
+    threads = str(place.threads)
+    where = (threads, place.device) if isinstance(side, Place) else ("", "")
+    variables = {**dict.fromkeys(THREADS, threads), **SPINNING, "PYTHONPATH": str(tree)}
     return float(_run([__file__, "--measure", name, *where], **variables))
 
 
@@ -442,11 +444,7 @@ def compare(
     measure: Callable[[Side, str], float],
     progress: Callable[[Sequence[Any]], Iterable[Any]] = iter,
 ) -> list[Row]:
-    """Measure two trees or two places, in alternation: ``measure(side, name)``.
-
-    Every measurement runs once on each side first, which fills the caches of the compiler and is not counted. Then each
-    pair measures one side and the other right after it; which one is first changes from pair to pair.
-    """
+    """Measure two trees or places by turns, in changing order; the first pair fills caches and is not counted."""
     values: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in names}
     problems: dict[str, str] = {}
     for pair, name in progress(list(product(range(-1, pairs), names))):
@@ -463,10 +461,7 @@ def compare(
 
 
 def comparison(name: str, old: Sequence[float], new: Sequence[float], problem: str = "") -> Row:
-    """The medians of both sides and of how many times as fast the new one is in each pair, with its 95% interval.
-
-    The interval is from order statistics (Conover 1999) and needs six pairs.
-    """
+    """Medians of both sides and of the speedup in pairs; of six or more its 95% interval (Conover 1999)."""
     from scipy.stats import quantile_test
 
     seconds = name in IN_SECONDS
@@ -503,7 +498,7 @@ def show(rows: Sequence[Row], output: Path | None, about: Row, caption: str = ""
         atomic_write(output, csv_bytes([[*rows[0], *about], *cells]))
 
 
-def compare_as_asked(options: argparse.Namespace) -> None:
+def compare_as_asked(options: Namespace) -> None:
     """Make the comparison that the options ask for, and show it."""
     from rich.progress import track
 
@@ -527,50 +522,52 @@ def compare_as_asked(options: argparse.Namespace) -> None:
         else:
             raise ValueError(f"--threads {options.threads} must be from 2 to {available_cores()}, the number of cores")
         rows = compare(ONE_CORE, place, names, pairs, measure_apart, track)
-        about = {"commit": tree, "threads": place.threads, "device": _device_name(place.device), "machine": machine()}
+        about = {"commit": tree, "threads": place.threads, "device": place.device_name(), "machine": machine()}
         caption = f"old: {ONE_CORE}, new: {place}; {tree:.12}; time on the clock; {machine()}"
     show(rows, options.output, about, caption)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line."""
-    formatter = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter, allow_abbrev=False)
-    parser.add_argument("--quick", action="store_true", help="fewer repetitions")
-    parser.add_argument("--output", type=Path, help="also write the table as CSV")
-    parser.add_argument("--against", metavar="COMMIT", help="compare the working tree with this commit")
-    parser.add_argument("--threads", type=int, help="compare so many threads with one")
-    help_text = "compare environments and training there, such as on cuda, with one thread"
-    parser.add_argument("--device", metavar="D", help=help_text)
-    parser.add_argument("--pairs", type=int, help=f"of each measurement that is compared (default: {PAIRS})")
-    help_text = "measurements that are compared, such as a2c-64-32-discrete 'mo_*'"
-    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help=help_text)
-    parser.add_argument("--measure", choices=CASES, help=argparse.SUPPRESS)  # one, in this process
-    options = parser.parse_args(arguments)
-    if options.measure:
-        place = Place(options.threads, options.device or "cpu") if options.threads else CPU_TIME
-        print(json.dumps(measure(options.measure, place, Path(os.environ["PYTHONPATH"]))))
-        return
-    if options.output is not None and not options.output.parent.is_dir():
-        parser.error(f"--output {options.output}: there is no folder {options.output.parent}")
+def run(options: Namespace) -> int:
+    """Measure what the options ask for."""
+    from algorithms.learning.threads import set_threads
+    from algorithms.runs.cli import check_at_least, check_file
+
+    check_file("--output", options.output)
+    check_at_least(options, 1, "pairs")
     comparisons = [option for option in (options.against, options.threads, options.device) if option is not None]
     if len(comparisons) > 1:
-        parser.error(f"{COMPARISONS} are comparisons of their own; make one at a time")
+        raise ValueError(f"{COMPARISONS} are comparisons of their own; make one at a time")
     if not comparisons and (options.only or options.pairs is not None):
-        parser.error(f"--only and --pairs are for {COMPARISONS}")
-    if options.pairs is not None and options.pairs < 1:
-        parser.error(f"--pairs {options.pairs} must be at least 1")
+        raise ValueError(f"--only and --pairs are for {COMPARISONS}")
     if comparisons:
-        try:
-            compare_as_asked(options)
-        except ValueError as error:
-            parser.error(str(error))
-        return
-    from algorithms.learning.threads import set_threads
+        compare_as_asked(options)
+    else:
+        set_threads(1)
+        show(overview(3 if options.quick else 15), options.output, {})
+    return 0
 
-    set_threads(1)
-    show(overview(3 if options.quick else 15), options.output, {})
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command line, or in a process of :func:`measure_apart` one measurement."""
+    if arguments[:1] == ["--measure"]:
+        name, threads, device = arguments[1:]
+        place = Place(int(threads), device) if threads else CPU_TIME
+        print(measure(name, place, Path(os.environ["PYTHONPATH"])))
+        return 0
+    from algorithms.runs import cli
+
+    only = "measurements that are compared, such as a2c-64-32-discrete 'mo_*'"
+    options = (
+        cli.flag("--quick", "fewer repetitions"),
+        cli.option("--output", "FILE", "also write the table as CSV", type=Path),
+        cli.option("--against", "COMMIT", "compare the working tree with this commit"),
+        cli.option("--threads", "COUNT", "compare so many threads with one", type=int),
+        cli.option("--device", "D", "compare environments and training there, such as on cuda, with one thread"),
+        cli.option("--pairs", "N", f"of each measurement that is compared (default: {PAIRS})", type=int),
+        cli.option("--only", "NAME", only, nargs="+", default=[]),
+    )
+    return cli.Command("", __doc__, options, run)(arguments)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main(sys.argv[1:]))

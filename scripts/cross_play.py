@@ -62,16 +62,6 @@ COLLISIONS = end_by(COLLISION)
 # ------------------------------------------------------------------------------------------------------------- drivers
 
 
-def open_env(options: Namespace, arguments: dict[str, int]) -> EnvAdapter:
-    """The environment in which they meet."""
-    if not is_ours(find_environment(options.env, "--env")):
-        raise ValueError(f"--env = {options.env!r}: only this package's environments have several vehicles")
-    env = EnvAdapter(make_env(options.env, 1, arguments))
-    if env.vehicles == 1:
-        raise ValueError(f"--env {options.env} has one vehicle; cross-play needs several")
-    return env
-
-
 def open_drivers(options: Namespace, env: EnvAdapter) -> list[dict[str, Policy]]:
     """The drivers of each role by name; the folder that all runs are in is left out of the names."""
     runs = {name: Run.open(name, trust=options.trust) for name in options.runs}
@@ -159,11 +149,7 @@ def write_encounters(path: Path, encounters: Sequence[Encounter]) -> None:
 
 
 def summary_rows(encounters: Sequence[Encounter], role: int) -> list[list[str]]:
-    """A table as text, header first: each driver of a role over the drivers of the other one that it met.
-
-    Its arrivals, collisions and utility are means over these drivers; the last two columns are of the one with which it
-    arrives least.
-    """
+    """A table, header first: means of each driver over those it met, and the one with which it arrives least."""
     name = encounters[0].roles[role]
     scores = [matrix(encounters, score) for score in (f"{name}/{SUCCESS}", COLLISIONS, f"{name}/{UTILITY_ESR}")]
     arrivals, collisions, utility = (values.T if role else values for values in scores)
@@ -224,7 +210,11 @@ def play(options: Namespace) -> int:
     """Let all drivers meet, and write and print what they achieve."""
     cli.check_directory("--output", options.output)
     arguments = {} if options.vehicles is None else {"vehicles": options.vehicles}
-    env = open_env(options, arguments)
+    if not is_ours(find_environment(options.env, "--env")):
+        raise ValueError(f"--env = {options.env!r}: only this package's environments have several vehicles")
+    env = EnvAdapter(make_env(options.env, 1, arguments))
+    if env.vehicles == 1:
+        raise ValueError(f"--env {options.env} has one vehicle; cross-play needs several")
     drivers = open_drivers(options, env)
     utility = utilities_of(options, env, drivers)
     pairs, done = len(drivers[0]) * len(drivers[1]), 0

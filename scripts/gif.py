@@ -91,9 +91,8 @@ def write(options: Namespace) -> int:
     cli.check_file("--output", options.output, ".gif")
     if not 0 <= options.seed < 2**31:
         raise ValueError(f"--seed {options.seed} must be between 0 and {2**31 - 1}")
-    for name, least in (("frames", 1), ("side", 16)):
-        if getattr(options, name) < least:
-            raise ValueError(f"--{name} {getattr(options, name)} must be at least {least}")
+    cli.check_at_least(options, 1, "frames")
+    cli.check_at_least(options, 16, "side")
     shown = clips(options.runs, options.seed, options.frames, options.side, options.trust)
     count = write_video_grid(shown, options.output, options.fps, hold=0.0)
     print(f"{options.output}: {count} frames, {options.output.stat().st_size / 1e6:.2f} MB")

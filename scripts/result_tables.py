@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from benchmark import REPOSITORY
 
-from algorithms.runs.cli import make_parser
+from algorithms.runs.cli import Command
 from algorithms.studies import REFERENCE
 from algorithms.studies.settings import load_study
 from algorithms.studies.suite_tables import Scoreboard, minutes_per_run
@@ -34,6 +34,7 @@ from mo_deepdrive.evaluation.statistics import interquartile_mean
 from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Sequence
     from pathlib import Path
 
@@ -138,7 +139,7 @@ def refresh(document: str, database: sqlite3.Connection, folder: Path = REPOSITO
             cursor = database.execute(match["query"])
             rows = cursor.fetchall()
         except sqlite3.Error as error:
-            raise ValueError(f"{type(error).__name__}: {error}\n  by {match['query']}") from None
+            raise ValueError(f"{folder}: {type(error).__name__}: {error}, by {match['query']}") from None
         header = [name for name, *_ in cursor.description]
         lines = [header, ["---"] * len(header), *rows]
         made = ["| " + " | ".join("" if cell is None else str(cell) for cell in line) + " |\n" for line in lines]
@@ -155,22 +156,19 @@ def documents() -> list[Path]:
     return [REPOSITORY / "README.md", *sorted(pages)]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command line ``arguments``, those of the process if None, and return the exit code."""
-    make_parser(__doc__).parse_args(arguments)
+def refresh_all(_options: Namespace) -> int:
+    """Make the tables of all documents anew, and print which have changed."""
     database = open_results()
     for path in documents():
         before = path.read_text(encoding="utf-8")
-        try:
-            after = refresh(before, database, path.parent)
-        except ValueError as error:
-            print(f"error: {path}: {error}", file=sys.stderr)
-            return 2
+        after = refresh(before, database, path.parent)
         if after != before:
             atomic_write(path, after.encode())
             print(path.relative_to(REPOSITORY))
     return 0
 
 
+main = Command("", __doc__, (), refresh_all)
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

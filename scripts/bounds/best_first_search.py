@@ -103,10 +103,7 @@ class BestFirstSearch:
         self._add(start, [""])
 
     def run(self) -> str:
-        """Expand nodes until one arrives, all are expanded, or no more can be kept.
-
-        A letter per decision ("a" for action 0) that leads to the destination; "" if none was found.
-        """
+        """A letter per decision ("a" for action 0) that leads to the destination; "" if no node arrives."""
         while len(self.paths) < len(self.states):
             nodes = self._best_nodes()
             if not len(nodes):

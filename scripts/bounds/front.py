@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import heapq
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
@@ -33,8 +33,8 @@ from rich.progress import Progress
 from rich.table import Table
 
 from algorithms.agent import FrontAgent
+from algorithms.runs import cli
 from algorithms.runs.build import build
-from algorithms.runs.cli import TRUST, make_parser
 from algorithms.runs.config import find_environment
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -49,7 +49,6 @@ from mo_deepdrive.world.config import ActionType
 from mo_deepdrive.world.objectives import scales
 from mo_deepdrive.world.scenarios import SCENARIOS
 from scripts.bounds.plans import CRITERIA, Criterion, EvaluatedPlans, PlanEvaluator, random_calm_rules
-from scripts.result_file import check_folder, check_least
 
 if TYPE_CHECKING:
     import argparse
@@ -129,10 +128,8 @@ class FrontSearch:
         return rows[self.rng.random(POPULATION) < rates]
 
     def select_front(self, also: EvaluatedPlans | None = None) -> EvaluatedPlans:
-        """The plans that make up the front, of those in the archive, on the front of before, and ``also``.
-
-        The archive keeps one plan per box, and may have dropped one that adds more hypervolume.
-        """
+        """The plans that make up the front, of those in the archive, on the front of before, and ``also``."""
+        # The archive keeps one plan per box, and may have dropped one that adds more hypervolume.
         candidates = self.archive.append(self.front)
         return select_front(candidates if also is None else candidates.append(also), self.references)
 
@@ -164,10 +161,7 @@ def dominated_volume(returns: NDArray[Any], reference: NDArray[Any]) -> float:
 
 
 def greedy_hypervolume_subset(returns: NDArray[Any], reference: NDArray[Any], size: int) -> list[int]:
-    """At most ``size`` rows of ``returns`` (n, d), each the one that adds most hypervolume to those before it.
-
-    Rows that add nothing are not selected.
-    """
+    """At most ``size`` rows of ``returns`` (n, d), each the one that adds most hypervolume to those before it."""
     selected: list[int] = []
     volume = 0.0
     # Minus the contribution, the row, and how many rows were selected when the contribution was computed.
@@ -215,10 +209,7 @@ class RunRecording(NamedTuple):
 
 
 def record_run(path: str, scenario: str, action_type: str, episodes: int, *, trust: bool = False) -> RunRecording:
-    """Record a run's policies: every policy of a run that learnt a front, the one policy of any other.
-
-    Of each there is an episode of greedy actions, and then ``episodes`` of sampled ones.
-    """
+    """Record one greedy episode and then ``episodes`` sampled ones of the policy of a run, or of all of its front."""
     run = Run.open(path, trust=trust)
     settings = run.experiment.environment
     for name, expected, found in (
@@ -308,10 +299,7 @@ def improve_front(
     recordings: Sequence[RunRecording] = (),
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> FrontImprovement:
-    """Search for a better front than the ``shipped`` one, whose file may be missing.
-
-    ``on_progress`` is called after every generation with the number of decisions simulated.
-    """
+    """Search for a better front than the ``shipped`` one; its file may be missing. Progress is in decisions."""
     search = FrontSearch(settings.scenario, settings.action_type, settings.seed)
     evaluator, plan_format = search.evaluator, search.evaluator.format
 
@@ -355,39 +343,15 @@ def _known_policies(search: FrontSearch, evaluated: EvaluatedPlans, sources: Seq
     return [KnownPolicy(text, whole, present, sources[source]) for text, whole, present, source in rows]
 
 
-def parse_arguments(arguments: list[str]) -> argparse.Namespace:
-    """The options of this script."""
-    open_roads = [name for name, scenario in SCENARIOS.items() if not (scenario.lanes or scenario.roads)]
-    parser = make_parser("Search for a best-known front.")
-    add = parser.add_argument
-    add("--scenario", choices=open_roads, default="one_waypoint", help="(default: %(default)s)")
-    add("--action-type", choices=get_args(ActionType), default="discrete", help="(default: %(default)s)")
-    add("--decisions", type=int, default=300_000_000, metavar="N", help="to simulate (default: %(default)s)")
-    add("--seed", type=int, default=0, metavar="S", help="of the search (default: %(default)s)")
-    add("--anew", action="store_true", help="do not start from the shipped front")
-    add("--from", dest="runs", nargs="+", default=[], metavar="RUN", help="also start from the policies of these runs")
-    add("--episodes", type=int, default=8, metavar="N", help="sampled, of each policy of a run (default: %(default)s)")
-    add("--output", type=Path, metavar="FILE", help="write to FILE instead of replacing the shipped front")
-    TRUST(parser)
-    options = parser.parse_args(arguments)
-    check_least(parser, options, 0, "decisions", "seed", "episodes")
-    check_folder(parser, options.output)
-    return options
-
-
-def main(arguments: list[str]) -> int:
-    """Run the command line ``arguments``; the exit code."""
-    options = vars(parse_arguments(arguments))
-    runs, output, trust = options.pop("runs"), options.pop("output"), options.pop("trust")
-    settings = FrontSearchSettings(**options)
+def run_search(options: argparse.Namespace) -> int:
+    """Search for a better front, print what it gained, and write it."""
+    cli.check_at_least(options, 0, "decisions", "seed", "episodes")
+    cli.check_file("--output", options.output)
+    values = vars(options)
+    settings = FrontSearchSettings(**{field.name: values[field.name] for field in fields(FrontSearchSettings)})
     shipped = shipped_front_file(settings.scenario, settings.action_type)
-    try:
-        recordings = [
-            record_run(run, settings.scenario, settings.action_type, settings.episodes, trust=trust) for run in runs
-        ]
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    scene = settings.scenario, settings.action_type, settings.episodes
+    recordings = [record_run(run, *scene, trust=options.trust) for run in options.runs]
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("searching", total=settings.decisions)
         found = improve_front(settings, shipped, recordings, lambda done: progress.update(task, completed=done))
@@ -398,13 +362,28 @@ def main(arguments: list[str]) -> int:
         change = f"{after / before - 1.0:+.3%}" if before else "-"
         table.add_row(str(criterion), *map(str, sizes), f"{before:.6g}", f"{after:.6g}", change)
     console.print(table)
-    if output is None and found.loses_hypervolume:
+    if options.output is None and found.loses_hypervolume:
         console.print("The shipped front is larger; nothing is written.")
         return 0
-    size = found.write(output or shipped)
-    console.print(f"{len(found.policies)} policies written to {output or shipped} ({size / 1000:.0f} kB)")
+    file = options.output or shipped
+    size = found.write(file)
+    console.print(f"{len(found.policies)} policies written to {file} ({size / 1000:.0f} kB)")
     return 0
 
+
+OPEN_ROADS = [name for name, scenario in SCENARIOS.items() if not (scenario.lanes or scenario.roads)]
+OPTIONS = (
+    cli.option("--scenario", None, "(default: %(default)s)", choices=OPEN_ROADS, default="one_waypoint"),
+    cli.option("--action-type", None, "(default: %(default)s)", choices=get_args(ActionType), default="discrete"),
+    cli.option("--decisions", "N", "to simulate (default: %(default)s)", type=int, default=300_000_000),
+    cli.option("--seed", "S", "of the search (default: %(default)s)", type=int, default=0),
+    cli.flag("--anew", "do not start from the shipped front"),
+    cli.option("--from", "RUN", "also start from the policies of these runs", dest="runs", nargs="+", default=[]),
+    cli.option("--episodes", "N", "sampled, of each policy of a run (default: %(default)s)", type=int, default=8),
+    cli.option("--output", "FILE", "write to FILE instead of replacing the shipped front", type=Path),
+    cli.TRUST,
+)
+main = cli.Command("", __doc__, OPTIONS, run_search)
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

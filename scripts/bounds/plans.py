@@ -287,11 +287,7 @@ class PlanEvaluator:
         self._times = self._weights.cumsum(axis=1) * (params["dt"] * params["physics_steps"])
 
     def evaluate(self, plans: Plans, source: int, rules: NDArray[Any] | None = None) -> EvaluatedPlans:
-        """Simulate the episodes of plans, of which ``source`` is the index of what found them.
-
-        Of the ``rules`` (n,) of RULE, each replaces its plan from its ``first_decision`` on. Plans are written:
-        with the actions of rules, and idle actions after the end of an episode.
-        """
+        """Simulate plans that ``source`` found, and write the actions of ``rules`` (n,) and idle ends into them."""
         n, d = len(plans), len(self.batch.objectives)
         if rules is None:
             rules = np.zeros(n, dtype=RULE)

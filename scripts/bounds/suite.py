@@ -22,8 +22,8 @@ from rich.progress import track
 
 from algorithms.driving.roundabout_rules import ROUNDABOUTS
 from algorithms.driving.unskilled import unskilled_policies
+from algorithms.runs import cli
 from algorithms.runs.build import load_policy
-from algorithms.runs.cli import make_parser
 from algorithms.runs.run_directory import Run
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.episodes import evaluate
@@ -42,14 +42,12 @@ from scripts.bounds.suite_bounds import (
     TRIED_IN_ROUNDABOUTS,
     ceiling,
     floor,
-    plan_file,
     plan_task,
     roundabout_rules,
     with_spare_preferences,
     worth_driving,
     write_plans,
 )
-from scripts.result_file import check_folder, check_least
 
 if TYPE_CHECKING:
     import argparse
@@ -64,11 +62,7 @@ Driver = tuple[str, str, int | None, Any]  # name, kind, seed of a run, policy
 
 
 def bounds(task: Task) -> list[Driver]:
-    """The drivers that the bounds of a task are of.
-
-    The floors are standing still, acting at random, holding one action and the blind drivers; of the last two kinds,
-    and of the rules, there is the one that is best on the validation split.
-    """
+    """The drivers that bounds are of: without skill and by rules, of each kind the best on the validation split."""
     unskilled = unskilled_policies(task.config())
     found: list[Driver] = [(name, FLOOR, None, unskilled[name]) for name in (STILL, RANDOM)]
     for prefix, start in (("", "holds "), ("blind, ", "goes ")):
@@ -100,11 +94,7 @@ def drive(policy: Any, task: Task, episodes: int, split: Any) -> Evaluation:
 
 
 def measures(found: Evaluation) -> dict[str, float | None]:
-    """Means over the episodes and over the vehicles of what is driven, with the ends of their 95% intervals.
-
-    "arrived" and "collided" are shares of the vehicles, "utility" is that of a vehicle, "worst_off" the least of them
-    and "gini" the sum that counts the worse-off for more; then come the returns of the objectives.
-    """
+    """Means over episodes and vehicles, with the ends of their 95% intervals; last the returns of the objectives."""
     team = found.team_samples()
     samples: Mapping[str, Any] = {
         "arrived": team[SHARE_ARRIVED],
@@ -132,33 +122,6 @@ def _best(candidates: Mapping[str, Any], task: Task) -> tuple[str, Any]:
     return name, candidates[name]
 
 
-def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
-    """The options of this script."""
-    parser = make_parser(__doc__)
-    parser.add_argument("what", choices=("plan", "floor", "ceiling", "drivers"))
-    parser.add_argument("tasks", nargs="+", choices=suite.load().tasks, metavar="TASK")
-    parser.add_argument("--scenarios", type=int, default=128, help="of the test split (default: %(default)s)")
-    parser.add_argument("--generations", type=int, default=20, help="of a search (default: %(default)s)")
-    parser.add_argument("--horizon", type=float, default=HORIZON, help="s of a planned drive (default: %(default)s)")
-    parser.add_argument("--from", dest="start", metavar="TASK", help="start from the plans of another task")
-    parser.add_argument("--runs", nargs="+", default=[], metavar="RUN", help="runs in the table of drivers")
-    parser.add_argument("--label", metavar="NAME", help="what the runs are called in the table")
-    parser.add_argument("--episodes", type=int, default=1000, metavar="N", help="per driver (default: %(default)s)")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="CSV file of the drivers")
-    options = parser.parse_args(arguments)
-    check_least(parser, options, 1, "scenarios", "generations", "horizon", "episodes")
-    if options.what == "drivers":
-        if options.output is None:
-            parser.error("drivers needs --output FILE")
-        if options.runs and not options.label:
-            parser.error("--runs needs --label NAME")
-        check_folder(parser, options.output)
-        for task_id in options.tasks:
-            if suite.load().task(task_id).config().scenario not in ROUNDABOUTS:
-                parser.error(f"drivers is for tasks in the roundabout, not for {task_id}")
-    return options
-
-
 def plan(task_id: str, options: argparse.Namespace) -> None:
     """Search for the drives of a task, and write them."""
     task = suite.load().task(task_id)
@@ -169,33 +132,32 @@ def plan(task_id: str, options: argparse.Namespace) -> None:
         kept, left_out = worth_driving(task, values.mean(axis=0))
         texts, values = [[each[k] for k in kept.tolist()] for each in texts], values[:, kept]
         print(f"preferences.left_out: {left_out}")
-    write_plans(plan_file(task_id), task, texts)
+    write_plans(task_id, task, texts)
     print(f"{task_id}: {values.mean():.4f} over {len(values)} scenarios", flush=True)
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def drivers(options: argparse.Namespace) -> None:
     """Write the rows of bounds, or of runs if some are given, in place of those that the file has of them."""
-    tasks = suite.load()
+    if options.output is None:
+        raise ValueError("drivers needs --output FILE")
+    if options.runs and not options.label:
+        raise ValueError("--runs needs --label NAME")
+    cli.check_file("--output", options.output)
+    tasks = {task_id: suite.load().task(task_id) for task_id in options.tasks}
+    for task_id, task in tasks.items():
+        if task.config().scenario not in ROUNDABOUTS:
+            raise ValueError(f"drivers is for tasks in the roundabout, not for {task_id}")
     runs = [Run.open(path) for path in options.runs]
     for run in runs:
-        if not any(drives_in(run, tasks.task(task_id)) for task_id in options.tasks):
-            raise ValueError(f"--runs {run.path} drives in the environment of none of {', '.join(options.tasks)}")
-    rows: list[dict[str, str]] = []
+        if not any(drives_in(run, task) for task in tasks.values()):
+            raise ValueError(f"--runs {run.path} drives in the environment of none of {', '.join(tasks)}")
+    rows: list[dict[str, Any]] = []
     if options.output.is_file():
         with options.output.open(encoding="utf-8", newline="") as stream:
             rows = list(csv.DictReader(stream))
-    for task_id in options.tasks:
-        task = tasks.task(task_id)
-        there = [run for run in runs if drives_in(run, task)]
-        trained: list[Driver] = [
-            (options.label, LEARNER, run.experiment.training.seed, load_policy(run)) for run in there
-        ]
+    for task_id, task in tasks.items():
+        learnt = [(run.experiment.training.seed, load_policy(run)) for run in runs if drives_in(run, task)]
+        trained: list[Driver] = [(options.label, LEARNER, seed, policy) for seed, policy in learnt]
         driven: list[dict[str, Any]] = []
         for name, kind, seed, policy in trained if runs else bounds(task):
             about = {"task": task_id, "driver": name, "kind": kind, "seed": seed, "episodes": options.episodes}
@@ -204,19 +166,16 @@ def drivers(options: argparse.Namespace) -> None:
             print(f"{task_id}: {row['driver']}: arrived {row['arrived']:.3f}, utility {row['utility']:.4g}", flush=True)
         new = {options.label} if runs else {row["driver"] for row in rows if row["kind"] != LEARNER}
         rows = [row for row in rows if row["task"] != task_id or row["driver"] not in new]
-        rows += [{name: _cell(value) for name, value in row.items()} for row in driven]
+        for row in driven:
+            rows.append({name: f"{cell:.5g}" if isinstance(cell, float) else cell for name, cell in row.items()})
     atomic_write(options.output, csv_bytes([list(rows[0]), *(list(row.values()) for row in rows)]))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command line ``arguments``; those of the process if None."""
-    options = parse_arguments(arguments)
+def compute(options: argparse.Namespace) -> int:
+    """Do what is asked for, for every task."""
+    cli.check_at_least(options, 1, "scenarios", "generations", "horizon", "episodes")
     if options.what == "drivers":
-        try:
-            drivers(options)
-        except (ValueError, OSError) as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 2
+        drivers(options)
         return 0
     for task_id in options.tasks:
         if options.what == "plan":
@@ -227,5 +186,19 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
+OPTIONS = (
+    cli.option("what", None, "", choices=("plan", "floor", "ceiling", "drivers")),
+    cli.option("tasks", "TASK", "", nargs="+", choices=suite.load().tasks),
+    cli.option("--scenarios", "N", "of the test split (default: %(default)s)", type=int, default=128),
+    cli.option("--generations", "N", "of a search (default: %(default)s)", type=int, default=20),
+    cli.option("--horizon", "S", "s of a planned drive (default: %(default)s)", type=float, default=HORIZON),
+    cli.option("--from", "TASK", "start from the plans of another task", dest="start"),
+    cli.option("--runs", "RUN", "runs in the table of drivers", nargs="+", default=[]),
+    cli.option("--label", "NAME", "what the runs are called in the table"),
+    cli.option("--episodes", "N", "per driver (default: %(default)s)", type=int, default=1000),
+    cli.option("--output", "FILE", "CSV file of the drivers", type=Path),
+)
+main = cli.Command("", __doc__, OPTIONS, compute)
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -76,11 +76,7 @@ class UtilitySearch:
     def best(
         self, start: NDArray[Any], sequences: Sequence[NDArray[Any]], generations: int
     ) -> tuple[EvaluatedPlans, NDArray[np.float64]]:
-        """The best plan found for each utility, (P,) of them, and their utilities (P,).
-
-        The scenario begins in the state ``start`` (1,) of VEHICLE; the search starts from the ``sequences`` of
-        environment actions, too, and has ``generations`` after the first one.
-        """
+        """The best plan for each utility and its value (P,), from ``start`` (1,) of VEHICLE and known sequences."""
         self.evaluator.batch.state[0] = start
         plan_format = self.evaluator.format
         idle = plan_format.to_sequence(plan_format.idle_plans(1)[0])
@@ -97,14 +93,10 @@ class UtilitySearch:
 
     def values(self, evaluated: EvaluatedPlans) -> NDArray[np.float64]:
         """The utilities (n, P) of plans."""
-        return self._values(self.returns(evaluated))
-
-    def returns(self, evaluated: EvaluatedPlans) -> NDArray[np.float64]:
-        """The undiscounted returns (n, d) of plans, with the time that is charged last."""
         returns = evaluated.returns[UNDISCOUNTED].copy()
         arrived = returns[:, self._destination] > 0.0
         returns[~arrived, -1] = -self._unfinished
-        return returns
+        return self._values(returns)
 
     def _ruled(self, plans: NDArray[np.int16], first_decisions: NDArray[Any]) -> EvaluatedPlans:
         """The plans, in which random rules drive from the given decisions on."""
@@ -126,10 +118,7 @@ class UtilitySearch:
 
 
 def as_continuous(evaluator: PlanEvaluator, start: NDArray[Any], actions: NDArray[Any]) -> NDArray[np.float64]:
-    """The continuous actions (t, 3) that give the vehicle the controls of discrete ones (t,).
-
-    ``start`` (1,) of VEHICLE is the state in which the scenario begins, ``evaluator`` of discrete plans.
-    """
+    """The continuous actions (t, 3) with the controls of discrete ones (t,), from ``start`` (1,) of VEHICLE on."""
     batch = evaluator.batch
     batch.state[0] = start
     controls, found = np.zeros((1, 1, 3)), []
@@ -148,11 +137,7 @@ def blind_plan(
     starts: Sequence[NDArray[Any]],
     held: Sequence[NDArray[Any]],
 ) -> tuple[NDArray[Any], float]:
-    """The sequence of actions that is worth most in the mean over scenarios, and what it is worth.
-
-    It is the best policy that sees the time alone. Arguments are those of :class:`UtilitySearch`, with one utility; the
-    scenarios begin in the states ``starts``, and the search starts from the sequences ``held`` of environment actions.
-    """
+    """The actions that are worth most in the mean over scenarios, searched from ``held``, and what they are worth."""
     search = UtilitySearch(evaluator, values, unfinished, 0)
     plan_format, rng = evaluator.format, np.random.default_rng(0)
     plans = plan_format.from_sequences(held)
@@ -180,11 +165,6 @@ SPARE = 32  # preferences that are drawn beyond those that are needed
 NEARLY = 0.05  # a preference under which standing still is this close to the best is left out
 
 
-def plan_file(task_id: str) -> Path:
-    """Where the plans of a task are shipped."""
-    return Path(str(DATA / f"plans_{task_id.lower()}.json"))
-
-
 class ScenarioPlanner:
     """Plans the scenarios of a task on an open road; a drive arrives within ``horizon`` seconds."""
 
@@ -208,10 +188,7 @@ class ScenarioPlanner:
         return lambda returns: np.asarray(utility(returns))[:, None]
 
     def plan(self, seed: int, known: Sequence[NDArray[Any]] = ()) -> tuple[list[NDArray[Any]], NDArray[np.float64]]:
-        """The best drives found in the scenario of ``seed``, one per utility, and their utilities.
-
-        The search starts from ``known`` drives of discrete actions, in place of one that it looks for.
-        """
+        """The best drives found in a scenario, one per utility, and their utilities; from ``known`` discrete drives."""
         self.env.reset(seed=seed)
         start = self.env.unwrapped.batch.state[0].copy()
         search = UtilitySearch(self.evaluator, self._values, self._time_limit, seed)
@@ -241,10 +218,7 @@ def with_spare_preferences(task: Task) -> Task:
 
 
 def worth_driving(task: Task, best: NDArray[np.float64]) -> tuple[NDArray[np.int64], list[int]]:
-    """The preferences of :func:`with_spare_preferences` that count, and those before them that are left out.
-
-    ``best`` (P,) is what the best drives are worth, in the mean over scenarios.
-    """
+    """The preferences that count where the best drives are worth ``best`` (P,), and those before that are left out."""
     spare = with_spare_preferences(task)
     assert spare.preferences is not None
     assert task.preferences is not None
@@ -256,11 +230,7 @@ def worth_driving(task: Task, best: NDArray[np.float64]) -> tuple[NDArray[np.int
 def plan_task(
     task: Task, seeds: Iterable[int], generations: int, horizon: float, known: str | None = None
 ) -> tuple[list[list[str]], NDArray[np.float64]]:
-    """The texts of the best drives by scenario and utility, and their utilities (scenarios, P).
-
-    The scenarios are the first ones of the test split; ``known`` is the id of a task with discrete actions and the same
-    scenarios, from whose plans the search starts.
-    """
+    """The texts of the best drives and their utilities (scenarios, P), from plans of the ``known`` discrete task."""
     planner = ScenarioPlanner(task, generations, horizon)
     drives, values = [], []
     for i, seed in enumerate(seeds):
@@ -270,10 +240,11 @@ def plan_task(
     return drives, np.array(values)
 
 
-def write_plans(file: Path, task: Task, texts: list[list[str]]) -> None:
-    """Write the plans of a task: JSON, a scenario a line."""
+def write_plans(task_id: str, task: Task, texts: list[list[str]]) -> None:
+    """Write the plans of a task where they are shipped: JSON, a scenario a line."""
     head = json.dumps({"action_type": task.config().action_type})[:-1]
     lines = ",\n".join(json.dumps(each) for each in texts)
+    file = Path(str(DATA / f"plans_{task_id.lower()}.json"))
     atomic_write(file, f'{head}, "actions": [\n{lines}\n]}}\n'.encode())
 
 

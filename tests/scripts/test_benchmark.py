@@ -75,7 +75,7 @@ def test_trees_alternate_and_the_first_round_is_not_counted(benchmark: ModuleTyp
         (["--device", "abacus"], "--device = 'abacus' is not a valid device"),
         (["--device", "cuda:99"], "'cuda:99' does not exist"),
         (["--threads", "1"], "--threads 1 must be from 2 to "),
-        (["--against", "HEAD", "--output", "no/pairs.csv"], "there is no folder no"),
+        (["--against", "HEAD", "--output", "no/pairs.csv"], "/no' is not a directory"),
     ],
 )
 @pytest.mark.usefixtures("benchmark")

@@ -20,6 +20,7 @@ from mo_deepdrive.world.action_sequences import discounted_sum
 from mo_deepdrive.world.action_sequences import replay as replay_sequences
 from scripts.bounds import front
 from scripts.bounds.front import FrontSearchSettings, improve_front, record_run
+from tests.helpers.script_runs import exit_code
 
 pytestmark = pytest.mark.slow
 
@@ -85,11 +86,11 @@ def test_a_front_is_replaced_by_a_larger_one_and_kept_otherwise(
 
 
 def test_a_run_of_another_scenario_or_action_set_is_refused(shipped: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert front.main(["--scenario", "static_obstacle", "--decisions", "0", "--from", RUN]) == 2
+    assert exit_code(front.main, "--scenario", "static_obstacle", "--decisions", "0", "--from", RUN) == 2
     assert "has scenario = 'one_waypoint'; the front needs 'static_obstacle'" in capsys.readouterr().err
-    assert front.main(["--action-type", "continuous", "--decisions", "0", "--from", RUN]) == 2
+    assert exit_code(front.main, "--action-type", "continuous", "--decisions", "0", "--from", RUN) == 2
     assert "has action_type = 'discrete'; the front needs 'continuous'" in capsys.readouterr().err
-    assert front.main(["--decisions", "0", "--from", "no/such/run"]) == 2
+    assert exit_code(front.main, "--decisions", "0", "--from", "no/such/run") == 2
     assert "no/such/run" in capsys.readouterr().err
     assert not shipped.exists()
 
@@ -99,7 +100,7 @@ def test_a_run_of_another_scenario_or_action_set_is_refused(shipped: Path, capsy
     [
         (["--scenario", "intersection"], "invalid choice: 'intersection'"),
         (["--decisions", "-1"], "--decisions -1 must be at least 0"),
-        (["--output", "/no/such/folder/front.json"], "there is no folder /no/such/folder"),
+        (["--output", "/no/such/folder/front.json"], "'/no/such/folder' is not a directory"),
     ],
 )
 def test_bad_arguments_are_refused(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
