@@ -71,12 +71,7 @@ def print_sweep(
     top: int = 20,
     columns: Sequence[str] | None = None,
 ) -> tuple[list[ScoreGroup], list[ScoreGroup]]:
-    """Print the best cells of a sweep and the first comparisons of algorithms, at most ``top`` of each.
-
-    Cells are sorted by ``metric``, None for the utility or the hypervolume; beside it the table has ``columns``, None
-    for :data:`algorithms.reporting.tables.TABLE_COLUMNS`. ``warn`` is called with a line about all that is left out.
-    Returns the scores of all cells, and those by which they are compared.
-    """
+    """Print the best cells and the first comparisons of algorithms; the scores of cells, and those of comparisons."""
     collection = collect(sweep, warn)
     if collection.scores.is_empty():
         hint = "mo-deepdrive plot draws what runs have logged"
@@ -173,10 +168,7 @@ class Ranking(NamedTuple):
 
 
 def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None) -> list[Ranking]:
-    """Group comparable cells and rank each group by a score, None for the first of DEFAULT_METRICS that the runs have.
-
-    The metric is one such as "stochastic/vehicle_0/success"; its policy and vehicle may be omitted.
-    """
+    """Group comparable cells and rank each group by a metric, whose policy and vehicle may be omitted."""
     comparable: dict[str, list[int]] = defaultdict(list)
     for i, cell in enumerate(cells):
         comparable[f"{cell.experiment.task_key} {cell.experiment.evaluation.split}"].append(i)
@@ -263,9 +255,6 @@ def cell_labels(cells: Sequence[Cell], keys: Sequence[str]) -> list[str]:
     return labels
 
 
-# ------------------------------------------------------------------------------------------------------------ figures
-
-
 def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], warn: Callable[[str], None]) -> None:
     """Draw the best cells of a sweep, and into ``OUTPUT-cells`` the scores of all runs against each key that varies."""
     from algorithms.reporting.curves import describe, plot, plot_effects  # not earlier: tables need no matplotlib
@@ -288,10 +277,7 @@ def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], war
 
 
 def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[CurveGroup]:
-    """The curves of the best cells, of those runs that have a score; with several cells of evaluations alone.
-
-    These are the best of every ranking, then the second best of every ranking, and so on, in the order of the rankings.
-    """
+    """The curves of the best cells of every ranking, of runs that have a score; of several, evaluations alone."""
     from algorithms.reporting.curves import CurveGroup
 
     places = sorted((place, r) for r, ranking in enumerate(rankings) for place in range(len(ranking.ranked)))
