@@ -34,7 +34,7 @@ def draw(options: Namespace) -> int:
     with sole_purpose("the curves could not be drawn"):
         from algorithms.reporting.curves import FORMATS, describe, load_groups, plot
         from algorithms.reporting.run_records import find_runs
-        from algorithms.studies.sweep_plots import plot_sweep
+        from algorithms.studies.sweep_tables import plot_sweep
 
         cli.check_file("--output", options.output, *FORMATS)
         if not any(is_sweep(run) for run in options.runs):

@@ -102,11 +102,7 @@ def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str
 
 
 def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | None = None) -> JobOutcome:
-    """Train a run from the beginning or its checkpoint, and evaluate it; its output goes to its train.log.
-
-    ``watch`` and ``stop`` are those of :func:`algorithms.runs.training.train`. It is "already there" if it was finished
-    before; "stopped" if a signal or ``stop`` ended it early, after saving.
-    """
+    """Train and evaluate a run; "stopped" if a signal or ``stop`` ended it early, after saving."""
     if job.done:
         return "already there"
     # As late as this: the process that hands out jobs needs no torch, which takes seconds and much memory.
@@ -286,11 +282,7 @@ class _Workers:
 def perform_all(
     jobs: Sequence[Job], workers: int, dashboard: Dashboard, *, retries: int = 0, stop: Callable[[], bool] | None = None
 ) -> dict[Job, str]:
-    """Make all runs that are not finished, each in a worker process; returns the jobs that failed, with their errors.
-
-    Runs that other processes are making are waited for. ``retries`` are those of :func:`verdict`; ``stop`` is called
-    several times a second, and True saves the running jobs and returns.
-    """
+    """Make all runs that are not finished, until ``stop``, which is called often; the failed ones with their errors."""
     waiting = {job: 0.0 for job in jobs if not job.done}  # the time from which on each may be started
     failed: dict[Job, str] = {}
     if not waiting:
@@ -327,10 +319,7 @@ def perform_all(
 
 
 def train_apart(runs: Sequence[Run], console: Console) -> int | None:
-    """Train runs whose locks are held, each in a process of its own, as many at a time as there are cores for.
-
-    Returns the number of the signal that stopped training, 1 if a run failed, or None if all are finished.
-    """
+    """Train locked runs in processes; the signal that stopped it, 1 if a run failed, None if all are finished."""
     jobs = [Job(run.path.name, run.experiment, run.path) for run in runs]
     workers = max(1, available_cores() // runs[0].experiment.training.threads)
     for run in runs:

@@ -199,10 +199,7 @@ def summary_of(states: Iterable[Any]) -> str:
 
 
 class Dashboard(Display):
-    """Shows how many runs are done, running, failed and waiting, the running ones, and the time left.
-
-    Call :meth:`update` often; it reads the directories of ``jobs``, each a Job, at longer intervals.
-    """
+    """Shows the states of runs, the running ones, and the time left; call :meth:`update` often."""
 
     def __init__(self, jobs: Sequence[Any], console: Console, title: str = "runs"):
         super().__init__(console, "the progress")

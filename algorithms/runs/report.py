@@ -62,12 +62,8 @@ def evaluation_env(experiment: Experiment, episodes: int) -> VectorEnv:
 
 
 def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
-    """How many of ``episodes`` episodes of a deterministic policy are worth driving: 1 if all are the same, else all.
-
-    They are the same if two seeds place the same world bit for bit, as with a fixed destination on OneWaypoint: this
-    package's environments draw random numbers for nothing but the start of an episode. Of other environments this is
-    not known, and all episodes are driven.
-    """
+    """1 if two seeds place the same world of ours, whose episodes are then all the same; else ``episodes``."""
+    # Our environments draw random numbers for nothing but the start of an episode; of others this is not known.
     if episodes == 1 or not is_ours(find_environment(settings.id)):
         return episodes
     env: Any = make_environment(settings, 2)
@@ -209,11 +205,7 @@ def film_policies_of_front(
     seed: int,
     policies: Sequence[int] | None = None,
 ) -> bool:
-    """Try to film policies of a front, by index, side by side in the same scenario; None films four that cover it.
-
-    An episode of more than MAX_FRAMES frames is cut off, which its last frame says. What the video shows is printed, or
-    why there is none.
-    """
+    """Try to film policies of a front, by index, side by side in the same scenario; None films four that cover it."""
     chosen = covering_policies(front, FILMED_POLICIES).tolist() if policies is None else list(policies)
     what = f"{'policy' if len(chosen) == 1 else 'policies'} {', '.join(map(str, chosen))} of the front, seed {seed}"
     with _filming(path, what, console) as filming, ExitStack() as stack:
@@ -279,10 +271,7 @@ def explorable(
     split: Split = CHOICE_SPLIT,
     seed: int | None = None,
 ) -> ExplorableFront:
-    """The front of a finished run, as the user calls it, with new episodes of all its policies.
-
-    They are the episodes of ``mo-deepdrive choose``, from ``seed`` on, or else of a split.
-    """
+    """The front of a finished run, as the user calls it, with new episodes of all its policies."""
     from algorithms.reporting.explorer.data import explorable_front
 
     front, experiment = Front.read(run.path), run.experiment

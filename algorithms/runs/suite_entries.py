@@ -143,10 +143,7 @@ def check_experiment(experiment: Experiment, task_id: str, source: str) -> None:
 
 
 def rows_of(evaluation: FinalEvaluation, key: tuple[str, str, int], *shown: str, **about: Any) -> list[Row]:
-    """The rows of a run's final evaluation: its scores on the suite, and the metrics that are ``shown``.
-
-    The key is task, learner and seed; ``about`` has further attributes of the rows.
-    """
+    """The rows of a final evaluation, by task, learner and seed: scores on the suite and the metrics ``shown``."""
     version = evaluation.suite_version or 0
     return [
         Row(*key, policy, name.removeprefix(SUITE), score.value, score.low, score.high, version=version, **about)
@@ -266,11 +263,7 @@ def scorable(agent: Any, experiment: Experiment) -> Any:
 
 
 def score_run(run: Run, policy: Any) -> None:
-    """Score a policy, as of :func:`scorable`, on the task of a run, and add the scores to its final evaluation.
-
-    Their names there are such as "greedy/suite/score". Perturbations are left out on the validation split, where
-    settings are chosen.
-    """
+    """Add the scores of a policy on a run's task to its final evaluation, on the test split with perturbations."""
     settings = run.experiment.evaluation
     path, perturbed = run.path / EVALUATION_FILE, settings.split == "test"
     values = json.loads(path.read_bytes())

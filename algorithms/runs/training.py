@@ -255,12 +255,7 @@ def train(
 
 
 def finish(run: Run, agent: Any, console: Console) -> None:
-    """Evaluate the trained agent of a run; write and print the numbers, draw the learning curves and record a video.
-
-    Of a front four policies are filmed, and the page is written on which a person chooses one. Without
-    ``logging.save_figures`` there are neither curves nor videos nor the page. If any of these fails, the reason is
-    printed and the run is finished all the same.
-    """
+    """Evaluate the trained agent of a run, and report it; pictures that fail are printed, and cost no result."""
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
     try:
         report_run(run, agent, console)

@@ -52,12 +52,7 @@ class Backend:
     wait: bool = True  # for the jobs that are submitted to Slurm
 
     def train(
-        self,
-        jobs: Sequence[Job],
-        settings: PlanSettings,
-        directory: Path,
-        monitor: Dashboard,
-        stop: Callable[[], bool],
+        self, jobs: Sequence[Job], settings: PlanSettings, directory: Path, monitor: Dashboard, stop: Callable[[], bool]
     ) -> dict[Job, str]:
         """Train the runs that are not done; returns those that failed, each with its reason.
 
@@ -138,10 +133,7 @@ class Runner(Scores):
         return 1 if self._failed else 0
 
     def remake(self) -> int:
-        """Discard the finished runs whose files are broken, then :meth:`run`, which makes them again; its exit code.
-
-        A run of which only the final evaluation is broken is evaluated again from its checkpoint.
-        """
+        """Discard the broken files of finished runs, then :meth:`run`, which makes them again; its exit code."""
         self._check_directory()
         for row, problems in verify(self._directory, self._say):
             directory = own_path(self._directory, row.directory)
@@ -222,10 +214,7 @@ class Runner(Scores):
 
 
 def read_score(run: Path, metric: str) -> float | None:
-    """The value of a metric of a run, that of its last evaluation if it was pruned.
-
-    None if it failed or has no finite value, NaN if it has not ended.
-    """
+    """As :meth:`Scores.of`; of a run that was pruned the value of its last evaluation."""
     state = read_status(run).get("state")
     if state not in ("finished", "pruned"):
         return None if state == "failed" else math.nan

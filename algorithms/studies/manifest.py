@@ -125,11 +125,7 @@ def cell_rows(
     metric: str | None = None,
     build_once: bool = True,
 ) -> list[ManifestRow]:
-    """The rows of one cell, one per seed, with ``values`` as the sections of their experiments.
-
-    Settings that are tried, as number ``trial``, must be scored on the validation split. The final evaluation must have
-    the metric, if one is given; ``build_once`` checks that the agent can be built.
-    """
+    """The rows of one cell, one per seed; ``build_once`` checks that the agent can be built and has the metric."""
     where = f"cell [{label(cell)}]"
     experiment = make_experiment(overridden(values, {"training.seed": seeds[0]}, cell), where, here=False)
     if trial is not None and experiment.evaluation.split != "validation":

@@ -80,11 +80,7 @@ def load_paper(path: str | Path) -> Study:
 
 
 def paper_plan(study: Study, tasks: Sequence[str], *, seeds: int | None = None, quick: bool = False) -> StudyPlan:
-    """The arms to train for some tasks, whose names are without their protocols, all of which are selected.
-
-    ``seeds`` is the number of runs of each learner, instead of the study's; a task that names its seeds has at most
-    these. A ``quick`` one has fewer seeds and steps, of the protocols that claims are judged by.
-    """
+    """The arms to train for some tasks, in all their protocols, or quick ones, with so many ``seeds`` at most."""
     known = {key.partition("/")[0] for key in study.tasks}
     for task in tasks:
         if task not in known:
@@ -181,11 +177,7 @@ class Reproduction:
         return tasks, [self.figure] if self.figure else [*claims[0].figures]
 
     def run(self, console: Console) -> int:
-        """Train the runs that are missing, then write report and figures; returns the exit code.
-
-        It is 0, 1 if runs failed, or 128 plus the number of the signal that interrupted the training. A reproduction of
-        everything with the study's settings, in a checkout, also updates the zoo.
-        """
+        """Train the missing runs, write report and figures, update the zoo of a checkout; the code of Runner.run."""
         tasks, figures = self.selection()
         if self.redraw:
             self._write(PaperResults.read(self.study, self.output_folder), figures, console)

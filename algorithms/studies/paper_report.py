@@ -69,11 +69,7 @@ MIN_WIDTH = 8.4  # inches, for the title and the note below it
 def write_report(
     results: PaperResults, directory: Path, figures: Sequence[int], *, how: str, quick: bool = False
 ) -> list[Path]:
-    """Write the results, the report and some of the paper's figures; returns the paths of the report and the figures.
-
-    The report quotes ``how``, the command that creates it. Fronts are drawn from those in ``directory``. Runs of a
-    ``quick`` reproduction are too short for verdicts, and are not judged.
-    """
+    """Write the results, the report, which quotes the command ``how``, and figures; the paths of the latter."""
     results.write(directory)
     pictures: dict[int, list[Path]] = {}
     for number in figures:

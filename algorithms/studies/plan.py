@@ -279,10 +279,7 @@ class StudyPlan(Plan):
         return [self._runs_of(arm, scores or Scores()) for arm in self.arms]
 
     def rows(self, scores: Scores) -> list[ManifestRow]:
-        """As of the base class: those of the tuning first, a run that two arms share once.
-
-        It is then one of an arm that is to be trained now, if any of them is.
-        """
+        """As of the base class: those of the tuning first; a run that arms share is one of a selected arm."""
         arms = sorted(self.runs(scores), key=lambda runs: runs.arm.key not in self.selected)
         self._check_columns([runs.rows[0] for runs in arms])
         tuning = [row for arm in arms for rows in arm.tuning for row in rows]

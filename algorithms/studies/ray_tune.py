@@ -192,10 +192,7 @@ def run_on_ray(
     address: str | None = None,
     workers: int | None = None,
 ) -> dict[Job, str]:
-    """Train the runs as trials of Ray Tune.
-
-    As :meth:`algorithms.studies.execution.Backend.train`; with early stopping, finished runs report what they logged.
-    """
+    """As :meth:`.execution.Backend.train`; with early stopping, finished runs report what they logged."""
     longest = max(job.experiment.training.total_timesteps for job in jobs)
     asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, longest)
     wanted = [job for job in jobs if asha is not None or not job.done]

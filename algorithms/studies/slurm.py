@@ -229,11 +229,7 @@ def run_on_slurm(
     stop: Callable[[], bool],
     wait: bool = True,
 ) -> dict[Job, str]:
-    """Submit the runs that are neither done nor already submitted, and wait for all runs.
-
-    As :meth:`algorithms.studies.execution.Backend.train`; once ``stop`` returns True, the jobs stay in the queue.
-    Without waiting, those of a search that have failed before are returned.
-    """
+    """As :meth:`.execution.Backend.train`; once ``stop`` returns True, the jobs stay in the queue."""
     if shutil.which("sbatch") is None or shutil.which("squeue") is None:
         raise ValueError("--on slurm: Slurm is not installed (sbatch and squeue are not on the PATH)")
     queue = SlurmQueue(sweep)

@@ -1,4 +1,4 @@
-"""The tables of a sweep: its cells, the best first, and comparisons of algorithms where nothing else differs."""
+"""The tables and figures of a sweep: its cells, the best first, and comparisons where nothing else differs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import polars as pl
 
 from algorithms.reporting.run_records import distinct_labels
@@ -24,12 +25,14 @@ from algorithms.reporting.tables import (
 from algorithms.studies.collection import SCORE_KEYS, Cell, Collection, as_json, collect
 from algorithms.studies.manifest import value_text
 from mo_deepdrive.evaluation.metrics import (
+    EVALUATION,
     EXPECTED_UTILITY,
     FRONT,
     GREEDY,
     HYPERVOLUME,
     POLICIES,
     RETURN,
+    STEP,
     STOCHASTIC,
     UTILITY_ESR,
     MetricName,
@@ -44,6 +47,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from algorithms.reporting.curves import CurveGroup, VariedScores
+
 REST = "--output FILE.csv writes every metric"
 ALGORITHM_KEYS = ("config", "algorithm", "algorithm.name")  # keys of cells that choose the algorithm
 # Cells are ranked by the first of these metrics that the runs have.
@@ -53,6 +58,7 @@ DEFAULT_METRICS = (
     MetricName(FRONT, "", EXPECTED_UTILITY),
     MetricName(STOCHASTIC, "", UTILITY_ESR),
 )
+MAX_CURVES = 8  # cells, as many as there are markers
 TOTAL = "total"  # instead of a vehicle: the sum over all vehicles
 
 
@@ -65,12 +71,7 @@ def print_sweep(
     top: int = 20,
     columns: Sequence[str] | None = None,
 ) -> tuple[list[ScoreGroup], list[ScoreGroup]]:
-    """Print the best cells of a sweep and the first comparisons of algorithms, at most ``top`` of each.
-
-    Cells are sorted by ``metric``, None for the utility or the hypervolume; beside it the table has ``columns``, None
-    for :data:`algorithms.reporting.tables.TABLE_COLUMNS`. ``warn`` is called with a line about all that is left out.
-    Returns the scores of all cells, and those by which they are compared.
-    """
+    """Print the best cells and the first comparisons of algorithms; the scores of cells, and those of comparisons."""
     collection = collect(sweep, warn)
     if collection.scores.is_empty():
         hint = "mo-deepdrive plot draws what runs have logged"
@@ -167,10 +168,7 @@ class Ranking(NamedTuple):
 
 
 def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None) -> list[Ranking]:
-    """Group comparable cells and rank each group by a score, None for the first of DEFAULT_METRICS that the runs have.
-
-    The metric is one such as "stochastic/vehicle_0/success"; its policy and vehicle may be omitted.
-    """
+    """Group comparable cells and rank each group by a metric, whose policy and vehicle may be omitted."""
     comparable: dict[str, list[int]] = defaultdict(list)
     for i, cell in enumerate(cells):
         comparable[f"{cell.experiment.task_key} {cell.experiment.evaluation.split}"].append(i)
@@ -255,3 +253,57 @@ def cell_labels(cells: Sequence[Cell], keys: Sequence[str]) -> list[str]:
         parts += [names[key] + values[key][i] for key in keys]
         labels.append(", ".join(parts) or cell.experiment.algorithm.name)
     return labels
+
+
+def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], warn: Callable[[str], None]) -> None:
+    """Draw the best cells of a sweep, and into ``OUTPUT-cells`` the scores of all runs against each key that varies."""
+    from algorithms.reporting.curves import describe, plot, plot_effects  # not earlier: tables need no matplotlib
+
+    collection = collect(sweep, warn)
+    when, scores = collection.latest_scores()
+    rankings = rank(collection.cells, scores)
+    score = f"{when} {' or '.join(dict.fromkeys(ranking.score_name for ranking in rankings if ranking.scores))}"
+    groups = best_curves(collection, rankings)
+    count = len(collection.cells)
+    left_out = count - len(groups)
+    remark = f"the best {len(groups)} of {count} cells, by {score}; {left_out} left out" if left_out else ""
+    plot(groups, output, remark)
+    for line in [*describe(groups), *([remark] if remark else []), str(output)]:
+        print_line(line)
+    if varied := [effects for ranking in rankings if (effects := varied_scores(collection, ranking)).keys]:
+        path = output.with_name(f"{output.stem}-cells{output.suffix}")
+        plot_effects(varied, path, f"{sweep.resolve().name}: {score}")
+        print_line(str(path))
+
+
+def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[CurveGroup]:
+    """The curves of the best cells of every ranking, of runs that have a score; of several, evaluations alone."""
+    from algorithms.reporting.curves import CurveGroup
+
+    places = sorted((place, r) for r, ranking in enumerate(rankings) for place in range(len(ranking.ranked)))
+    cells = [rankings[r].cells[place] for r, place in sorted((r, place) for place, r in places[:MAX_CURVES])]
+    names = [name for name in collection.metrics.columns if name not in ("run", STEP)]
+    wanted = names if len(cells) == 1 else [name for name in names if name.startswith(EVALUATION)]
+    runs = {run for ranking in rankings for run in ranking.scores}
+    labels = cell_labels(cells, varying_keys([cell.keys for cell in collection.cells]))
+    groups = []
+    for label, cell in zip(labels, cells, strict=True):
+        columns = (collection.columns_of(row.id, sorted(wanted)) for row in cell.rows if row.id in runs)
+        if logged := tuple(of_run for of_run in columns if len(of_run[STEP])):
+            groups.append(CurveGroup(label, cell.experiment, logged))
+    return groups
+
+
+def varied_scores(collection: Collection, ranking: Ranking) -> VariedScores:
+    """The scores of a ranking's runs, and the values of each key that varies among them, in the manifest's order."""
+    from algorithms.reporting.curves import VariedScores
+
+    rows = [row for row in collection.rows if row.id in ranking.scores]
+    algorithms = {row.id: cell.experiment.algorithm.name for cell in ranking.cells for row in cell.rows}
+    values = {}
+    for key, name in short_names(varying_keys([row.cell for row in rows])).items():
+        given = [row.cell.get(key) for row in rows]
+        numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in given)
+        values[name] = np.array(given, dtype=np.float64) if numbers else value_labels(given)
+    scores = np.array([ranking.scores[row.id] for row in rows])
+    return VariedScores(ranking.title, ranking.score_name, scores, tuple(algorithms[row.id] for row in rows), values)
