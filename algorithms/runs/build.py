@@ -47,11 +47,7 @@ def build(
     partners: bool = True,
     guides: bool = True,
 ) -> Any:
-    """The untrained agent of an experiment, an instance of the algorithm's class, with its training environment.
-
-    Without ``partners`` the vehicles that do not learn idle; without ``guides`` nobody begins episodes of the training.
-    Several ``seeds`` train side by side.
-    """
+    """The untrained agent of an experiment; ``partners`` and ``guides`` are needed by training alone."""
     algorithm, training = agent_class(experiment.algorithm.name), experiment.training
     num_envs = num_envs or training.num_envs
     if num_envs >= 10_000:  # of fewer ones it takes little

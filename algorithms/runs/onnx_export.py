@@ -55,11 +55,7 @@ class OnnxExport(NamedTuple):
 def export_onnx(
     agent: Any, experiment: Experiment, path: Path, condition: NDArray[np.float32] | None = None
 ) -> OnnxExport:
-    """Write the policy of an agent as an ONNX file and, where onnxruntime is installed, check it by driving.
-
-    The agent is of one of this package's classes or a subclass of ActorCritic. Of a front, ``condition`` is the row of
-    its conditions that the file is to follow; None makes it an input.
-    """
+    """Write an agent's policy as an ONNX file, and check it by driving; ``condition`` None of a front is an input."""
     with needed_for("exporting", "onnx"):
         import onnx
 

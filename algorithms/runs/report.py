@@ -135,10 +135,9 @@ def report_agent(
     greedy: bool = True,
     about: Mapping[str, Any] = {},
 ) -> bool:
-    """Evaluate an agent, print a table and, where a path is given, write the numbers, draw figures and film the policy.
+    """Evaluate an agent, print a table, and report it where a path is given; False if anything but the numbers failed.
 
-    The title of the table begins with ``title``; ``about`` is for evaluation.json. Films show the first episodes; of a
-    front, four greedy policies in the first one. False if anything but the numbers failed, which is printed.
+    ``about`` is for evaluation.json. Films show the first episodes; of a front, four greedy policies in the first one.
     """
     gamma, about = experiment.evaluation.gamma, {"step": agent.step, **about}
     if directory is not None:

@@ -132,11 +132,7 @@ class Run:
         return read_status(self.path)
 
     def set_status(self, state: State, step: int, reason: str | None = None) -> None:
-        """Write status.json: state, step and length of the training, seconds of work, and the reason if it failed.
-
-        The seconds are sums over all processes; those of CPUs end with the training. A finished run also gets the
-        record of its files (:func:`record_files`).
-        """
+        """Write status.json; seconds of work are sums over all processes, those of CPUs end with the training."""
         before, (wall, cpu) = self.status, self._clocks
         self._clocks = perf_counter(), process_time()
         used = round(before.get("cpu_seconds", 0.0) + self._clocks[1] - cpu, 3)
@@ -271,10 +267,7 @@ def _git(*arguments: str) -> str | None:
 
 
 def record_files(run: Path, names: Iterable[str] = RECORDED) -> dict[str, dict[str, Any]]:
-    """The size in bytes and the SHA-256 hash of each of some files that exists in a run's directory, by name.
-
-    They are under "files" in the status.json of a finished run, so that what is deleted, cut or edited is noticed.
-    """
+    """The size in bytes and the SHA-256 hash of files in a run's directory, so that what is changed is noticed."""
     contents = {name: (run / name).read_bytes() for name in names if (run / name).is_file()}
     return {name: {"size": len(data), "sha256": hashlib.sha256(data).hexdigest()} for name, data in contents.items()}
 

@@ -99,12 +99,7 @@ def value_text(value: Any) -> str:
 
 
 def run_id(config: Mapping[str, Any]) -> str:
-    """The id of a resolved experiment: the first digits of the SHA-256 of its canonical JSON.
-
-    Device, threads and logging (:data:`algorithms.reporting.run_records.INCIDENTAL`) are left out: they do not affect
-    the result. It is not the same bit for bit: the number of threads changes last bits, and a GPU draws other random
-    numbers.
-    """
+    """The first digits of the SHA-256 of a resolved experiment's canonical JSON, without keys that are INCIDENTAL."""
     hashed = dict(config)
     for key in INCIDENTAL:
         *sections, last = key.split(".")

@@ -227,10 +227,9 @@ def _keep_fronts(runs: Sequence[ArmRuns], results: PaperResults, directory: Path
 
 
 def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: Path) -> list[str]:
-    """Export a run of every compared learner to the zoo; returns the names there.
+    """Export the run with the median score of every compared learner; the names in the zoo.
 
-    It is the run with the median score. If that run fails (it arrives in under half of the episodes) and others solve
-    the task, the run with the median score among those is exported too, under a name that ends in "-solved".
+    If it fails while others solve the task, the median one of those is exported, too, as "NAME-solved".
     """
     exported: list[str] = []
     for arm in runs:

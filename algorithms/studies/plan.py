@@ -369,8 +369,11 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
                     raise ValueError(f"{where}: the study tunes {tried!r}, a setting that it does not have; {hint}")
                 if tried in given:
                     raise ValueError(f"{tried} = {given[tried]!r}: the study tunes it for {where}")
+            of_suite = task.task and f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
+            if (metric := task.metric or of_suite or study.metric) is None:
+                raise ValueError(f"task {name!r} has no metric; give one to it or to the study")
             share = learner.tuning_share or (study.tuning.share if study.tuning else 1.0)
-            arms.append(Arm(name, key, learner.label or key, _metric(study, name), values, points, share, seeds))
+            arms.append(Arm(name, key, learner.label or key, metric, values, points, share, seeds))
     if not arms:
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
     idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners - {arm.learner for arm in arms})]
@@ -413,15 +416,6 @@ def _has(entry: Any, key: str) -> bool:
     """Whether a key is a setting of an algorithm, or not in the section of the algorithm at all."""
     section, _, rest = key.partition(".")
     return section != "algorithm" or rest.partition(".")[0] in entry.Config.model_fields
-
-
-def _metric(study: Study, name: str) -> str:
-    """The metric of a task."""
-    task = study.tasks[name]
-    of_suite = task.task and f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
-    if (metric := task.metric or of_suite or study.metric) is None:
-        raise ValueError(f"task {name!r} has no metric; give one to it or to the study")
-    return metric
 
 
 # ------------------------------------------------------------------------------------------------ a study of the suite
