@@ -477,9 +477,8 @@ class ActorCritic(Agent):
         if self._collector is None:
             config, env = self.config, self.env
             shape = seeds, steps, num_envs = len(self.seeds), config.steps, env.num_envs
-            inner: Any = env.vector_env.unwrapped
             worlds: DeviceWorlds | EnvWorlds = (
-                DeviceWorlds(inner.config, self.env_seeds, num_envs, self.device)
+                DeviceWorlds(env.vector_env.unwrapped.config, self.env_seeds, num_envs, self.device)  # type: ignore[attr-defined]
                 if self.resident
                 else EnvWorlds(env, self.env_seed)
             )

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.runs import cli
-from algorithms.studies.manifest import is_sweep
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -34,6 +33,7 @@ def draw(options: Namespace) -> int:
     with sole_purpose("the curves could not be drawn"):
         from algorithms.reporting.curves import FORMATS, describe, load_groups, plot
         from algorithms.reporting.run_records import find_runs
+        from algorithms.studies.manifest import is_sweep
         from algorithms.studies.sweep_tables import plot_sweep
 
         cli.check_file("--output", options.output, *FORMATS)

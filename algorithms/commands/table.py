@@ -30,7 +30,6 @@ from typing import TYPE_CHECKING
 
 from algorithms.runs import cli
 from algorithms.runs.run_directory import changed_files, diverged, read_status
-from algorithms.studies.manifest import is_sweep
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -59,6 +58,7 @@ def print_tables(options: Namespace) -> int:
     """Print the tables of runs or of a sweep, and write them."""
     from algorithms.reporting.tables import FORMATS, print_runs, write_tables
     from algorithms.runs.console import make_console
+    from algorithms.studies.manifest import is_sweep
     from algorithms.studies.sweep_tables import print_sweep
 
     cli.check_file("--output", options.output, *FORMATS)
