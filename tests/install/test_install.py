@@ -250,4 +250,4 @@ def test_other_libraries_and_the_reproduction_are_found_by_name(everything: Inst
 def test_the_package_can_be_called_as_a_module(everything: Installed, tmp_path: Path) -> None:
     arguments = ["choose", "one_waypoint_linear-ppo", "--weights", "jerk=1"]
     refused = Installed(everything.bin, tmp_path).run("python", "-m", "mo_deepdrive", *arguments, code=2)
-    assert "python -m mo_deepdrive evaluate shows it" in refused.stderr
+    assert "mo-deepdrive evaluate shows it" in refused.stderr
