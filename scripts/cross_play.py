@@ -33,7 +33,7 @@ from algorithms.reporting.style import LARGE_DPI, figure_style, save_figure
 from algorithms.reporting.tables import print_rows
 from algorithms.runs import cli
 from algorithms.runs.build import load_policy, open_driver
-from algorithms.runs.config import find_environment, is_ours
+from algorithms.runs.config import find_environment
 from algorithms.runs.console import make_console
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.cross_play import OTHERS, cross_play, roles_of
@@ -42,6 +42,7 @@ from mo_deepdrive.evaluation.metrics import COLLISION, SUCCESS, UTILITY_ESR, end
 from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes
 from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.utilities import make_utility
+from mo_deepdrive.world.config import is_ours
 from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:

@@ -23,12 +23,11 @@ from algorithms.runs.config import (
     agent_class,
     find_algorithm,
     find_environment,
-    is_ours,
     is_peer,
     load_experiment,
 )
 from algorithms.studies.settings import Learner, Study, StudyTask, SweepSettings
-from mo_deepdrive.world.config import EnvConfig
+from mo_deepdrive.world.config import EnvConfig, is_ours
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -21,9 +21,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms.runs import cli
-from algorithms.runs.config import find_environment, is_ours
+from algorithms.runs.config import find_environment
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.support.extras import needed_for
+from mo_deepdrive.world.config import is_ours
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:

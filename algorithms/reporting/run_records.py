@@ -21,7 +21,7 @@ from algorithms.reporting.training_log import Columns, read_metrics
 from mo_deepdrive.evaluation.front import EVALUATION_FILE, LARGEST
 from mo_deepdrive.evaluation.statistics import Estimate
 from mo_deepdrive.support.yaml import read_mapping
-from mo_deepdrive.world.config import EnvConfig, Settings, parse
+from mo_deepdrive.world.config import EnvConfig, Settings, is_ours, parse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -58,7 +58,7 @@ class EnvironmentRecord(Recorded):
     def label(self) -> str:
         """The id and, if the environment is ours, the arguments that are not the default."""
         spec = registry.get(self.id.rpartition(":")[2])
-        if spec is None or not str(spec.vector_entry_point).startswith("mo_deepdrive."):
+        if spec is None or not is_ours(spec):
             return self.id
         defaults = {name: field.default for name, field in EnvConfig.model_fields.items()}
         changed = [f"{name}={value}" for name, value in self.arguments.items() if value != defaults.get(name)]

@@ -15,7 +15,7 @@ from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.learning.guides import Guide
 from algorithms.learning.threads import set_threads
 from algorithms.reporting.run_records import flatten
-from algorithms.runs.config import Experiment, UtilitySettings, agent_class, find_environment, is_ours
+from algorithms.runs.config import Experiment, UtilitySettings, agent_class, find_environment
 from algorithms.runs.run_directory import Run, imported_paths
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import check_reference_point
@@ -25,6 +25,7 @@ from mo_deepdrive.evaluation.team import Population
 from mo_deepdrive.support.machine import check_device, check_memory
 from mo_deepdrive.support.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
+from mo_deepdrive.world.config import is_ours
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

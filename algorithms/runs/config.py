@@ -22,7 +22,7 @@ from mo_deepdrive.support.importing import import_module, import_named
 from mo_deepdrive.support.machine import check_device
 from mo_deepdrive.support.names import nearest, nearest_few
 from mo_deepdrive.support.yaml import read_mapping, read_value
-from mo_deepdrive.world.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse
+from mo_deepdrive.world.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, is_ours, parse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -481,8 +481,3 @@ def find_environment(env_id: str, source: str = "environment.id") -> EnvSpec:
         hint = "" if module else f"for one of your own write {f'module:{name}'!r}, which imports its module; "
         raise ValueError(f"{source} = {env_id!r} is not registered; {hint}{nearest(name, known)}")
     return gymnasium.registry[name]
-
-
-def is_ours(spec: EnvSpec) -> bool:
-    """Whether an environment belongs to this package, so that EnvConfig is its configuration."""
-    return str(spec.vector_entry_point).startswith("mo_deepdrive.")

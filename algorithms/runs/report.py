@@ -19,7 +19,7 @@ from algorithms.reporting.tables import evaluation_table
 from algorithms.reporting.training_log import rows_until
 from algorithms.runs.build import make_environment
 from algorithms.runs.cli import CHOICE_EPISODES, CHOICE_SPLIT
-from algorithms.runs.config import find_environment, is_ours
+from algorithms.runs.config import find_environment
 from algorithms.runs.console import print_line
 from algorithms.runs.interrupts import Accessory
 from algorithms.runs.loggers import log_results
@@ -33,6 +33,7 @@ from mo_deepdrive.evaluation.metrics import ARRIVED, FRONT, GREEDY, STOCHASTIC, 
 from mo_deepdrive.evaluation.splits import SPLITS, Split, describe_episodes
 from mo_deepdrive.evaluation.statistics import Estimate
 from mo_deepdrive.suite.scorers import SCORERS
+from mo_deepdrive.world.config import is_ours
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

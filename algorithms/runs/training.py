@@ -11,7 +11,7 @@ from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.training_log import rows_until
 from algorithms.runs.build import build_trainee
-from algorithms.runs.config import Experiment, check_loggers, find_environment, is_ours, make_experiment
+from algorithms.runs.config import Experiment, check_loggers, find_environment, make_experiment
 from algorithms.runs.console import print_line
 from algorithms.runs.interrupts import PATIENCE, Interrupts, describe, stopped_by
 from algorithms.runs.loggers import Logger
@@ -28,6 +28,7 @@ from algorithms.runs.run_directory import FRONTS_FILE, METRICS_FILE, Run
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.support.faults import Fault
+from mo_deepdrive.world.config import is_ours
 
 if TYPE_CHECKING:
     from pathlib import Path

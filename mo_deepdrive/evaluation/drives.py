@@ -56,9 +56,8 @@ class Drive:
 
     #: (T + 1, V, 6) :data:`READINGS` at the start and after every decision; NaN once a vehicle has ended.
     readings: NDArray[np.float64]
-    cars: NDArray[
-        np.float64
-    ]  #: (T + 1, C, 3) :data:`POSE` of the cars with scripted drivers; NaN while a car is absent
+    #: (T + 1, C, 3) :data:`POSE` of the cars with scripted drivers; NaN while a car is absent.
+    cars: NDArray[np.float64]
     ends: tuple[str, ...]  #: V reasons, each one of :data:`mo_deepdrive.simulation.state.ENDS`
 
 

@@ -23,6 +23,7 @@ from mo_deepdrive.envs.vector import END_NAMES, DrivingVectorEnv
 from mo_deepdrive.simulation.state import ARRIVED
 from mo_deepdrive.support.faults import EndlessEpisode, check_vehicles
 from mo_deepdrive.support.machine import check_memory, peak_memory
+from mo_deepdrive.world.config import is_ours
 from mo_deepdrive.world.objectives import scales as objective_scales
 from mo_deepdrive.world.objectives import signs as objective_signs
 
@@ -47,7 +48,7 @@ def find_spec(env_id: str) -> EnvSpec:
 
 def is_drivable(env_id: str) -> bool:
     """Whether an environment is one of this package, whose drives can be recorded."""
-    return str(find_spec(env_id).vector_entry_point).startswith("mo_deepdrive.")
+    return is_ours(find_spec(env_id))
 
 
 def make_env(

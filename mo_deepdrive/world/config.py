@@ -17,6 +17,8 @@ from mo_deepdrive.world.scenarios import SCENARIOS, Scenario, fit_problem
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from gymnasium.envs.registration import EnvSpec
+
 ActionType = Literal["discrete", "discrete-16", "continuous"]
 CostSign = Literal["maximise", "paper"]
 # Parameters of make_utility that are no arguments of a utility.
@@ -249,3 +251,8 @@ def parse_arguments(scenario: str, options: Mapping[str, Any]) -> EnvConfig:
         if unknown:
             raise TypeError(f"got an unexpected keyword argument {unknown[0]!r}; {error}") from None
         raise
+
+
+def is_ours(spec: EnvSpec) -> bool:
+    """Whether an environment belongs to this package, so that EnvConfig is its configuration."""
+    return str(spec.vector_entry_point).startswith("mo_deepdrive.")
