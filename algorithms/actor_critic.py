@@ -583,7 +583,7 @@ class ActorCritic(Agent):
             "inputs": self.input_size,
             # What the policies observe the accrued reward in units of.
             **({"objective_scales": self.scales.tolist()} if self.observes_accrued else {}),
-            **({"accrued_gamma": self.accrued_discount} if self.observes_accrued_reward else {}),
+            **({"accrued_discount": self.accrued_discount} if self.observes_accrued_reward else {}),
             **({"share_policy": True} if self.share_policy else {}),
             PARTNERS: {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()},
             GUIDES: {vehicle_name(guide.vehicle): guide.identity for guide in self.guides},

@@ -116,7 +116,7 @@ class AccruedSettings(ActorCriticSettings):
     )
     """How A_t is calculated, by the difference of utilities, as printed in the paper, by the gradient of u, or by the
     increases of u."""
-    accrued_gamma: PositiveFraction | None = None
+    accrued_discount: PositiveFraction | None = None
     """g, discount of the accrued reward; None for gamma, as in the paper. With "expected_utility" gamma is at most g,
     and gamma / g is the discount of the increases of u."""
     observe_accrued: bool = True
@@ -127,21 +127,20 @@ class AccruedSettings(ActorCriticSettings):
     """Nominal size of the utility of a return, for the critic of "expected_utility"."""
 
     @property
-    def accrued_discount(self) -> float:
-        """g: ``accrued_gamma``, or gamma where that is None."""
-        return self.gamma if self.accrued_gamma is None else self.accrued_gamma
+    def g(self) -> float:
+        """g: ``accrued_discount``, or gamma where that is None."""
+        return self.gamma if self.accrued_discount is None else self.accrued_discount
 
     @property
     def accrued_ratio(self) -> float:
         """``gamma / g``, which is 1 where both are 0."""
-        return 1.0 if self.gamma == self.accrued_discount else self.gamma / self.accrued_discount
+        return 1.0 if self.gamma == self.g else self.gamma / self.g
 
     @model_validator(mode="after")
     def _discounts(self) -> Self:
-        if self.advantage == "expected_utility" and self.gamma > self.accrued_discount:
+        if self.advantage == "expected_utility" and self.gamma > self.g:
             raise ValueError(
-                f"gamma = {self.gamma} must be at most accrued_gamma = {self.accrued_discount} with advantage = "
-                f"{self.advantage!r}"
+                f"gamma = {self.gamma} must be at most accrued_discount = {self.g} with advantage = {self.advantage!r}"
             )
         return self
 

@@ -15,7 +15,7 @@ The sums of eqs. 3 and 5 end with the episode or the rollout; the means of eq. 6
 vehicle acted, with A_t normalised to mean 0 and standard deviation 1 (``normalise_advantages``).
 
 In the paper g = gamma. Equation 4 is then its eq. 4.2 with the factor gamma^{t+1} in the first term, which the printed
-equation lacks (``advantage: as_printed`` drops it). With ``accrued_gamma: 1`` the past counts in full, and a linear
+equation lacks (``advantage: as_printed`` drops it). With ``accrued_discount: 1`` the past counts in full, and a linear
 utility gives the advantage of A2C at every step; with g = gamma it gives gamma^t times that.
 
 Objective. With g = gamma, lambda = 1 and a whole episode in the rollout, eq. 5 telescopes to u(R_T) - u(R_t + g^t
@@ -72,7 +72,7 @@ class MOA2C(ActorCritic):
     @property
     def accrued_discount(self) -> float:
         """Discount g of the accrued reward."""
-        return float(self.config.accrued_discount)
+        return float(self.config.g)
 
     @property
     def observes_accrued(self) -> bool:  # type: ignore[override]

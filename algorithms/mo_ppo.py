@@ -21,8 +21,8 @@ to come, ``utility_scale`` takes the place of the scales in eq. 7, and eqs. 2 to
     U_t     = u(R_{t+1}) - u(R_t) + c v(S_{t+1}) - v(S_t)                                              (8)
     A_t     = U_t + c lambda A_{t+1},    y_t = A_t + v(S_t)    targets of the critic                   (9)
 
-The means are over the samples in which the vehicle acted. :mod:`algorithms.mo_a2c` explains ``accrued_gamma`` (g), the
-forms of ``advantage``.
+The means are over the samples in which the vehicle acted. :mod:`algorithms.mo_a2c` explains ``accrued_discount`` (g)
+and the forms of ``advantage``.
 
 Objective, as there: ``utility_difference``, the default, follows the expected utility of the return (ESR) within the
 rollout, and the utility of the expected return (SER) for what lies beyond it or beyond 1 / (1 - lambda) decisions;

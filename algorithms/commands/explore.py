@@ -30,9 +30,9 @@ def explore(options: Namespace) -> int:
     from algorithms.reporting.explorer.data import BEST_KNOWN
     from algorithms.reporting.explorer.page import write_page
     from algorithms.reporting.run_records import LEFT_OUT
-    from algorithms.runs.interrupts import sole_purpose
+    from algorithms.runs.interrupts import never_fatal
 
-    with sole_purpose("the page could not be written"):
+    with never_fatal("the page could not be written"):
         cli.check_file("--output", options.output, ".html")
         of_runs = options.episodes, options.split, options.seed, options.trust
         if all(name.startswith(BEST_KNOWN) for name in options.runs) and of_runs != UNSET:

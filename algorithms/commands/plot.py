@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 def draw(options: Namespace) -> int:
     """Draw the curves, and say what each of them is."""
     from algorithms.runs.console import make_console, print_line
-    from algorithms.runs.interrupts import sole_purpose
+    from algorithms.runs.interrupts import never_fatal
 
     say = partial(print_line, make_console())
-    with sole_purpose("the curves could not be drawn"):
+    with never_fatal("the curves could not be drawn"):
         from algorithms.reporting.curves import FORMATS, describe, load_groups, plot
         from algorithms.reporting.run_records import find_runs
         from algorithms.studies.manifest import is_sweep

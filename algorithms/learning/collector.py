@@ -14,6 +14,7 @@ from torch import Tensor
 
 from algorithms.learning.checkpoints import strip_prefix
 from algorithms.learning.storage import EpisodeSums, RolloutStorage
+from mo_deepdrive.evaluation.env_adapter import Step
 from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.simulation.philox import STREAM
 from mo_deepdrive.simulation.state import ARRIVED
@@ -31,18 +32,6 @@ if TYPE_CHECKING:
 WORLDS = "worlds."  # prefix of their part of a state
 
 
-class WorldStep(NamedTuple):
-    """One step of all worlds, (S, N, V, ...), overwritten by the next."""
-
-    observations: Tensor  # (..., o) for the next action; where an episode ended, the first of the next one
-    final: Tensor  # (..., o) after the step; where an episode ended, its last
-    rewards: Tensor  # (..., d)
-    terminated: Tensor  # whether the vehicle's episode ended in this step
-    truncated: Tensor
-    acted: Tensor  # False where the vehicle had finished already
-    succeeded: Tensor  # whether an episode that ended in this step reached its goal
-
-
 class EnvWorlds:
     """The worlds of one seed: a vector environment on the CPU, of which the i-th is seeded with ``seed + i``."""
 
@@ -53,11 +42,10 @@ class EnvWorlds:
         """Begin the first episodes; observations (1, N, V, o)."""
         return torch.from_numpy(self._env.reset(self._seed)).unsqueeze(0)
 
-    def step(self, actions: Tensor) -> WorldStep:
+    def step(self, actions: Tensor) -> Step:
         """Act: indices (1, N, V), or (1, N, V, k) with each axis in [-1, 1], to which it is clipped."""
         step = self._env.step(actions[0].numpy())
-        taken = (getattr(step, name) for name in WorldStep._fields)
-        return WorldStep(*(torch.from_numpy(np.asarray(each)).unsqueeze(0) for each in taken))
+        return Step(*(torch.from_numpy(np.asarray(array)).unsqueeze(0) for array in step[:-1]))
 
     def check(self) -> dict[int, str]:
         """Nothing: a step refuses what it cannot do."""
@@ -92,15 +80,16 @@ class DeviceWorlds:
         self._worlds.begin(np.repeat(self._seeds, self._num_envs), np.tile(np.arange(self._num_envs), count))
         return self._by_seed(self._worlds.observations)
 
-    def step(self, actions: Tensor) -> WorldStep:
+    def step(self, actions: Tensor) -> Step:
         """Act: indices (S, N, V), or (S, N, V, k) with each axis in [-1, 1], to which it is clipped."""
         worlds = self._worlds
         worlds.step(actions.flatten(0, 1))
         # A vehicle keeps its flags until the reset; here they mark the step of the end.
         terminated, truncated = worlds.terminated & worlds.acted, worlds.truncated & worlds.acted
         succeeded = (terminated | truncated) & (worlds.ends == ARRIVED)
-        taken = (worlds.observations, worlds.final_observations, worlds.rewards, terminated, truncated, worlds.acted)
-        return WorldStep(*map(self._by_seed, (*taken, succeeded)))
+        flags = terminated, truncated, worlds.acted
+        taken = (worlds.observations, worlds.rewards, *flags, worlds.final_observations, succeeded)
+        return Step(*map(self._by_seed, taken))
 
     def check(self) -> dict[int, str]:
         """Wait for the device; what a step could not do, by the index of the seed."""
@@ -234,7 +223,7 @@ class Collector:
             storage.final_inputs.copy_(policy.inputs(self._final, storage.ended_values, discounts, preference))
         self.sums.add(storage.ended, storage.ended_sums)
 
-    def _keep(self, at: RolloutStorage, step: WorldStep) -> None:
+    def _keep(self, at: RolloutStorage, step: Step) -> None:
         """Write a step of the worlds into its place in the rollout, and into the running episodes."""
         now = self.now
         torch.mul(step.rewards, self.shares, out=at.rewards)

@@ -71,7 +71,7 @@ class Accessory:
 
 
 @contextmanager
-def sole_purpose(failure: str) -> Iterator[None]:
+def never_fatal(failure: str) -> Iterator[None]:
     """The context of a command that does nothing else: an error that is not the user's ends it in one line, too."""
     try:
         yield

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from algorithms.runs.config import CONFIGS
-from algorithms.runs.interrupts import sole_purpose
+from algorithms.runs.interrupts import never_fatal
 from algorithms.studies import FIGURES
 from algorithms.studies.collection import collect
 from algorithms.studies.execution import Backend, Runner
@@ -201,7 +201,7 @@ class Reproduction:
 
     def _write(self, results: PaperResults, figures: Sequence[int], console: Console) -> None:
         """Write the report, and print the verdicts."""
-        with sole_purpose("the report could not be written"):
+        with never_fatal("the report could not be written"):
             paths = write_report(results, self.output_folder, figures, how=self.command, quick=self.quick)
         print_verdicts(results, console, quick=self.quick)
         if self.quick:

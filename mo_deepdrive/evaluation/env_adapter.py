@@ -8,8 +8,7 @@ samples that count.
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium
 import mo_gymnasium
@@ -81,25 +80,21 @@ def _constructors(env_id: str, num_envs: int, arguments: dict[str, Any]) -> Iter
         yield lambda: mo_gymnasium.make(env_id, **arguments)
 
 
-@dataclass
-class Step:
-    """One step of all environments."""
+class Step(NamedTuple):
+    """One step of N environments: arrays, or a learner's tensors with an axis of seeds in front."""
 
-    #: (N, V, o) for the next action; where an episode ended, the first of the next episode.
-    observations: NDArray[np.float32]
-    rewards: NDArray[np.float32]  #: (N, V, d)
-    #: (N, V) whether the vehicle's episode ended in this step.
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
+    observations: Any  #: (N, V, o) for the next action; where an episode ended, the first of the next episode.
+    rewards: Any  #: (N, V, d)
+    terminated: Any  #: (N, V) whether the vehicle's episode ended in this step.
+    truncated: Any
     #: (N, V) False where the sample does not count: the vehicle had finished already, or the environment was reset.
-    acted: NDArray[np.bool_]
-    #: (N, V, o) observations after the step; where an episode ended, the last of that episode.
-    final: NDArray[np.float32]
+    acted: Any
+    final: Any  #: (N, V, o) observations after the step; where an episode ended, the last of that episode.
     #: (N, V) whether an episode that ended in this step reached its goal; all False where the environment does not
     #: report it.
-    succeeded: NDArray[np.bool_]
-    #: (N,) or (N, V) why episodes ended, from ``info["end"]``; None where the environment does not report it.
-    ends: NDArray[Any] | None
+    succeeded: Any
+    #: (N,) or (N, V) why episodes ended, from ``info["end"]``; None where that is not reported, and for learners.
+    ends: Any = None
 
 
 class EnvAdapter:

@@ -230,9 +230,9 @@ def test_invalid_hyperparameters_of_one_algorithm_are_refused_by_name() -> None:
     with pytest.raises(ValueError, match="observe_discount"):
         make_agent(MOA2C, observe_discount="no")
     for cls in (MOA2C, MOPPO):
-        with pytest.raises(ValueError, match=r"gamma = 0.99 must be at most accrued_gamma = 0.9 with advantage ="):
-            make_agent(cls, advantage="expected_utility", accrued_gamma=0.9)
-        make_agent(cls, accrued_gamma=0.9)
+        with pytest.raises(ValueError, match=r"gamma = 0.99 must be at most accrued_discount = 0.9 with advantage ="):
+            make_agent(cls, advantage="expected_utility", accrued_discount=0.9)
+        make_agent(cls, accrued_discount=0.9)
 
 
 def test_objective_scales_replace_those_of_the_environment() -> None:
@@ -340,7 +340,7 @@ def test_a_checkpoint_of_a_centralised_critic_is_refused_by_a_decentralised_one(
     ("changed", "message"),
     [
         ({"objective_scales": [1.0, 1.0, 1.0, 100.0]}, "has objective_scales = "),
-        ({"accrued_gamma": 1.0}, "has accrued_gamma = 0.99; this agent has 1.0"),
+        ({"accrued_discount": 1.0}, "has accrued_discount = 0.99; this agent has 1.0"),
     ],
 )
 def test_a_policy_that_observes_the_past_in_other_units_is_refused(

@@ -50,7 +50,7 @@ def test_costs_grow_linearly_and_gains_stay(cls: type[ActorCritic], monkeypatch:
 
 
 def test_what_has_accrued_is_the_sum_of_what_is_learnt_from(monkeypatch: pytest.MonkeyPatch) -> None:
-    agent = make_agent(MOPPO, INTERSECTION, num_envs=8, cost_growth=0.5, accrued_gamma=1.0)
+    agent = make_agent(MOPPO, INTERSECTION, num_envs=8, cost_growth=0.5, accrued_discount=1.0)
     ((rewards, _, accrued),) = rollouts(agent, monkeypatch, 0.25)
     np.testing.assert_allclose(accrued[-1], rewards.sum(axis=0), rtol=1e-5, atol=1e-6)
 

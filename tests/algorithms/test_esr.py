@@ -30,7 +30,7 @@ def test_expected_utility_of_mo_a2c_learns_the_optimum_of_esr_with_most_seeds(de
 
 
 def test_expected_utility_learns_the_optimum_of_esr_with_increases_that_are_discounted() -> None:
-    settings: dict[str, Any] = {"advantage": "expected_utility", "utility_scale": 1.0, "accrued_gamma": 1.0}
+    settings: dict[str, Any] = {"advantage": "expected_utility", "utility_scale": 1.0, "accrued_discount": 1.0}
     assert probability_of_risky(MOPPO, 80, 0, 100_000, gamma=0.99, **CHEAP_PPO, **settings) < 0.1
 
 

@@ -87,7 +87,7 @@ def test_ten_seeds_of_mo_ppo_learn() -> None:
     values = {
         **VALUES,
         "environment": {"id": ONE_WAYPOINT},
-        "algorithm": {"name": "mo_ppo", "hidden": [64, 32], "accrued_gamma": 1.0, "entropy_start": 0.03},
+        "algorithm": {"name": "mo_ppo", "hidden": [64, 32], "accrued_discount": 1.0, "entropy_start": 0.03},
         "training": {"total_timesteps": 400_000, "num_envs": 256, "seeds": [*range(10)], "device": "cuda"},
     }
     trainee = build_trainee(make_experiment(values).of_seeds())

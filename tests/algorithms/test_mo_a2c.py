@@ -74,14 +74,14 @@ def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_sta
 @pytest.mark.parametrize("cls", [MOA2C, MOPPO])
 def test_the_accrued_reward_can_have_its_own_discount(cls: type[ActorCritic]) -> None:
     usual = make_agent(cls, gamma=0.9)
-    full = make_agent(cls, gamma=0.9, accrued_gamma=1.0)
+    full = make_agent(cls, gamma=0.9, accrued_discount=1.0)
     assert (usual.gamma, full.gamma) == (0.9, 1.0)
     for agent in (usual, full):
         agent.train(64)
     assert (full.collector.now.discounts == 1.0).all()
     assert usual.collector.now.discounts.max() < 1.0
-    with pytest.raises(ValueError, match="accrued_gamma"):
-        make_agent(cls, accrued_gamma=0.0)
+    with pytest.raises(ValueError, match="accrued_discount"):
+        make_agent(cls, accrued_discount=0.0)
 
 
 @ALL_FORMS
@@ -169,22 +169,22 @@ def plain_losses(agent: Any, form: str, r: Handmade, entropy_coefficient: float)
     return {"total": total - entropy_coefficient * losses["policy/entropy"], **losses}
 
 
-@pytest.mark.parametrize(("gamma", "accrued_gamma"), [(0.9, 1.0), (0.72, 0.9), (0.9, 0.9), (1.0, 1.0)])
+@pytest.mark.parametrize(("gamma", "accrued_discount"), [(0.9, 1.0), (0.72, 0.9), (0.9, 0.9), (1.0, 1.0)])
 def test_discounted_increases_sum_to_the_expected_utility_of_an_episode_cut_short(
-    gamma: float, accrued_gamma: float
+    gamma: float, accrued_discount: float
 ) -> None:
-    discounts = {"gamma": gamma, "accrued_gamma": accrued_gamma}
+    discounts = {"gamma": gamma, "accrued_discount": accrued_discount}
     agent, _ = learner_of("expected_utility", gae_lambda=1.0, **discounts)
     rollout = handmade(agent, seed=3)
     first_end = int(rollout.terminated[:, 0].int().argmax())
     rollout.terminated[:, 0] = rollout.truncated[:, 0] = False
     for t in range(first_end, len(rollout.rewards)):
         rollout.accrued[t + 1, 0] = rollout.accrued[t, 0] + rollout.discounts[t, 0] * rollout.rewards[t, 0]
-        rollout.discounts[t + 1, 0] = accrued_gamma * rollout.discounts[t, 0]
+        rollout.discounts[t + 1, 0] = accrued_discount * rollout.discounts[t, 0]
     rollout.terminated[-1, 0] = True
     values = torch.zeros(*rollout.acted.shape, 1)
     found = float(agent.advantages(rollout.rollout(agent), values, values)[0][0, 0])
-    c, steps = gamma / accrued_gamma, len(rollout.rewards)
+    c, steps = gamma / accrued_discount, len(rollout.rewards)
     ends = [c ** (t - 1) * (1.0 - c) for t in range(1, steps)] + [c ** (steps - 1)]  # after t decisions
     expected = sum(p * u(rollout.accrued[t, 0]) for t, p in enumerate(ends, start=1)) - u(rollout.accrued[0, 0])
     assert found == pytest.approx(expected, rel=1e-4, abs=1e-4)

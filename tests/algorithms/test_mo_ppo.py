@@ -25,11 +25,16 @@ ADVANTAGES = pytest.mark.parametrize(
 @ADVANTAGES
 @pytest.mark.parametrize("env", [{}, CONTINUOUS], ids=["discrete", "continuous"])
 @pytest.mark.parametrize("normalised", [False, True])
-@pytest.mark.parametrize("accrued_gamma", [None, 1.0])
+@pytest.mark.parametrize("accrued_discount", [None, 1.0])
 def test_one_epoch_of_one_minibatch_is_the_step_of_mo_a2c(
-    advantage: str, env: dict[str, Any], normalised: bool, accrued_gamma: float | None
+    advantage: str, env: dict[str, Any], normalised: bool, accrued_discount: float | None
 ) -> None:
-    settings = {"advantage": advantage, "env": env, "normalise_advantages": normalised, "accrued_gamma": accrued_gamma}
+    settings = {
+        "advantage": advantage,
+        "env": env,
+        "normalise_advantages": normalised,
+        "accrued_discount": accrued_discount,
+    }
     one, clipped = experienced(MOPPO, epochs=1, minibatches=1, **settings)
     other, plain = experienced(MOA2C, **settings)
     for agent in (one, other):

@@ -33,7 +33,7 @@ FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
     "as_printed": (MOA2C, {"advantage": "as_printed"}),
     "utility_gradient": (MOA2C, {"advantage": "utility_gradient"}),
     "expected_utility": (MOA2C, {"advantage": "expected_utility"}),
-    "expected_utility, cut short": (MOA2C, {"advantage": "expected_utility", "accrued_gamma": 1.0}),
+    "expected_utility, cut short": (MOA2C, {"advantage": "expected_utility", "accrued_discount": 1.0}),
     "without discount": (MOA2C, {"observe_discount": False}),
 }
 ALL_FORMS = pytest.mark.parametrize("form", FORMS)

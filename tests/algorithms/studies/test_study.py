@@ -129,7 +129,7 @@ def test_settings_come_from_the_task_the_help_the_learner_and_its_task_in_this_o
     file = write_study(
         tmp_path,
         tuning=None,
-        help={RATE: 0.1, "algorithm.gamma": 0.9, "algorithm.accrued_gamma": 1.0},
+        help={RATE: 0.1, "algorithm.gamma": 0.9, "algorithm.accrued_discount": 1.0},
         tasks={
             "short": {
                 **{key: VALUES[key] for key in ("environment", "utility")},
@@ -140,8 +140,8 @@ def test_settings_come_from_the_task_the_help_the_learner_and_its_task_in_this_o
         },
     )
     mo, plain = (arm.values["algorithm"] for arm in StudyPlan(load_study(file)).arms)
-    assert (mo["learning_rate"], mo["gamma"], mo["accrued_gamma"]) == (0.3, 0.8, 1.0)
-    assert (plain["learning_rate"], plain["gamma"], "accrued_gamma" in plain) == (0.1, 0.8, False)
+    assert (mo["learning_rate"], mo["gamma"], mo["accrued_discount"]) == (0.3, 0.8, 1.0)
+    assert (plain["learning_rate"], plain["gamma"], "accrued_discount" in plain) == (0.1, 0.8, False)
 
 
 def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_another_utility(tmp_path: Path) -> None:
@@ -187,8 +187,8 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
         ),
         ({"tuning": {"values": {RATE: [0.001, 1e-3]}}}, "have the same run"),
         (
-            {"tuning": {"values": {"algorithm.accrued_gamma": [1.0]}}},
-            "'plain' on task 'short': the study tunes 'algorithm.accrued_gamma', a setting that it does not have",
+            {"tuning": {"values": {"algorithm.accrued_discount": [1.0]}}},
+            "'plain' on task 'short': the study tunes 'algorithm.accrued_discount', a setting that it does not have",
         ),
         ({"metric": "stochastic/utility_ers"}, "metric 'stochastic/utility_ers' is unknown; the nearest ones: stoch"),
         ({"columns": ["success", "arrivals"]}, "columns has 'arrivals', which no run has; the nearest ones: "),

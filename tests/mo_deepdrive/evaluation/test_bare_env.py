@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -50,14 +49,13 @@ def test_a_step_is_that_of_the_environment_behind_a_wrapper(env_id: str, argumen
         one, other = bare.step(actions), wrapped.step(actions)
         over = (one.terminated | one.truncated).any(axis=1)
         ended += int(over.sum())
-        for field in fields(Step):
-            found, wanted = getattr(one, field.name), getattr(other, field.name)
-            if field.name == "ends":  # named where an episode is over
+        for name, found, wanted in zip(Step._fields, one, other, strict=True):
+            if name == "ends":  # named where an episode is over
                 if wanted is not None:
-                    said = np.array([name is not None for name in wanted.reshape(-1)])
+                    said = np.array([end is not None for end in wanted.reshape(-1)])
                     np.testing.assert_array_equal(found.reshape(-1)[said], wanted.reshape(-1)[said])
                 continue
-            np.testing.assert_array_equal(found, wanted, err_msg=field.name)
+            np.testing.assert_array_equal(found, wanted, err_msg=name)
     assert ended > N
 
 
