@@ -131,6 +131,9 @@ def judge(worlds: Records, i: int, params: Record, on_roads: bool) -> None:
             if vehicle.end != ARRIVED:
                 vehicle.objectives[DESTINATION] = 0.0
             vehicle.furthest = max(vehicle.furthest, vehicle.route_distance)
+            if vehicle.decisions == 1:
+                vehicle.objectives[G_FORCE] += vehicle.spent[0]
+                vehicle.objectives[JERK] += vehicle.spent[1]
         ended = ended or vehicle.end != RUNNING
     if params.end_together and ended:
         for v in range(vehicles):

@@ -50,6 +50,9 @@ def within(bounds: tuple[float, float], draw: float) -> float:
 @jit
 def draw_spawn(draws: NDArray[np.float64], j: int, params: Record, pins: Record, spawn: Record) -> None:
     """Fill ``spawn`` (record SPAWN) from ``pins``, or where they are NaN from the uniforms ``draws[j]`` (draws,)."""
+    for k in range(len(spawn.spent)):
+        spent = draws[j, params.spent_draw + k] * params.spent_span[k] if params.spent_span[k] > 0.0 else 0.0
+        spawn.spent[k] = given(pins.spent[k], spent)
     if params.n_routes > 0:
         draw_queues(draws, j, params, pins, spawn)
         draw_drivers(draws, j, params, pins, spawn)
@@ -255,6 +258,8 @@ def place(worlds: Records, i: int, spawn: Record, params: Record) -> None:
                 vehicle.obstacle[k, axis] = spawn.obstacle[k, axis]
         for k in range(len(vehicle.objectives)):
             vehicle.objectives[k] = 0.0
+        for k in range(len(vehicle.spent)):
+            vehicle.spent[k] = spawn.spent[k]
         vehicle.lane_centre = params.lane_centre[v]
         vehicle.left_lane_distance = HALF_LANE
         vehicle.right_lane_distance = HALF_LANE

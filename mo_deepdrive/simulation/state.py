@@ -19,6 +19,8 @@ Records: TypeAlias = NDArray[Any]
 
 # The magnitudes that the kernel measures, in the order of ``objectives`` in the state of a vehicle.
 KERNEL_NAMES = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
+# Those of which something may have been spent before an episode begins.
+SPENT_NAMES = ("g_force", "jerk")
 
 MAX_VEHICLES = 16  # of a world, cars included; of routes of waypoints two
 MAX_OBJECTIVES = 32  # of a vehicle's reward
@@ -142,6 +144,7 @@ VEHICLE = _record(
     # the episode so far
     *_fields(np.int64, "decisions", "end"),
     ("objectives", _FLOAT, (len(KERNEL_NAMES),)),
+    ("spent", _FLOAT, (len(SPENT_NAMES),)),
     # the scenario drawn at reset: waypoints, distance along the route to each, the obstacle's two ends
     ("waypoints", _FLOAT, (MAX_WAYPOINTS, 2)),
     ("along", _FLOAT, (MAX_WAYPOINTS,)),
@@ -154,7 +157,7 @@ VEHICLE = _record(
 )
 
 # One scenario, ready to be placed in a world: poses (x, y, heading), waypoints and the obstacle's two ends (m, rad),
-# the number of oncoming cars and their drivers. On roads of segments, of the vehicles and then the cars: routes, and
+# what has been spent before, the number of oncoming cars and their drivers. On roads of segments, of the vehicles and then the cars: routes, and
 # where along them the fronts are (m); of every entry how many wait there, and where the next front can be (m).
 SPAWN = _record(
     *_fields(_FLOAT, "routes", "distances", shape=(MAX_VEHICLES,)),
@@ -162,6 +165,7 @@ SPAWN = _record(
     ("starts", _FLOAT, (MAX_VEHICLES, 3)),
     ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
     ("obstacle", _FLOAT, (2, 2)),
+    ("spent", _FLOAT, (len(SPENT_NAMES),)),
     ("n_cars", _FLOAT),
     ("drivers", DRIVER, (0,)),
 )
@@ -242,6 +246,8 @@ PARAMS = _record(
     ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
     ("destination_span", _FLOAT, (2,)),
     ("destination_draw", np.int64),
+    ("spent_span", _FLOAT, (len(SPENT_NAMES),)),
+    ("spent_draw", np.int64),
     *_fields(np.bool_, "fixed_destination", "fixed_obstacle"),
     ("map_centre", _FLOAT),
     *_fields(np.int64, "n_cars", "observed_cars"),

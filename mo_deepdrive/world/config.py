@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
-from mo_deepdrive.simulation.state import MAX_VEHICLES, NEAREST_CARS, YAW_FRICTION
+from mo_deepdrive.simulation.state import MAX_VEHICLES, NEAREST_CARS, SPENT_NAMES, YAW_FRICTION
 from mo_deepdrive.support.names import nearest
 from mo_deepdrive.support.plain_values import plain
 from mo_deepdrive.world.objectives import INDEX
@@ -174,6 +174,10 @@ class EnvConfig(Settings):
     without having arrived, whatever ended it (the end of the other vehicle, too), so that an early end costs as much
     time as standing still. A vehicle is charged nothing more where it arrives or reaches the time limit, or where a
     wrapper cuts the episode off; nor does the setting matter where time is not among the objectives."""
+    spent: dict[str, float] = {}
+    """How much of "g_force" (g) and "jerk" (m/s^3) may have been spent before an episode begins, by name. What has been
+    is drawn uniformly between 0 and that, and charged in the first reward: who adds up rewards knows it from then on,
+    and nobody observes it."""
     yaw_friction: float = Field(default=YAW_FRICTION, gt=0.0, lt=1.0)
     """By what the turn per physics step is multiplied at every step of 1/60 s; with more a car turns further for the
     same steering, and longer after it."""
@@ -194,6 +198,16 @@ class EnvConfig(Settings):
     def _known_scenario(cls, value: str) -> str:
         if value not in SCENARIOS:
             raise ValueError(f"is unknown; {nearest(value, SCENARIOS)}")
+        return value
+
+    @pydantic.field_validator("spent")
+    @classmethod
+    def _can_be_spent(cls, value: dict[str, float]) -> dict[str, float]:
+        for name, most in value.items():
+            if name not in SPENT_NAMES:
+                raise ValueError(f"has {name!r}; {nearest(name, SPENT_NAMES)}")
+            if most < 0.0:
+                raise ValueError(f"{name} = {most} must be at least 0")
         return value
 
     @pydantic.model_validator(mode="after")
@@ -222,10 +236,12 @@ class EnvConfig(Settings):
 
     @property
     def scenario_data(self) -> Scenario:
-        """The scenario, with as many vehicles and cars as the configuration says."""
+        """The scenario, with as many vehicles and cars, and as much spent before, as the configuration says."""
         scenario = SCENARIOS[self.scenario]
         number = scenario.number if self.vehicles is None else self.vehicles
-        return replace(scenario, number=number, cars=scenario.cars if self.cars is None else self.cars)
+        spent = {**dict(zip(SPENT_NAMES, scenario.spent, strict=True)), **self.spent}
+        cars = scenario.cars if self.cars is None else self.cars
+        return replace(scenario, number=number, cars=cars, spent=tuple(spent[name] for name in SPENT_NAMES))
 
     @property
     def physics_steps(self) -> int:

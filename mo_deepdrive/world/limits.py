@@ -19,6 +19,7 @@ from mo_deepdrive.simulation.state import (
     MAX_ACCELERATION,
     NEVER,
     RUNNING,
+    SPENT_NAMES,
     STANDSTILL_GAP,
     STEER_RANGE,
     TOP_SPEED,
@@ -90,8 +91,9 @@ def limits(config: EnvConfig) -> dict[str, float]:
 def objective_bound(name: str, config: EnvConfig) -> float:
     """Largest magnitude of an objective in one decision; a ValueError if a registered one gives no positive number."""
     bound = OBJECTIVES[INDEX[name]].bound
+    spent = dict(zip(SPENT_NAMES, config.scenario_data.spent, strict=True)).get(name, 0.0)
     if isinstance(bound, str):
-        return limits(config)[bound]
+        return limits(config)[bound] + spent
     value = bound(config) if callable(bound) else bound
     if not (is_finite(value) and value > 0):
         raise ValueError(f"objective {name!r}: its bound is {value!r}; it must be a positive number")
@@ -110,7 +112,7 @@ def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str
         "1": 1.0,
         "brake": MAX_ACCELERATION,
         "travelled": most["m/s"] * config.max_decisions / config.decision_frequency,
-        "objective": max(most.values()),
+        "objective": max(most.values()) + max(config.scenario_data.spent),
     }
     most = {name: value * (1 + ROUNDING) for name, value in most.items()}
     pending = (-MAX_ACCELERATION, MAX_ACCELERATION)  # of delayed actions
@@ -129,6 +131,7 @@ def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str
         "decisions": (0, config.max_decisions),
         "end": (0, len(ENDS) - 1),
         "pending": pending,
+        "spent": (0.0, max(config.scenario_data.spent)),
         **{f"cars.{name}": bounds for name, bounds in _car_ranges(config, most).items()},
     }
 

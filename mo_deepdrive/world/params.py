@@ -133,6 +133,8 @@ def make_params(config: EnvConfig) -> np.ndarray:
         row.waypoints[v, : len(route.waypoints)] = route.waypoints
     row.destination_span[:] = scenario.destination_span
     row.destination_draw = scenario.destination_draw
+    row.spent_span[:] = scenario.spent
+    row.spent_draw = scenario.spent_draw if any(scenario.spent) else 0
     row.map_centre = MAP_CENTRE
     row.n_cars = cars_in_traffic(config)
     row.mean_headway = MEAN_HEADWAY.get(config.traffic, MEAN_HEADWAY["default"])

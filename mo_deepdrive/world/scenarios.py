@@ -7,7 +7,8 @@ bicycle j; ``draws[k + 3 j : k + 3 + 3 j]`` with k = ``driver_draw`` are the des
 oncoming car j. A scenario that does not use a draw has a span of zero. On roads of segments, ``draws[0]`` is who queues
 first, ``draws[1 + 3 b : 4 + 3 b]`` are entry, route and place of the vehicle or car b, and of the driver of the car j
 ``draws[k + 3 j : k + 3 + 3 j]`` with k = ``driver_draw`` are the desired speed, the time gap and the accepted gap.
-``simulation/placing.py`` does all this.
+Where something may have been spent before, the last two draws are g-force and jerk. ``simulation/placing.py`` does all
+this.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from mo_deepdrive.simulation.state import (
     MAP_ORIGIN,
     MAP_UNIT,
     MAX_VEHICLES,
+    SPENT_NAMES,
 )
 from mo_deepdrive.support.names import check_name, nearest
 from mo_deepdrive.support.plain_values import is_finite, with_plain_fields
@@ -71,6 +73,8 @@ class Scenario:
         cars: how many cars have scripted drivers: on roads of segments they drive along drawn routes; otherwise, where
             the vehicle is alone and there are lanes, they come down the lane opposite to a left-turner.
         number: how many vehicles there are on roads of segments; the argument ``vehicles`` changes it if it is above 1.
+        spent: the most g-force (g) and jerk (m/s^3) that may have been spent before an episode begins; the argument
+            ``spent`` changes it.
         conflict_time: the time to collision below which a decision is a near miss (s).
         reference: coordinates of the reference point for hypervolumes by objective, maximised, for every discount
             factor; ``data/reference_points.yaml`` has those of the package's own scenarios.
@@ -85,6 +89,7 @@ class Scenario:
     lanes: bool = False
     cars: int = 0
     number: int = 1
+    spent: tuple[float, float] = (0.0, 0.0)
     conflict_time: float = CONFLICT_TIME
     reference: Mapping[str, float] = field(default_factory=dict)
 
@@ -133,9 +138,14 @@ class Scenario:
         return 2 + 3 * max(1, self.obstacles) + (2 if self._own_destination_draws else 0)
 
     @property
+    def spent_draw(self) -> int:
+        """The first of the draws of what has been spent before."""
+        return self.driver_draw + 3 * self.cars
+
+    @property
     def draws(self) -> int:
         """How many random numbers an episode takes."""
-        return self.driver_draw + 3 * self.cars
+        return self.spent_draw + (len(SPENT_NAMES) if any(self.spent) else 0)
 
 
 _OPEN_ROUTE = Route(start=(metres(0.1), metres(0.5), -math.pi / 2), waypoints=((metres(0.2), metres(0.0)),))
@@ -280,6 +290,8 @@ def _problem(scenario: Scenario) -> str:
             return f"objective {name!r} is unknown; {nearest(name, INDEX)}"
     if not scenario.objectives or len(set(scenario.objectives)) != len(scenario.objectives):
         return f"objectives = {list(scenario.objectives)} must be one or more distinct names"
+    if shape_of(scenario.spent) != (len(SPENT_NAMES),) or min(scenario.spent) < 0.0:
+        return f"spent = {scenario.spent!r} must be two finite numbers of at least 0: g-force (g) and jerk (m/s^3)"
     if not isinstance(scenario.lanes, bool):
         return f"lanes = {scenario.lanes!r} must be True or False"
     if not _is_count(scenario.obstacles):
@@ -327,6 +339,6 @@ def _is_count(value: Any) -> bool:
 
 def _with_tuples(scenario: Scenario) -> Scenario:
     """The same scenario with nested tuples, which can be compared, instead of arrays and lists."""
-    objectives, span = tuple(scenario.objectives), tuple(float(number) for number in scenario.destination_span)
-    routes = tuple(map(as_tuples, scenario.routes))
-    return replace(scenario, routes=routes, objectives=objectives, destination_span=(span[0], span[1]))
+    objectives, routes = tuple(scenario.objectives), tuple(map(as_tuples, scenario.routes))
+    (x, y), (g_force, jerk) = (map(float, pair) for pair in (scenario.destination_span, scenario.spent))
+    return replace(scenario, routes=routes, objectives=objectives, destination_span=(x, y), spent=(g_force, jerk))
