@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from algorithms import PCN, PPO, FrontAgent
-from algorithms.learning.learner import _linear
 from algorithms.runs.build import build_trainee
 from algorithms.runs.config import make_experiment
 from mo_deepdrive.evaluation.policy import AccruedReward
@@ -82,15 +80,6 @@ def test_the_agent_of_a_seed_acts_on_with_what_it_has_learnt(name: str) -> None:
     past = AccruedReward.begin(20, vehicles, len(agent.env.objectives))
     policy = agent.policy(agent.conditions()[0]) if isinstance(agent, FrontAgent) else agent
     assert policy.act(observations.astype(np.float32), past, None).shape[:2] == (20, vehicles)
-
-
-@pytest.mark.parametrize("rows", [1024, 960, 1000, 200])
-def test_parted_products_are_those_of_a_linear_layer(rows: int) -> None:
-    layer, x = nn.Linear(7, 5), torch.linspace(-1.0, 1.0, rows * 7).sin().view(rows, 7)
-    parted = _linear(layer, 16, x)
-    torch.testing.assert_close(parted, layer(x))
-    gradients = [torch.autograd.grad(each.square().sum(), [*layer.parameters()]) for each in (parted, layer(x))]
-    torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-4)
 
 
 class Recorded(TorchDispatchMode):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -234,29 +233,6 @@ def test_accrued_rewards_and_discounts_follow_their_recurrence_and_reset_after_e
                     total, age = np.zeros(d), 0
                 else:
                     total, age = total + GAMMA**age * rewards[t, i, k], age + 1
-
-
-@ALL
-def test_a_rollout_continues_the_previous_one(collected: Callable[[str], Collected], situation: str) -> None:
-    rollouts = collected(situation).rollouts
-    for before, after in itertools.pairwise(rollouts):
-        for name in ("inputs", "accrued", "discounts"):
-            assert torch.equal(getattr(before, name)[-1], getattr(after, name)[0])
-
-
-@FOREIGN
-def test_other_environments_are_masked_exactly_where_they_are_only_reset(
-    collected: Callable[[str], Collected], situation: str
-) -> None:
-    c = collected(situation)
-    acted, over = c.all("acted"), c.over
-    assert acted[0].all()
-    np.testing.assert_array_equal(acted[1:], ~over[:-1])
-    assert not acted.all()
-    assert not over[~acted].any()
-    assert not c.all("rewards")[~acted].any()
-    assert not c.all("accrued")[~acted].any()
-    assert (c.all("discounts")[~acted] == 1.0).all()
 
 
 @FOREIGN
