@@ -10,7 +10,7 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from algorithms import A2C, MOA2C, MOPPO, PPO
+from algorithms import A2C, MOA2C, MOCAC, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.policy import AccruedReward
@@ -21,6 +21,7 @@ from tests.helpers.agents import (
     CONTINUOUS,
     INTERSECTION,
     ROUNDABOUT,
+    SEA,
     exaggerate,
     make_agent,
     plain_utility,
@@ -128,13 +129,6 @@ def test_vehicles_that_share_a_policy_are_rows_of_one_batch(cls: type[ActorCriti
         agent.act(observations, past, None)
 
 
-def test_a_checkpoint_of_a_shared_policy_is_refused_by_one_that_shares_none(tmp_path: Path) -> None:
-    agent = make_agent(PPO, ROUNDABOUT, share_policy=True, steps=8)
-    agent.save(tmp_path / "checkpoint.safetensors")
-    with pytest.raises(ValueError, match="shared"):
-        make_agent(PPO, ROUNDABOUT, steps=8).load(tmp_path / "checkpoint.safetensors")
-
-
 @pytest.mark.parametrize("of_state", [False, True])
 def test_deviations_of_actions_depend_on_the_state_where_this_is_asked_for(of_state: bool) -> None:
     agent = make_agent(PPO, env=CONTINUOUS, state_dependent_std=of_state)
@@ -208,24 +202,23 @@ def test_a_vehicle_that_is_cut_alone_is_valued_with_the_last_observation_of_the_
     assert alone > 5
 
 
-def test_a_checkpoint_of_a_centralised_critic_is_refused_by_a_decentralised_one(tmp_path: Any) -> None:
-    path = tmp_path / "checkpoint.safetensors"
-    make_agent(MOPPO, INTERSECTION, centralised_critic=True).save(path)
-    with pytest.raises(ValueError, match="centralised_critic = True; this agent has False"):
-        make_agent(MOPPO, INTERSECTION).load(path)
+GRID = {"critic": "categorical", "v_max": [20.0, 1.0]}
 
 
 @pytest.mark.parametrize(
-    ("changed", "message"),
+    ("cls", "env_id", "trained", "other", "policy_only", "message"),
     [
-        ({"objective_scales": [1.0, 1.0, 1.0, 100.0]}, "has objective_scales = "),
-        ({"accrued_discount": 1.0}, "has accrued_discount = 0.99; this agent has 1.0"),
+        (PPO, ROUNDABOUT, {"share_policy": True}, {}, False, "has .vehicle_0.actor.body.0.weight. of shape None; this"),
+        (MOPPO, INTERSECTION, {"centralised_critic": True}, {}, False, "centralised_critic = True; this agent has"),
+        (MOCAC, SEA, GRID, {**GRID, "v_max": [30.0, 1.0]}, False, "critic"),
+        # What a policy observes of the past is in these units.
+        (MOA2C, SEA, {}, {"objective_scales": [1.0, 2.0]}, True, "has objective_scales = "),
+        (MOA2C, SEA, {}, {"accrued_discount": 1.0}, True, "has accrued_discount = 0.99; this agent has 1.0"),
     ],
 )
-def test_a_policy_that_observes_the_past_in_other_units_is_refused(
-    tmp_path: Path, changed: dict[str, Any], message: str
+def test_a_checkpoint_of_other_settings_is_refused(
+    cls: Any, env_id: str, trained: Any, other: Any, policy_only: bool, message: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / "policy.safetensors"
-    make_agent(MOA2C).save_policy(path)
+    make_agent(cls, env_id, **trained).save(tmp_path / "checkpoint.safetensors")
     with pytest.raises(ValueError, match=message):
-        make_agent(MOA2C, **changed).load(path, policy_only=True)
+        make_agent(cls, env_id, **other).load(tmp_path / "checkpoint.safetensors", policy_only=policy_only)

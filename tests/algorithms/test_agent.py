@@ -236,10 +236,11 @@ def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(name: str, updates: 
     path = tmp_path / "checkpoint.safetensors"
     whole = resumable(name, seed=3)
     total = steps_of(whole, 7)
-    lines = recorded(whole, total, log_interval=3)
+    # It is saved after every update, which changes nothing.
+    lines = recorded(whole, total, log_interval=3, after_update=lambda agent: agent.save(tmp_path / "unused"))
 
     first = resumable(name, seed=3)
-    start = recorded(first, total, log_interval=3, after_update=lambda agent: agent.updates == updates)
+    start = recorded(first, total, log_interval=3, after_update=lambda agent: agent.updates >= updates)
     first.save(path)
     second = resumable(name, seed=99)  # nothing of its own is left after loading
     second.load(path)
@@ -251,30 +252,6 @@ def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(name: str, updates: 
     assert same(state(second), state(whole))
     assert same(whole.get_state(), second.get_state())
     assert start + rest == lines
-
-
-@CLASSES
-def test_a_checkpoint_of_an_untrained_agent_starts_the_same_run(cls: type[ActorCritic], tmp_path: Path) -> None:
-    fresh = make_agent(cls, seed=1)
-    fresh.save(tmp_path / "fresh")
-    other = make_agent(cls, seed=1)
-    other.load(tmp_path / "fresh")
-    for agent in (fresh, other):
-        agent.train(64)
-    assert same(state(fresh), state(other))
-
-
-@CLASSES
-def test_saving_changes_nothing(cls: type[ActorCritic], tmp_path: Path) -> None:
-    plain, saved = make_agent(cls), make_agent(cls)
-    plain.train(256)
-
-    def save(agent: ActorCritic) -> bool:
-        agent.save(tmp_path / "checkpoint")
-        return False
-
-    saved.train(256, after_update=save)
-    assert same(state(plain), state(saved))
 
 
 @CLASSES

@@ -354,7 +354,9 @@ def test_a_saved_policy_acts_as_its_agent(place: str, tmp_path: Path) -> None:
     observations = rng.normal(size=(50, vehicles, agent.env.observation_size)).astype(np.float32)
     start = AccruedReward.begin(50, vehicles, len(agent.env.objectives))
     start.value -= rng.uniform(0, 5, start.value.shape).astype(np.float32)
-    for condition in agent.conditions():
+    conditions = agent.conditions()
+    assert len(conditions) == SMALL["max_policies"]
+    for condition in conditions:
         np.testing.assert_array_equal(
             agent.policy(condition).act(observations, start, None),
             other.policy(condition).act(observations, start, None),

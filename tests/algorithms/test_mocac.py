@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from algorithms import MOCAC
 from algorithms.mocac import project
 from tests.helpers.agents import (
     NONLINEAR,
-    SEA,
     gradients_of,
     handmade,
     make_agent,
@@ -148,12 +146,6 @@ def test_the_slow_critic_moves_by_its_rate() -> None:
     for old, weight, slow in pairs:
         assert not torch.equal(old, weight)
         torch.testing.assert_close(slow, 0.75 * old + 0.25 * weight)
-
-
-def test_a_checkpoint_of_another_critic_is_refused(tmp_path: Path) -> None:
-    make_agent(MOCAC, SEA, critic="categorical", v_max=[20.0, 1.0]).save(tmp_path / "checkpoint.safetensors")
-    with pytest.raises(ValueError, match="critic"):
-        make_agent(MOCAC, SEA, critic="categorical", v_max=[30.0, 1.0]).load(tmp_path / "checkpoint.safetensors")
 
 
 def test_bounds_default_to_nominal_scales() -> None:

@@ -159,8 +159,3 @@ def test_the_threads_of_partners_are_not_those_of_the_run() -> None:
         assert torch.get_num_threads() == 2
     finally:
         set_threads(1)
-
-
-def test_a_manifest_is_not_made_of_runs_with_more_partners_than_environments() -> None:
-    with pytest.raises(ValueError, match=r"num_envs = 2 is less than the 3 drivers in training\.partners"):
-        build(experiment_with(PARTNERS, num_envs=2), num_envs=1)

@@ -29,22 +29,15 @@ PAIRS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.slow
-@EVERY
+@pytest.mark.parametrize("name", [*LEARNERS, *PAIRS])
 def test_a_seed_ends_with_the_same_weights_and_metrics_whatever_seeds_are_beside_it(name: str) -> None:
-    first, second = trainer(name, [3, 4, 5]), trainer(name, [7, 4])
+    learner, training = (name, {}) if name in LEARNERS else ("ppo, two vehicles", PAIRS[name])
+    first, second = (trainer(learner, seeds, **training) for seeds in ([3, 4, 5], [7, 4]))
     rows = trained(first)
     assert rows[1] == trained(second)[1]
     assert torch.equal(weights(first, 1), weights(second, 1))
     assert not torch.equal(weights(first, 0), weights(first, 1))
     assert len(rows[1]) == TOTAL // 128 + TOTAL % 128 // 64
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("what", PAIRS)
-def test_seeds_with_other_drivers_or_one_policy_are_as_independent(what: str) -> None:
-    first, second = (trainer("ppo, two vehicles", seeds, **PAIRS[what]) for seeds in ([3, 4, 5], [7, 4]))
-    assert trained(first)[1] == trained(second)[1]
-    assert torch.equal(weights(first, 1), weights(second, 1))
 
 
 @pytest.mark.slow

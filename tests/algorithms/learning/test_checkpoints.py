@@ -124,20 +124,20 @@ def refused(agent: Any, path: Path, *parts: str) -> None:
     assert same(agent.get_state(), before)
 
 
-@pytest.mark.parametrize("kept", [0, 4, 8, 100, 0.3, 0.99, -1])
-def test_a_truncated_checkpoint_is_refused(saved: tuple[str, Path], tmp_path: Path, kept: float) -> None:
+def test_a_truncated_checkpoint_is_refused(saved: tuple[str, Path], tmp_path: Path) -> None:
     kind, path = saved
-    whole = path.read_bytes()
-    (tmp_path / "broken").write_bytes(whole[: int(kept * len(whole)) if isinstance(kept, float) else kept])
-    refused(KINDS[kind](), tmp_path / "broken", "broken cannot be read")
+    agent, whole = KINDS[kind](), path.read_bytes()
+    for kept in (0, 4, 8, 100, len(whole) // 3, len(whole) - 1):
+        (tmp_path / "broken").write_bytes(whole[:kept])
+        refused(agent, tmp_path / "broken", "broken cannot be read")
 
 
 def test_an_odd_entry_of_the_identity_is_refused(saved: tuple[str, Path], tmp_path: Path) -> None:
     kind, path = saved
-    tensors, identity = contents(path)
+    agent, (tensors, identity) = KINDS[kind](), contents(path)
     for value in (None, 4, "4", [[4]], {"0": 4}):
         odd = write(tmp_path / "odd", tensors, {**identity, "hidden": value})
-        refused(KINDS[kind](), odd, f"has hidden = {value!r}; this agent has [4]")
+        refused(agent, odd, f"has hidden = {value!r}; this agent has [4]")
 
 
 def test_a_number_that_is_not_finite_is_neither_read_nor_written(saved: tuple[str, Path], tmp_path: Path) -> None:
@@ -145,6 +145,7 @@ def test_a_number_that_is_not_finite_is_neither_read_nor_written(saved: tuple[st
     tensors, identity = contents(path)
     agent = KINDS[kind]()
     real = [name for name, tensor in tensors.items() if tensor.is_floating_point() and tensor.numel()]
+    assert len(real) > 10
     for name in representatives({name: tensors[name] for name in real}):
         for value in (math.nan, math.inf):
             changed = {**tensors, name: number(tensors[name], value)}

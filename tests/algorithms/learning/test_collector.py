@@ -19,12 +19,9 @@ from algorithms.learning.collector import Collector, EnvWorlds, Running
 from algorithms.learning.storage import EpisodeSums, RolloutStorage
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.policy import AccruedReward
+from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, SEA, STATIC_OBSTACLE
 from tests.helpers.toy_env import toy_worlds
 
-ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
-STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"
-INTERSECTION = "mo-deepdrive-intersection-v0"
-SEA = "deep-sea-treasure-v0"
 Act = Callable[[np.ndarray, AccruedReward], np.ndarray]
 GAMMA = 0.95
 SEED = 2**32 + 17
@@ -179,6 +176,7 @@ SITUATIONS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 ALL = pytest.mark.parametrize("situation", SITUATIONS)
 TWO_VEHICLES = pytest.mark.parametrize("situation", [s for s in SITUATIONS if s.startswith("intersection")])
+OURS = pytest.mark.parametrize("situation", [s for s in SITUATIONS if "deepdrive" in SITUATIONS[s][0]])
 FOREIGN = pytest.mark.parametrize("situation", ["deep-sea-treasure", "minecart"])
 
 
@@ -355,7 +353,7 @@ def test_episodes_are_the_sums_of_their_steps_in_the_order_of_their_ends(
         np.testing.assert_allclose(c.episodes(name), plain, rtol=1e-4, atol=1e-3)
 
 
-@pytest.mark.parametrize("situation", [s for s in SITUATIONS if "deepdrive" in SITUATIONS[s][0]])
+@OURS
 def test_an_episode_has_succeeded_if_its_vehicle_arrived(collected: Callable[[str], Collected], situation: str) -> None:
     c = collected(situation)
     arrived = [episode.last_reward[DESTINATION] == 1.0 for episode in plain_episodes(c)]
@@ -366,9 +364,6 @@ def started(env_id: str, arguments: dict[str, Any], seed: int = SEED) -> Collect
     options = {name: value for name, value in arguments.items() if name not in ("policy", "rollouts")}
     adapter = EnvAdapter(make_env(env_id, 4, options))
     return collector_of(adapter, reflex(adapter), 17, seed)
-
-
-OURS = pytest.mark.parametrize("situation", [s for s in SITUATIONS if "deepdrive" in SITUATIONS[s][0]])
 
 
 @OURS
