@@ -78,7 +78,7 @@ def test_eval_accepts_observations_of_a_discrete_space(cls: type[ActorCritic]) -
 
 def test_schedules_run_from_their_first_value_to_their_last() -> None:
     settings = {"entropy_start": 0.1, "entropy_end": 0.001, "entropy_until": 0.5}
-    agent = make_agent(PPO, num_envs=4, steps=5, learning_rate=1e-3, learning_rate_end=0.0, **settings)
+    agent = make_agent(A2C, num_envs=4, steps=5, learning_rate=1e-3, learning_rate_end=0.0, **settings)
     lines = recorded(agent, 200, log_interval=1)
     progress = np.arange(10) / 10
     rates = [metrics["policy/learning_rate"] for _, metrics in lines]
