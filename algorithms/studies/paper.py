@@ -7,7 +7,7 @@ and evaluated; the learners of a protocol are compared with each other.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +19,6 @@ from algorithms.runs.interrupts import never_fatal
 from algorithms.studies import FIGURES
 from algorithms.studies.collection import collect
 from algorithms.studies.execution import Backend, Runner
-from algorithms.studies.manifest import overridden
 from algorithms.studies.paper_claims import CLAIMS, FRONT_LEARNER, FRONT_TASK, PaperResults
 from algorithms.studies.paper_report import QUICK, print_verdicts, write_report
 from algorithms.studies.plan import StudyPlan
@@ -31,13 +30,11 @@ from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     COLLISION,
     EVALUATION,
-    FRONT,
     HIGHEST_DISTANCE,
     HYPERVOLUME,
     LOWEST_DISTANCE,
     POLICIES,
     STEP,
-    STOCHASTIC,
     SUCCESS,
     TOTAL_UTILITY_ESR,
     end_by,
@@ -47,11 +44,12 @@ from mo_deepdrive.evaluation.metrics import (
 from mo_deepdrive.support.names import nearest
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
     from rich.console import Console
 
-    from algorithms.studies.plan import Arm, ArmRuns
+    from algorithms.studies.plan import ArmRuns
     from algorithms.studies.settings import Study
 
 PUBLISHED = CONFIGS.parent / "docs" / "results"  # exists in a checkout alone
@@ -82,29 +80,23 @@ def load_paper(path: str | Path) -> Study:
 def paper_plan(study: Study, tasks: Sequence[str], *, seeds: int | None = None, quick: bool = False) -> StudyPlan:
     """The arms to train for some tasks, in all their protocols, or quick ones, with so many ``seeds`` at most."""
     known = {key.partition("/")[0] for key in study.tasks}
-    for task in tasks:
-        if task not in known:
-            raise ValueError(f"task {task!r} is unknown; {nearest(task, known)}")
+    for name in (name for name in tasks if name not in known):
+        raise ValueError(f"task {name!r} is unknown; {nearest(name, known)}")
     selected = [key for key in study.tasks if key.partition("/")[0] in tasks]
     if quick:
         selected = [key for key in selected if key.partition("/")[2] in QUICK_PROTOCOLS]
     if count := seeds or (min(QUICK_SEEDS, len(study.seeds)) if quick else None):
-        first, fewer = study.seeds[0], dict(study.tasks)
-        for key, changed in fewer.items():
-            fewer[key] = changed.model_copy(update={"seeds": changed.seeds and changed.seeds[:count]})
-        study = study.model_copy(update={"tasks": fewer, "seeds": list(range(first, first + count))})
+        first, tasks_of_fewer = study.seeds[0], {}
+        for key, task in study.tasks.items():
+            tasks_of_fewer[key] = task.model_copy(update={"seeds": task.seeds and task.seeds[:count]})
+        study = study.model_copy(update={"tasks": tasks_of_fewer, "seeds": list(range(first, first + count))})
     plan = StudyPlan(study, selected)
-    if quick:
-        plan.arms = tuple(map(_shortened, plan.arms))
+    for arm in plan.arms if quick else ():
+        steps = arm.values["training"]["total_timesteps"] // QUICK_SHARE
+        arm.values["training"]["total_timesteps"] = steps
+        shorter = {"interval": steps // QUICK_EVALUATIONS, "final_episodes": QUICK_EPISODES}
+        arm.values["evaluation"] = {**(arm.values.get("evaluation") or {}), **shorter}
     return plan
-
-
-def _shortened(arm: Arm) -> Arm:
-    """An arm of a quick reproduction."""
-    steps = arm.values["training"]["total_timesteps"] // QUICK_SHARE
-    changes = {"training.total_timesteps": steps, "evaluation.interval": steps // QUICK_EVALUATIONS}
-    changes["evaluation.final_episodes"] = QUICK_EPISODES
-    return replace(arm, values=overridden(arm.values, changes, {}))
 
 
 # ----------------------------------------------------------------------------------------------------------- results
@@ -136,77 +128,48 @@ def gather(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> PaperRe
 # ------------------------------------------------------------------------------------------------------ reproduction
 
 
-@dataclass(frozen=True)
-class Reproduction:
-    """What to reproduce, and where to write it: the options of ``mo-deepdrive reproduce``, which describes them."""
+def reproduce(study: Study, options: Namespace, console: Console) -> int:
+    """Train the missing runs, write report and figures, update the zoo of a checkout; the code of Runner.run.
 
-    study: Study
-    figure: int | None = None
-    claim: int | None = None
-    seeds: int | None = None
-    quick: bool = False
-    redraw: bool = False
-    runs: Path | None = None
-    output: Path | None = None
-    workers: int | None = None
-
-    @property
-    def run_folder(self) -> Path:
-        """The folder of the run directories."""
-        return self.runs or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
-
-    @property
-    def output_folder(self) -> Path:
-        """The folder of the report: one of everything with all steps is published where there is a checkout."""
-        part = self.figure or self.claim or self.quick
-        return self.output or (self.run_folder / "results" if part or not PUBLISHED.is_dir() else PUBLISHED)
-
-    @property
-    def command(self) -> str:
-        """The command that creates the same report."""
-        given = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(self, name))]
-        whole = ["--quick"] if self.quick else [] if self.figure or self.claim else ["--all"]
-        return " ".join(["mo-deepdrive reproduce", *whole, *given])
-
-    def selection(self) -> tuple[list[str], list[int]]:
-        """The tasks, without their protocols, and the numbers of the figures to reproduce."""
-        if self.figure is None and self.claim is None:
-            return list(dict.fromkeys(key.partition("/")[0] for key in self.study.tasks)), list(FIGURES)
-        claims = [claim for claim in CLAIMS if self.figure in claim.figures or self.claim == claim.number]
-        tasks = list(dict.fromkeys(task for claim in claims for task in claim.tasks))
-        return tasks, [self.figure] if self.figure else [*claims[0].figures]
-
-    def run(self, console: Console) -> int:
-        """Train the missing runs, write report and figures, update the zoo of a checkout; the code of Runner.run."""
-        tasks, figures = self.selection()
-        if self.redraw:
-            self._write(PaperResults.read(self.study, self.output_folder), figures, console)
-            return 0
-        plan = paper_plan(self.study, tasks, seeds=self.seeds, quick=self.quick)
-        runner = Runner(plan, self.run_folder, Backend(workers=self.workers), console)
+    The options are those of ``mo-deepdrive reproduce``, which describes them.
+    """
+    figure, claim, seeds, quick = options.figure, options.claim, options.seeds, options.quick
+    tasks, figures = list(dict.fromkeys(key.partition("/")[0] for key in study.tasks)), list(FIGURES)
+    if figure or claim:
+        claims = [known for known in CLAIMS if figure in known.figures or known.number == claim]
+        tasks = list(dict.fromkeys(task for known in claims for task in known.tasks))
+        figures = [figure] if figure else claims[0].figures
+    runs = options.runs or Path("runs") / ("reproduce-quick" if quick else "reproduce")
+    part = figure or claim or quick
+    # A report of everything with all steps is published where there is a checkout.
+    output = options.output or (runs / "results" if part or not PUBLISHED.is_dir() else PUBLISHED)
+    given = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(options, name))]
+    command = " ".join(["mo-deepdrive reproduce", *(["--quick"] if quick else [] if part else ["--all"]), *given])
+    code, arms, results = 0, [], None
+    if options.redraw:
+        results = PaperResults.read(study, output)
+    else:
+        plan = paper_plan(study, tasks, seeds=seeds, quick=quick)
+        runner = Runner(plan, runs, Backend(workers=options.workers), console)
         code = runner.run()
         if code > 1:  # it was interrupted
             return code
-        runs = [arm for arm in plan.runs(runner) if arm.arm.key in plan.selected]
-        results = gather(plan, runs, self.run_folder)
+        arms = [arm for arm in plan.runs(runner) if arm.arm.key in plan.selected]
+        results = gather(plan, arms, runs)
         if not results.tasks:
             raise ValueError("no run has finished")
-        self.output_folder.mkdir(parents=True, exist_ok=True)
-        _keep_fronts(runs, results, self.run_folder, self.output_folder)
-        self._write(results, figures, console)
-        if self.output_folder == PUBLISHED and self.output is None and self.seeds is None and code == 0:
-            names = export_policies(runs, results, self.run_folder)
-            console.print(f"updated the policies {', '.join(names)} in the zoo")
-        return code
-
-    def _write(self, results: PaperResults, figures: Sequence[int], console: Console) -> None:
-        """Write the report, and print the verdicts."""
-        with never_fatal("the report could not be written"):
-            paths = write_report(results, self.output_folder, figures, how=self.command, quick=self.quick)
-        print_verdicts(results, console, quick=self.quick)
-        if self.quick:
-            console.print(QUICK)
-        console.print(f"written: {', '.join(str(path) for path in paths)}", soft_wrap=True)
+        output.mkdir(parents=True, exist_ok=True)
+        _keep_fronts(arms, results, runs, output)
+    paths: list[Path] = []
+    with never_fatal("the report could not be written"):
+        paths = write_report(results, output, figures, how=command, quick=quick)
+    print_verdicts(results, console, quick=quick)
+    if quick:
+        console.print(QUICK)
+    console.print(f"written: {', '.join(map(str, paths))}", soft_wrap=True)
+    if arms and output == PUBLISHED and not options.output and not seeds and code == 0:
+        console.print(f"updated the policies {', '.join(export_policies(arms, results, runs))} in the zoo")
+    return code
 
 
 def _median_seed(scores: Mapping[int, float]) -> int | None:
@@ -218,12 +181,12 @@ def _median_seed(scores: Mapping[int, float]) -> int | None:
 def _keep_fronts(runs: Sequence[ArmRuns], results: PaperResults, directory: Path, output: Path) -> None:
     """Save the front of the run with the median hypervolume of every protocol; figures are drawn from it."""
     rows = {(arm.arm.task, row.seed): row for arm in runs for row in arm.final}
-    for protocol, reached in results.tasks.get(FRONT_TASK, {}).items():
-        seed = _median_seed(reached.by_seed(FRONT_LEARNER, HYPERVOLUME, FRONT))
+    for protocol, of_protocol in results.tasks.get(FRONT_TASK, {}).items():
+        seed = _median_seed(of_protocol.by_seed(FRONT_LEARNER, HYPERVOLUME))
         if seed is not None:
             folder = output / f"front_{protocol}"
             folder.mkdir(exist_ok=True)
-            Front.read(directory / rows[reached.key, seed].directory).write(folder, {"seed_of_the_run": seed})
+            Front.read(directory / rows[of_protocol.key, seed].directory).write(folder, {"seed_of_the_run": seed})
 
 
 def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: Path) -> list[str]:
@@ -234,29 +197,29 @@ def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: P
     exported: list[str] = []
     for arm in runs:
         task, _, protocol = arm.arm.task.partition("/")
-        reached, learner = results.tasks.get(task, {}).get(protocol), arm.arm.learner
-        if reached is None or reached.is_ablation:
+        of_task, learner = results.tasks.get(task, {}).get(protocol), arm.arm.learner
+        if of_task is None or learner not in of_task.compared:
             continue
-        metric, policy = (HYPERVOLUME, FRONT) if reached.is_front else (reached.utility, STOCHASTIC)
-        scores = reached.by_seed(learner, metric, policy)
+        metric = of_task.score.metric
+        scores = of_task.by_seed(learner, metric)
         chosen = _median_seed(scores)
         if chosen is None:
             continue
         rows = {row.seed: row for row in arm.final}
         name = f"{task}-{rows[chosen].config['algorithm']['name']}" + ("" if protocol == "best" else f"-{protocol}")
         wanted = [(name, chosen, f"median {metric} of {len(arm.arm.seeds)} seeds")]
-        arrivals = {} if reached.is_front else reached.by_seed(learner, SUCCESS)
+        arrivals = {} if of_task.is_front else of_task.by_seed(learner, SUCCESS)
         solved = {seed: scores[seed] for seed, rate in arrivals.items() if rate > SOLVED}
         success = _median_seed(solved)
         if success is not None and arrivals[chosen] < LEARNED:
             seeds = f"{len(solved)} of {len(arm.arm.seeds)} seeds that arrive in over {SOLVED:.0%} of the episodes"
             wanted.append((f"{name}-solved", success, f"median {metric} of the {seeds}"))
-        shown = (HYPERVOLUME, CARDINALITY) if reached.is_front else (SUCCESS, metric)
+        shown = (HYPERVOLUME, CARDINALITY) if of_task.is_front else (SUCCESS, metric)
         for zoo_name, seed, why in wanted:
             main_scores: dict[str, dict[str, float]] = {}
-            for kind, metric in product(POLICIES, shown):
-                if (score := reached.by_seed(learner, metric, kind).get(seed)) is not None:
-                    main_scores.setdefault(kind, {})[metric] = score
+            for policy, metric in product(POLICIES, shown):
+                if (score := of_task.by_seed(learner, metric, policy).get(seed)) is not None:
+                    main_scores.setdefault(policy, {})[metric] = score
             export(rows[seed].job(directory).open(), zoo_name, about={"chosen": why, "scores": main_scores})
             exported.append(zoo_name)
     return exported

@@ -35,7 +35,7 @@ from mo_deepdrive.evaluation.metrics import (
     SUCCESS,
     TOTAL_UTILITY_ESR,
     UTILITY_ESR,
-    return_of,
+    MetricName,
 )
 from mo_deepdrive.evaluation.statistics import (
     Estimate,
@@ -61,9 +61,7 @@ if TYPE_CHECKING:
 
 SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.gz"
 CURVE_KEYS = {"task": pl.String, "learner": pl.String, "seed": pl.Int64, STEP: pl.Int64}
-# The two algorithms that are compared, by their keys in the study.
-BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
-LABELS = {BASELINE: "A2C", MULTI_OBJECTIVE: "MO-A2C"}
+LABELS = {"a2c": "A2C", "mo_a2c": "MO-A2C"}  # of the two algorithms that are compared, by their keys in the study
 # The task with an unknown utility, and the learner of its front.
 FRONT_TASK, FRONT_LEARNER = "one_waypoint_front", "pcn"
 SIMILAR = 0.05  # relative to the baseline's utility
@@ -85,29 +83,20 @@ class TaskResults:
     curves: pl.DataFrame
 
     @property
-    def task(self) -> str:
-        """The name of the task."""
-        return self.key.partition("/")[0]
-
-    @property
     def is_front(self) -> bool:
         """Whether the utility is unknown."""
-        return self.task == FRONT_TASK
+        return self.key.startswith(FRONT_TASK)
 
     @property
     def vehicles(self) -> int:
         """The number of learning vehicles."""
-        return 2 if self.task.startswith("intersection") else 1
+        return 2 if self.key.startswith("intersection") else 1
 
     @property
-    def utility(self) -> str:
-        """The metric for an episode's utility; with two vehicles it is the sum of their utilities."""
-        return TOTAL_UTILITY_ESR if self.vehicles > 1 else UTILITY_ESR
-
-    @property
-    def utility_kind(self) -> str:
-        """Either "linear" or "non-linear"."""
-        return "non-linear" if self.task.endswith("nonlinear") else "linear"
+    def score(self) -> MetricName:
+        """By what learners are compared: the utility, with two vehicles the sum of theirs, or the hypervolume."""
+        utility = TOTAL_UTILITY_ESR if self.vehicles > 1 else UTILITY_ESR
+        return MetricName(FRONT, "", HYPERVOLUME) if self.is_front else MetricName(STOCHASTIC, "", utility)
 
     @property
     def titles(self) -> tuple[str, str]:
@@ -123,25 +112,26 @@ class TaskResults:
         return {name: learner.label or name for name, learner in learners.items() if name in scored}
 
     @property
-    def is_ablation(self) -> bool:
-        """Whether it is neither a comparison of A2C and MO-A2C nor a run of PCN."""
-        return set(self.study.learners_of(self.key)) not in ({*LABELS}, {FRONT_LEARNER})
+    def compared(self) -> tuple[str, ...]:
+        """The learners that are judged: A2C and MO-A2C, or PCN; none of an ablation."""
+        groups = (tuple(LABELS), (FRONT_LEARNER,))
+        return next((group for group in groups if {*group} == self.study.learners_of(self.key).keys()), ())
 
     @property
     def steps(self) -> int:
         """The number of environment steps of a run."""
         return self.scores["steps"].cast(pl.Int64).max() or 0  # type: ignore[return-value]
 
-    def by_seed(self, learner: str, metric: str, policy: str = STOCHASTIC) -> dict[int, float]:
+    def by_seed(self, learner: str, metric: str, policy: str | None = None) -> dict[int, float]:
         """The metric of every run of a learner, by its seed."""
-        chosen = self.scores.filter(learner=learner, column=metric, policy=policy)
+        chosen = self.scores.filter(learner=learner, column=metric, policy=policy or self.score.policy)
         return dict(chosen.select("seed", "value").iter_rows())
 
-    def values(self, learner: str, metric: str, policy: str = STOCHASTIC) -> NDArray[np.float64]:
+    def values(self, learner: str, metric: str) -> NDArray[np.float64]:
         """Values (seeds,) of a metric, one per run, in the order of seeds; KeyError if there are none."""
-        by_seed = self.by_seed(learner, metric, policy)
+        by_seed = self.by_seed(learner, metric)
         if not by_seed:
-            raise KeyError(f"no run of {self.key}/{learner} has {metric!r} of the {policy} policy")
+            raise KeyError(f"no run of {self.key}/{learner} has {metric!r}")
         return np.array([*by_seed.values()], dtype=np.float64)
 
     def learning_curves(self, learner: str) -> list[Columns]:
@@ -189,9 +179,8 @@ class PaperResults:
         try:
             table = gzip.decompress((directory / CURVES_FILE).read_bytes())
             curves = pl.read_csv(table, infer_schema=False)
-            metrics = pl.exclude(*CURVE_KEYS).cast(pl.Float64)
-            curves = curves.with_columns(pl.col(name).cast(kind) for name, kind in CURVE_KEYS.items())
-            return cls(study, read_rows(directory / SCORES_FILE), curves.with_columns(metrics))
+            schema = pl.Schema({name: CURVE_KEYS.get(name, pl.Float64) for name in curves.columns})
+            return cls(study, read_rows(directory / SCORES_FILE), curves.cast(schema))
         except (OSError, EOFError, ValueError, pl.exceptions.PolarsError) as error:
             raise ValueError(f"no results of a reproduction in {str(directory)!r}: {error}") from None
 
@@ -227,8 +216,8 @@ class Criterion(Settings):
 
     text: str
     task: str  # without the protocol
-    measure: Literal["success", "progress", "difference", "relative_difference", "deviations", "front"]
-    of: str = ""  # the learner, or the metric of the front
+    measure: str  # a metric of one learner, or what is compared between A2C and MO-A2C
+    of: str = ""  # the learner
     above: float = -inf
     below: float = inf
     lasting: bool | None = None  # the answer that longer training could only confirm; None if it could change both
@@ -243,17 +232,12 @@ class Criterion(Settings):
 
     def measured(self, results: TaskResults) -> tuple[Estimate, str, float]:
         """What is measured, its text, and the unit of the limits that it is compared with."""
-        if self.measure == "front":
-            score = iqm(results.values(FRONT_LEARNER, self.of, FRONT))
-            return score, shown(score) + ("" if self.of == CARDINALITY else " m"), 1.0
-        if self.measure == "success":
-            rate = iqm(results.values(self.of, SUCCESS))
-            return rate, f"success rate {percent(rate)}", 1.0
-        if self.measure == "progress":
-            progress = iqm(results.values(self.of, return_of("distance")))
-            return progress, f"progress {shown(progress)} m", 1.0
+        if self.of:
+            score = iqm(results.values(self.of, self.measure))
+            text = percent(score) if self.measure == SUCCESS else shown(score)
+            return score, text if self.measure in (SUCCESS, CARDINALITY) else f"{text} m", 1.0
         if self.measure == "deviations":
-            first, second = (results.values(learner, results.utility) for learner in (MULTI_OBJECTIVE, BASELINE))
+            second, first = (results.values(learner, results.score.metric) for learner in LABELS)
             ratio, runs = spread_ratio(first, second), min(len(first), len(second))
             powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
             return ratio, f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}", 1.0
@@ -299,7 +283,7 @@ CLAIMS = [Claim(**claim) for claim in yaml.safe_load(Path(__file__).with_suffix(
 
 def compare(results: TaskResults) -> tuple[Estimate, Estimate, Estimate, Estimate]:
     """Utilities of A2C and MO-A2C: interquartile means over seeds, their difference, P(a run of MO-A2C is higher)."""
-    first, second = (results.values(learner, results.utility) for learner in LABELS)
+    first, second = (results.values(learner, results.score.metric) for learner in LABELS)
     return iqm(first), iqm(second), iqm_difference(second, first), probability_of_improvement(second, first)
 
 
@@ -308,23 +292,19 @@ def is_settled(results: TaskResults) -> bool:
 
     They are if, for every compared algorithm, the upper end of the interval over seeds of the gain (the mean of the
     last fifth of the evaluations minus that of the fifth before) is below FLAT times the mean of the last fifth. The
-    score is the utility of the stochastic policy, for a front its hypervolume.
+    score is the utility of the stochastic policy, for a front its hypervolume. Curves that are too short are not.
     """
-    name = f"{FRONT}/{HYPERVOLUME}" if results.is_front else f"{STOCHASTIC}/{results.utility}"
-    return all(
-        _is_flat([curve[name] for curve in results.learning_curves(learner) if name in curve])
-        for learner in ((FRONT_LEARNER,) if results.is_front else LABELS)
-    )
-
-
-def _is_flat(curves: Sequence[NDArray[np.float64]]) -> bool:
-    """Whether the curves of one algorithm, one per seed, are flat at their end; False if they are too short to tell."""
-    scores = [curve[np.isfinite(curve)] for curve in curves]
-    if not scores or min(map(len, scores)) < MIN_EVALUATIONS:
-        return False
-    fifths = [(curve[-2 * (n := len(curve) // 5) : -n].mean(), curve[-n:].mean()) for curve in scores]
-    before, last = np.array(fifths).T
-    return is_between(mean(last - before), -inf, FLAT * abs(float(last.mean()))) is True
+    name = f"{results.score.policy}/{results.score.metric}"
+    for learner in results.compared:
+        curves = [curve[name] for curve in results.learning_curves(learner) if name in curve]
+        known = [curve[np.isfinite(curve)] for curve in curves]
+        if not known or min(map(len, known)) < MIN_EVALUATIONS:
+            return False
+        fifths = [(curve[-2 * (n := len(curve) // 5) : -n].mean(), curve[-n:].mean()) for curve in known]
+        before, last = np.array(fifths).T
+        if not is_between(mean(last - before), -inf, FLAT * abs(float(last.mean()))):
+            return False
+    return True
 
 
 def is_between(estimate: Estimate, above: float, below: float) -> bool | None:

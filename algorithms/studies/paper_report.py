@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,14 +15,12 @@ from algorithms.reporting.curves import curve
 from algorithms.reporting.explorer.plots import draw_front
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
 from algorithms.reporting.tables import markdown, print_rows
-from algorithms.studies.paper_claims import CLAIMS, FRONT_LEARNER, LABELS, Claim, compare, percent, shown
+from algorithms.studies.paper_claims import CLAIMS, FRONT_LEARNER, LABELS, percent, shown
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     COLLISION,
-    FRONT,
     HIGHEST_DISTANCE,
-    HYPERVOLUME,
     LOWEST_DISTANCE,
     STEP,
     STOCHASTIC,
@@ -42,14 +39,15 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
+    from numpy.typing import NDArray
     from rich.console import Console
 
     from algorithms.reporting.tables import Rows
-    from algorithms.studies.paper_claims import PaperResults, TaskResults
+    from algorithms.studies.paper_claims import Claim, PaperResults, TaskResults
 
 REPORT_FILE = "reproduction.md"
 QUICK = "A quick reproduction checks the pipeline. It trains too little for verdicts."
-VERDICT_COLUMNS = ("protocol", "A2C", "MO-A2C", "difference", "P(MO-A2C higher)", "verdict")
+EFFECT = ("difference from the first", "P(higher)")
 COLLAPSED = 0.5  # a run of PCN has collapsed if its hypervolume is below this part of the median
 
 # Figures of learning curves, a column per task (with a linear and a non-linear utility) and a row per protocol: their
@@ -145,7 +143,7 @@ def _draw_panel(axis: Axes, results: TaskResults, metric: str) -> None:
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(6))
     axis.margins(x=0.015)
-    axis.set_title(f"{results.utility_kind.capitalize()} utility\n{results.titles[1]}", fontsize=9.5)
+    axis.set_title(f"{results.titles[0].rpartition(', ')[2].capitalize()}\n{results.titles[1]}", fontsize=9.5)
 
 
 def _draw_fronts(number: int, path: Path) -> list[Path]:
@@ -159,16 +157,27 @@ def _draw_fronts(number: int, path: Path) -> list[Path]:
     return paths
 
 
-# ---------------------------------------------------------------------------------------------------------- verdicts
+# ----------------------------------------------------------------------------------------------------------- tables
+
+
+def claim_table(claim: Claim, results: PaperResults, *, quick: bool = False) -> Rows:
+    """What decides a claim, and the verdicts: a row per criterion, a column per protocol."""
+    answers = {True: "yes", False: "no", None: "inconclusive"}
+    judged = claim.verdicts(results)
+    rows = [["criterion", *(results.tasks[claim.tasks[0]][protocol].titles[1] for protocol in judged)]]
+    for checks in zip(*(verdict.checks for verdict in judged.values()), strict=True):
+        rows.append([checks[0].criterion, *(f"{answers[check.passed]}: {check.measured}" for check in checks)])
+    return [*rows, ["verdict", *("not judged" if quick else verdict.text for verdict in judged.values())]]
 
 
 def verdict_table(results: PaperResults, *, quick: bool = False) -> str:
-    """The verdicts as Markdown: a row per claim, protocol and task, with scores and effect size."""
-    rows = [["claim", *VERDICT_COLUMNS]]
+    """The verdicts as Markdown: a row per claim and protocol."""
+    rows = [["claim", "protocol", "verdict"]]
     for claim in CLAIMS:
         name = f"{claim.number}. {claim.statement}"
-        for *row, conclusion in _verdict_rows(claim, results, quick=quick):
-            rows.append([name, *row, f"**{conclusion}**" if conclusion and not quick else conclusion])
+        protocols, *_, verdicts = claim_table(claim, results, quick=quick)
+        for protocol, verdict in zip(protocols[1:], verdicts[1:], strict=True):
+            rows.append([name, protocol, f"**{verdict}**"])
             name = ""
     return _table(rows, 2)
 
@@ -176,105 +185,55 @@ def verdict_table(results: PaperResults, *, quick: bool = False) -> str:
 def print_verdicts(results: PaperResults, console: Console, *, quick: bool = False) -> None:
     """Print the verdicts: a table per claim."""
     for claim in CLAIMS:
-        if rows := _verdict_rows(claim, results, quick=quick):
-            print_rows(console, [[*VERDICT_COLUMNS], *rows], f"{claim.number}. {claim.statement}", 1)
+        if claim.verdicts(results):
+            print_rows(console, claim_table(claim, results, quick=quick), f"{claim.number}. {claim.statement}", 1)
 
 
-def _verdict_rows(claim: Claim, results: PaperResults, *, quick: bool) -> Rows:
-    """The rows of a claim in :data:`VERDICT_COLUMNS`; of the tasks of a protocol, only the first has the verdict."""
-    rows = []
-    for protocol, verdict in claim.verdicts(results).items():
-        conclusion = "not judged" if quick else verdict.text
-        for task in claim.tasks:
-            of_task = results.tasks[task][protocol]
-            which = f" ({of_task.utility_kind})" if len(claim.tasks) > 1 else ""
-            if of_task.is_front:
-                count = iqm(of_task.values(FRONT_LEARNER, CARDINALITY, FRONT))
-                effect = ["", "", f"PCN: {count.text()} non-dominated policies", ""]
-            else:
-                *utilities, improvement = compare(of_task)
-                effect = [*map(shown, utilities), improvement.text()]
-            rows.append([of_task.titles[1] + which, *effect, conclusion])
-            conclusion = ""
-    return rows
+def _task_section(protocols: Mapping[str, TaskResults]) -> str:
+    """The title of a task, and its scores: a row per protocol and learner, the others compared with the first one."""
+    rows: list[dict[str, str]] = []
+    for results in protocols.values():
+        scores = {learner: results.values(learner, results.score.metric) for learner in results.labels}
+        first, *_ = scores.values()
+        for learner, values in scores.items():
+            protocol = results.titles[1] if values is first else ""
+            row = {"protocol": protocol, "algorithm": results.labels[learner], "seeds": str(len(values))}
+            row["steps"] = f"{results.steps:,}"
+            if results.is_front:
+                rows.append(row | _front_scores(results, values))
+                continue
+            effect = shown(iqm_difference(values, first)), probability_of_improvement(values, first).text()
+            row |= _driving_scores(results, learner, values)
+            rows.append(row | dict(zip(EFFECT, ("", "") if values is first else effect, strict=True)))
+    table = _table([[*rows[0]], *([*row.values()] for row in rows)], 2)
+    return f"{next(iter(protocols.values())).titles[0]}\n\n{table}"
 
 
-def _check_table(claim: Claim, results: PaperResults) -> str:
-    """The checks of a claim: a row per criterion, a column per protocol."""
-    answers = {True: "yes", False: "no", None: "inconclusive"}
-    judged = claim.verdicts(results)
-    rows = [["criterion", *(results.tasks[claim.tasks[0]][protocol].titles[1] for protocol in judged)]]
-    texts: dict[str, list[str]] = {}
-    for verdict in judged.values():
-        for check in verdict.checks:
-            texts.setdefault(check.criterion, []).append(f"**{answers[check.passed]}**: {check.measured}")
-    return _table([*rows, *([criterion, *cells] for criterion, cells in texts.items())], 1)
+def _driving_scores(results: TaskResults, learner: str, utilities: NDArray[np.float64]) -> dict[str, str]:
+    distance = vehicle_prefix(0, results.vehicles) + return_of("distance")
+    return {
+        "utility (ESR)": shown(iqm(utilities)),
+        "success rate": percent(iqm(results.values(learner, SUCCESS))),
+        "collisions": percent(iqm(results.values(learner, end_by(COLLISION)))),
+        "progress (m)": shown(iqm(results.values(learner, distance))),
+    }
 
 
-# ------------------------------------------------------------------------------------------------------------ scores
-
-
-def _comparison_table(protocols: Sequence[TaskResults]) -> str:
-    """The scores of a task: a row per protocol and learner, of the policy that samples its actions."""
-    measures = ["utility (ESR)", "success rate", "collisions", "progress (m)"]
-    rows = [["protocol", "algorithm", "seeds", "steps", *measures]]
-    for results in protocols:
-        title, distance = results.titles[1], vehicle_prefix(0, results.vehicles) + return_of("distance")
-        for learner, label in results.labels.items():
-            values = partial(results.values, learner)
-            utility, progress = (shown(iqm(values(metric))) for metric in (results.utility, distance))
-            rates = [percent(iqm(values(metric))) for metric in (SUCCESS, end_by(COLLISION))]
-            about = [title, label, str(len(values(SUCCESS))), f"{results.steps:,}"]
-            rows.append([*about, utility, *rates, progress])
-            title = ""
-    return _table(rows, 2)
-
-
-def _front_table(protocols: Sequence[TaskResults]) -> str:
-    """The scores of PCN's fronts: a row per protocol."""
-    measures = ["hypervolume", "collapsed runs", "non-dominated policies", "progress of the policies (m)"]
-    rows = [["protocol", "seeds", "steps", *measures]]
-    for results in protocols:
-        volumes, cardinalities, nearest, farthest = (
-            results.values(FRONT_LEARNER, metric, FRONT)
-            for metric in (HYPERVOLUME, CARDINALITY, LOWEST_DISTANCE, HIGHEST_DISTANCE)
-        )
-        collapsed = f"{(volumes < COLLAPSED * np.median(volumes)).sum()} of {len(volumes)}"
-        progress = f"{iqm(nearest).value:.2g} to {iqm(farthest).value:.3g}"
-        about = [results.titles[1], str(len(volumes)), f"{results.steps:,}"]
-        rows.append([*about, iqm(volumes).text(), collapsed, iqm(cardinalities).text(), progress])
-    return _table(rows, 1)
-
-
-def _ablation_table(results: TaskResults) -> str:
-    """The scores of an ablation: a row per learner, with its difference from the first one."""
-    rows = [["change", "utility (ESR)", "success rate", "difference from the first", "P(higher than the first)"]]
-    scores = {learner: results.values(learner, results.utility) for learner in results.labels}
-    first, *_ = scores.values()
-    for learner, values in scores.items():
-        effect = ["", ""]
-        if values is not first:
-            effect = [shown(iqm_difference(values, first)), probability_of_improvement(values, first).text()]
-        success = percent(iqm(results.values(learner, SUCCESS)))
-        rows.append([results.labels[learner], shown(iqm(values)), success, *effect])
-    return _table(rows, 1)
+def _front_scores(results: TaskResults, volumes: NDArray[np.float64]) -> dict[str, str]:
+    count, lowest, highest = (
+        iqm(results.values(FRONT_LEARNER, metric)) for metric in (CARDINALITY, LOWEST_DISTANCE, HIGHEST_DISTANCE)
+    )
+    return {
+        "hypervolume": iqm(volumes).text(),
+        "collapsed runs": f"{(volumes < COLLAPSED * np.median(volumes)).sum()} of {len(volumes)}",
+        "non-dominated policies": count.text(),
+        "progress of the policies (m)": f"{lowest.value:.2g} to {highest.value:.3g}",
+    }
 
 
 def _table(rows: Rows, labels: int) -> str:
     """A table of Markdown; in one of a single row, all labels would be what the rows share."""
     return markdown(rows, labels if len(rows) > 2 else 0, "").strip()
-
-
-def _scores_of_task(protocols: Mapping[str, TaskResults], level: str) -> list[str]:
-    """The section of a task: its scores, and those of its ablations."""
-    ablations = [results for results in protocols.values() if results.is_ablation]
-    compared = [results for results in protocols.values() if not results.is_ablation]
-    parts = [f"{level} {next(iter(protocols.values())).titles[0]}"]
-    if compared:
-        parts.append(_front_table(compared) if compared[0].is_front else _comparison_table(compared))
-    for results in ablations:
-        parts += [f"**{results.titles[1]}**", _ablation_table(results)]
-    return parts
 
 
 def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how: str, quick: bool) -> str:
@@ -287,9 +246,8 @@ def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how
         "Scores are interquartile means over seeds of the utility (ESR) of the policy that samples its actions; at the "
         "intersection, of the sum of both vehicles' utilities. The scores of every run, also of greedy policies, are "
         "in reproduction_scores.csv.",
-        "Intervals (95%, bootstrap) are over seeds. P(MO-A2C higher) is the probability that a run of MO-A2C scores "
-        "higher than one of A2C. A run of PCN has collapsed if its hypervolume is below "
-        f"{COLLAPSED:.0%} of the median.",
+        "Intervals (95%, bootstrap) are over seeds. P(higher) is the probability that a run scores higher than one of "
+        f"the first algorithm. A run of PCN has collapsed if its hypervolume is below {COLLAPSED:.0%} of the median.",
         *([f"**{QUICK}**"] if quick else []),
         "## Verdicts",
         verdict_table(results, quick=quick),
@@ -299,13 +257,11 @@ def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how
         unclaimed = {task: protocols for task, protocols in unclaimed.items() if task not in claim.tasks}
         if not claim.verdicts(results):
             continue
-        parts += [f"## Claim {claim.number}", _check_table(claim, results)]
-        for task in claim.tasks:
-            parts += _scores_of_task(results.tasks[task], "###")
+        parts += [f"## Claim {claim.number}", _table(claim_table(claim, results, quick=quick), 1)]
+        parts += [f"### {_task_section(results.tasks[task])}" for task in claim.tasks]
         for number in claim.figures:
             new = [path for path in pictures.get(number, []) if path not in drawn]  # claims share figures
             parts += [f"![Figure {number}]({path.name})" for path in new]
             drawn |= {*new}
-    for protocols in unclaimed.values():
-        parts += _scores_of_task(protocols, "##")
+    parts += [f"## {_task_section(protocols)}" for protocols in unclaimed.values()]
     return "\n\n".join(parts) + "\n"

@@ -246,8 +246,10 @@ def test_a_report_of_some_tasks_omits_the_others_and_a_quick_one_judges_nothing(
     text = paths[0].read_text()
     assert [number for number in range(1, 7) if f"## Claim {number}" in text] == [1]
     assert f"**{QUICK}**" in text
-    assert "| not judged |" in text
+    assert "| verdict | not judged |" in text
+    assert "| 18.00 [17.99, 18.01] | 0.00 [-0.01, 0.01] | 0.50 [0.14, 0.86] |" in text
     console = Console(width=100, record=True)
     print_verdicts(results, console)
     shown = " ".join(console.export_text().split())
-    assert "10.00 [9.99, 10.01] 10.00 [9.99, 10.01] 0.00 [-0.01, 0.01] 0.50 [0.14, 0.86] reproduced" in shown
+    assert "MO-A2C: success rate above 95% yes: 99.00 [98.93, 99.08]%" in shown
+    assert "verdict reproduced" in shown
