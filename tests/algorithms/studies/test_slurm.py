@@ -259,7 +259,7 @@ def test_after_an_interrupt_the_command_that_cancels_the_jobs_is_shown_if_there_
     settings = load_sweep(write_sweep(tmp_path))
     slurm.SlurmQueue(tmp_path).submit(jobs_of(settings, tmp_path), settings)
     fake.states = states
-    assert Backend("slurm").after_interrupt(tmp_path) == message
+    assert slurm.after_interrupt(tmp_path) == message
 
 
 def test_a_dry_run_prints_the_script_of_the_first_array_if_there_are_several_tasks(
