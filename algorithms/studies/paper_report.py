@@ -15,23 +15,10 @@ from algorithms.reporting.curves import curve
 from algorithms.reporting.explorer.plots import draw_front
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
 from algorithms.reporting.tables import markdown, print_rows
-from algorithms.studies.paper_claims import CLAIMS, FRONT_LEARNER, LABELS, percent, shown
+from algorithms.studies.paper import CLAIMS, FRONT_LEARNER, LABELS, percent, shown
+from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.front import Front
-from mo_deepdrive.evaluation.metrics import (
-    CARDINALITY,
-    COLLISION,
-    HIGHEST_DISTANCE,
-    LOWEST_DISTANCE,
-    STEP,
-    STOCHASTIC,
-    SUCCESS,
-    TOTAL_UTILITY_ESR,
-    UTILITY_ESR,
-    end_by,
-    return_of,
-    title_of,
-    vehicle_prefix,
-)
+from mo_deepdrive.evaluation.metrics import STEP, STOCHASTIC, SUCCESS, UTILITY_ESR
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, iqm, iqm_difference, probability_of_improvement
 from mo_deepdrive.support.atomic_io import atomic_write
 
@@ -43,7 +30,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.reporting.tables import Rows
-    from algorithms.studies.paper_claims import Claim, PaperResults, TaskResults
+    from algorithms.studies.paper import Claim, PaperResults, TaskResults
 
 REPORT_FILE = "reproduction.md"
 QUICK = "A quick reproduction checks the pipeline. It trains too little for verdicts."
@@ -55,7 +42,7 @@ COLLAPSED = 0.5  # a run of PCN has collapsed if its hypervolume is below this p
 CURVE_FIGURES = {
     4: ("OneWaypoint", "one_waypoint", UTILITY_ESR),
     5: ("StaticObstacle", "static_obstacle", UTILITY_ESR),
-    6: ("Intersection, both vehicles together", "intersection", TOTAL_UTILITY_ESR),
+    6: ("Intersection, both vehicles together", "intersection", metrics.TOTAL_UTILITY_ESR),
     8: ("Intersection, the vehicle that turns left (vehicle 0)", "intersection", f"vehicle_0/{UTILITY_ESR}"),
     9: ("Intersection, the vehicle that goes straight (vehicle 1)", "intersection", f"vehicle_1/{UTILITY_ESR}"),
 }
@@ -105,7 +92,7 @@ def _draw_curves(number: int, results: PaperResults, path: Path) -> list[Path]:
         for axis in axes[-1]:
             axis.set_xlabel("environment steps")
         for axis in axes[:, 0]:
-            axis.set_ylabel(title_of(UTILITY_ESR))
+            axis.set_ylabel(metrics.title_of(UTILITY_ESR))
         seeds = sorted({len(panel.learning_curves(name)) for panel in panels.values() for name in LABELS})
         count = " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
         note = f"{STOCHASTIC} policy on unseen scenarios; thin: each of {count} seeds; thick: mean"
@@ -210,19 +197,18 @@ def _task_section(protocols: Mapping[str, TaskResults]) -> str:
 
 
 def _driving_scores(results: TaskResults, learner: str, utilities: NDArray[np.float64]) -> dict[str, str]:
-    distance = vehicle_prefix(0, results.vehicles) + return_of("distance")
+    distance = metrics.vehicle_prefix(0, results.vehicles) + metrics.return_of("distance")
     return {
         "utility (ESR)": shown(iqm(utilities)),
         "success rate": percent(iqm(results.values(learner, SUCCESS))),
-        "collisions": percent(iqm(results.values(learner, end_by(COLLISION)))),
+        "collisions": percent(iqm(results.values(learner, metrics.end_by(metrics.COLLISION)))),
         "progress (m)": shown(iqm(results.values(learner, distance))),
     }
 
 
 def _front_scores(results: TaskResults, volumes: NDArray[np.float64]) -> dict[str, str]:
-    count, lowest, highest = (
-        iqm(results.values(FRONT_LEARNER, metric)) for metric in (CARDINALITY, LOWEST_DISTANCE, HIGHEST_DISTANCE)
-    )
+    names = metrics.CARDINALITY, metrics.LOWEST_DISTANCE, metrics.HIGHEST_DISTANCE
+    count, lowest, highest = (iqm(results.values(FRONT_LEARNER, name)) for name in names)
     return {
         "hypervolume": iqm(volumes).text(),
         "collapsed runs": f"{(volumes < COLLAPSED * np.median(volumes)).sum()} of {len(volumes)}",

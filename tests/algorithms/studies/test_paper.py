@@ -15,8 +15,7 @@ from algorithms.runs.jobs import Job
 from algorithms.studies import FIGURES
 from algorithms.studies import paper as paper_module
 from algorithms.studies.manifest import ManifestRow
-from algorithms.studies.paper import QUICK_SEEDS, load_paper, paper_plan
-from algorithms.studies.paper_claims import CLAIMS, PaperResults
+from algorithms.studies.paper import CLAIMS, QUICK_SEEDS, PaperResults, load_paper, paper_plan
 from algorithms.studies.paper_report import (
     QUICK,
     print_verdicts,
