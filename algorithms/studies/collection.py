@@ -37,7 +37,7 @@ from mo_deepdrive.evaluation.metrics import EVALUATION, STEP, MetricName, split_
 from mo_deepdrive.support.atomic_io import atomic_write, own_path
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from algorithms.reporting.training_log import Columns
@@ -45,10 +45,9 @@ if TYPE_CHECKING:
 FOLDER = "collected"
 MAX_NAMED = 3  # runs that a message lists by name
 SCORE_KEYS = MetricName._fields  # columns that identify a score of a run
-SCORE_TYPES = {
-    **dict.fromkeys(("run", *SCORE_KEYS), pl.String()),
-    **dict.fromkeys(("value", "low", "high"), pl.Float64()),
-}
+SCORE_TYPES = dict.fromkeys(("run", *SCORE_KEYS), pl.String) | dict.fromkeys(("value", "low", "high"), pl.Float64)
+RUN_TYPES = dict.fromkeys(("run", "directory", "cell"), pl.String) | {"trial": pl.Int64, "seed": pl.Int64}
+RUN_TYPES |= {"state": pl.String, "step": pl.Int64, "rows": pl.Int64}
 
 
 @dataclass(frozen=True)
@@ -119,63 +118,61 @@ def collect(sweep: Path, warn: Callable[[str], None]) -> Collection:
     if not rows:
         hint = "its manifest has no runs; mo-deepdrive sweep writes the manifest"
         raise ValueError(f"sweep {str(sweep)!r} is empty: {hint}")
-    files = {name: own_path(sweep, f"{FOLDER}/{name}.parquet") for name in ("metrics", "runs", "scores")}
-    statuses = {row.id: read_status(sweep / row.directory) for row in rows}
-    metrics, unreadable = _metrics_frame(rows, sweep)
-    runs = _runs_frame(rows, statuses, metrics)
-    finished = [row for row in rows if statuses[row.id].get("state") == "finished"]
-    scores, problems = _scores_frame(finished, sweep)
-    scores = scores.join(runs.drop("directory", "step", "rows"), on="run", how="left")
-    without = runs.filter(~pl.col("run").is_in([*scores["run"].unique(), *problems]))
-    if len(without):
-        states = ", ".join(f"{number} {state}" for state, number in Counter(without["state"]).most_common())
-        names = _shortened(without["directory"].to_list())
+    about: list[tuple[Any, ...]] = []
+    scores: list[tuple[Any, ...]] = []
+    logged = [pl.DataFrame(schema={"run": pl.String, STEP: pl.Int64})]
+    without: dict[str, str] = {}  # directories of runs without a final evaluation, with their states
+    unreadable: list[str] = []
+    for row in rows:
+        directory, length = sweep / row.directory, 0
+        status = read_status(directory)
+        state = str(status.get("state", "waiting"))
+        try:
+            logged.append(
+                read_rows(directory / METRICS_FILE).fill_nan(None).insert_column(0, pl.lit(row.id).alias("run"))
+            )
+            length = len(logged[-1])
+        except ValueError as error:
+            unreadable.append(str(error))
+        about.append(
+            (row.id, row.directory, label(row.cell), row.trial, row.seed, state, status.get("step", 0), length)
+        )
+        try:
+            if state == "finished" and (changed := changed_files(directory, [EVALUATION_FILE])):
+                raise ValueError(f"{row.directory}: {changed[0]}; mo-deepdrive sweep --remake makes it again")
+            known = final_scores(directory) if state == "finished" else {}
+        except ValueError as error:
+            unreadable.append(str(error))
+            continue
+        scores += [(row.id, *split_name(name), score.value, score.low, score.high) for name, score in known.items()]
+        if not known:
+            without[row.directory] = state
+    if without:
+        states = ", ".join(f"{number} {state}" for state, number in Counter(without.values()).most_common())
+        names = ", ".join(first_of([*without], MAX_NAMED))
         warn(f"left out: {len(without)} of {len(rows)} runs have no final evaluation ({states}): {names}")
-    if broken := [*problems.values(), *unreadable]:
-        warn(f"left out: {len(broken)} files cannot be read: {_shortened(broken)}")
+    if unreadable:
+        names = ", ".join(first_of(unreadable, MAX_NAMED))
+        warn(f"left out: {len(unreadable)} files cannot be read: {names}")
+    keys = dict.fromkeys(key for row in rows for key in row.cell)
+    columns = (_key_column(key, [row.cell.get(key) for row in rows]) for key in keys)
+    runs = pl.DataFrame(about, RUN_TYPES, orient="row").with_columns(columns)
+    of_scores = pl.DataFrame(scores, SCORE_TYPES, orient="row").join(
+        runs.drop("directory", "step", "rows"), on="run", how="left"
+    )
+    metrics = pl.concat(logged, how="diagonal")
+    metrics = metrics.select("run", STEP, *sorted({*metrics.columns} - {"run", STEP}))
     try:
-        for name, frame in (("metrics", metrics), ("runs", runs), ("scores", scores)):
+        for name, frame in (("metrics", metrics), ("runs", runs), ("scores", of_scores)):
             buffer = io.BytesIO()
             # A reader skips row groups without the runs that it needs.
             frame.write_parquet(buffer, compression_level=1, row_group_size=10_000)
-            files[name].parent.mkdir(exist_ok=True)
-            atomic_write(files[name], buffer.getvalue())
+            file = own_path(sweep, f"{FOLDER}/{name}.parquet")
+            file.parent.mkdir(exist_ok=True)
+            atomic_write(file, buffer.getvalue())
     except OSError as error:
         warn(f"the collected results are not stored: {error}")
-    return Collection(sweep, rows, runs, scores, metrics)
-
-
-def _metrics_frame(rows: Sequence[ManifestRow], sweep: Path) -> tuple[pl.DataFrame, list[str]]:
-    """The table of ``metrics.parquet``, and why files cannot be read."""
-    frames, unreadable = [pl.DataFrame(schema={"run": pl.String, STEP: pl.Int64})], []
-    for row in rows:
-        path = sweep / row.directory / METRICS_FILE
-        try:
-            if path.is_file():
-                frames.append(read_rows(path).fill_nan(None).insert_column(0, pl.lit(row.id).alias("run")))
-        except (ValueError, OSError) as error:
-            unreadable.append(str(error))
-    frame = pl.concat(frames, how="diagonal")
-    return frame.select("run", STEP, *sorted({*frame.columns} - {"run", STEP})), unreadable
-
-
-def _runs_frame(
-    rows: Sequence[ManifestRow], statuses: Mapping[str, Mapping[str, Any]], metrics: pl.DataFrame
-) -> pl.DataFrame:
-    """The table of ``runs.parquet``."""
-    logged = dict(metrics.group_by("run").len().iter_rows())
-    columns = {
-        "run": [row.id for row in rows],
-        "directory": [row.directory for row in rows],
-        "cell": [label(row.cell) for row in rows],
-        "trial": pl.Series([row.trial for row in rows], dtype=pl.Int64),
-        "seed": [row.seed for row in rows],
-        "state": [str(statuses[row.id].get("state", "waiting")) for row in rows],
-        "step": [int(statuses[row.id].get("step", 0)) for row in rows],
-        "rows": [logged.get(row.id, 0) for row in rows],
-    }
-    keys = dict.fromkeys(key for row in rows for key in row.cell)
-    return pl.DataFrame(columns).with_columns(_key_column(key, [row.cell.get(key) for row in rows]) for key in keys)
+    return Collection(sweep, rows, runs, of_scores, metrics)
 
 
 def _key_column(key: str, values: Sequence[Any]) -> pl.Series:
@@ -187,28 +184,6 @@ def _key_column(key: str, values: Sequence[Any]) -> pl.Series:
     return pl.Series(key, [as_json(value) for value in values], pl.String)
 
 
-def _scores_frame(rows: Sequence[ManifestRow], sweep: Path) -> tuple[pl.DataFrame, dict[str, str]]:
-    """The final evaluations of finished runs, and why others are left out, by id."""
-    scores: list[tuple[Any, ...]] = []
-    problems: dict[str, str] = {}
-    for row in rows:
-        run = sweep / row.directory
-        if changed := changed_files(run, [EVALUATION_FILE]):
-            problems[row.id] = f"{row.directory}: {changed[0]}; mo-deepdrive sweep --remake makes it again"
-            continue
-        try:
-            found = final_scores(run).items()
-        except ValueError as error:
-            problems[row.id] = str(error)
-            continue
-        scores += [(row.id, *split_name(name), score.value, score.low, score.high) for name, score in found]
-    return pl.DataFrame(scores, SCORE_TYPES, orient="row"), problems
-
-
 def as_json(value: Any) -> str:
     """JSON with sorted keys: equal values have equal texts."""
     return json.dumps(value, sort_keys=True)
-
-
-def _shortened(names: Sequence[str]) -> str:
-    return ", ".join(first_of(names, MAX_NAMED))

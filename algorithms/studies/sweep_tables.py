@@ -24,22 +24,8 @@ from algorithms.reporting.tables import (
 )
 from algorithms.studies.collection import SCORE_KEYS, Cell, Collection, as_json, collect
 from algorithms.studies.manifest import value_text
-from mo_deepdrive.evaluation.metrics import (
-    EVALUATION,
-    EXPECTED_UTILITY,
-    FRONT,
-    GREEDY,
-    HYPERVOLUME,
-    POLICIES,
-    RETURN,
-    STEP,
-    STOCHASTIC,
-    UTILITY_ESR,
-    MetricName,
-    known_metric,
-    lower_is_better,
-    split_name,
-)
+from mo_deepdrive.evaluation import metrics
+from mo_deepdrive.evaluation.metrics import EVALUATION, FRONT, POLICIES, STEP, UTILITY_ESR, MetricName, split_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,10 +39,10 @@ REST = "--output FILE.csv writes every metric"
 ALGORITHM_KEYS = ("config", "algorithm", "algorithm.name")  # keys of cells that choose the algorithm
 # Cells are ranked by the first of these metrics that the runs have.
 DEFAULT_METRICS = (
-    MetricName(GREEDY, "", UTILITY_ESR),
-    MetricName(FRONT, "", HYPERVOLUME),
-    MetricName(FRONT, "", EXPECTED_UTILITY),
-    MetricName(STOCHASTIC, "", UTILITY_ESR),
+    MetricName(metrics.GREEDY, "", UTILITY_ESR),
+    MetricName(FRONT, "", metrics.HYPERVOLUME),
+    MetricName(FRONT, "", metrics.EXPECTED_UTILITY),
+    MetricName(metrics.STOCHASTIC, "", UTILITY_ESR),
 )
 MAX_CURVES = 8  # cells, as many as there are markers
 TOTAL = "total"  # instead of a vehicle: the sum over all vehicles
@@ -76,14 +62,16 @@ def print_sweep(
     if collection.scores.is_empty():
         hint = "mo-deepdrive plot draws what runs have logged"
         raise ValueError(f"no run of sweep {str(sweep)!r} has a final evaluation yet; {hint}")
-    rankings = rank(collection.cells, collection.scores, metric)
-    groups_of_rankings = [group_cells(collection, ranking, columns) for ranking in rankings]
-    all_groups = [group for groups in groups_of_rankings for group in groups]
+    groups_by_ranking = [
+        (ranking, group_cells(collection, ranking, columns))
+        for ranking in rank(collection.cells, collection.scores, metric)
+    ]
+    all_groups = [group for _, groups in groups_by_ranking for group in groups]
     check_columns(all_groups, columns)
     to_compare: list[ScoreGroup] = []
-    for ranking, groups in zip(rankings, groups_of_rankings, strict=True):
+    for ranking, groups in groups_by_ranking:
         # Those of one vehicle alone, that by which the ranking is sorted.
-        vehicle = "" if ranking.vehicle == TOTAL else ranking.vehicle
+        vehicle = "" if ranking.place.vehicle == TOTAL else ranking.place.vehicle
         of_vehicle = [
             replace(group, scores={name: values for name, values in group.scores.items() if name.vehicle == vehicle})
             for group in groups
@@ -92,8 +80,8 @@ def print_sweep(
         if ranking.ranked:
             shown = min(top, len(ranking.ranked))
             title = f"{ranking.title}: {shown} of {len(ranking.cells)} cells, by {ranking.score_name}"
-            rows = best_cells(ranking, of_vehicle[:shown], columns or TABLE_COLUMNS)
-            print_rows(console, rows, title, rows[0].index(ranking.metric), rest=REST)
+            rows = best_cells(ranking, of_vehicle[:shown], columns)
+            print_rows(console, rows, title, rows[0].index(ranking.place.metric), rest=REST)
         elif groups:
             warn(f"left out: no run has {metric or 'a utility or an indicator of a front'} in {ranking.title}")
     compared = comparison_table(to_compare)
@@ -107,15 +95,14 @@ def print_sweep(
 
 def group_cells(collection: Collection, ranking: Ranking, columns: Sequence[str] | None = None) -> list[ScoreGroup]:
     """The cells of a ranking that have final evaluations, in its order; with all metrics if columns are chosen."""
+    ranked_by, column = ranking.place.metric, pl.col("metric")
     known = collection.scores.select("run", *SCORE_KEYS, "value")
     if columns is None:
-        column = pl.col("metric")
-        known = known.filter(column.is_in([*TABLE_METRICS, ranking.metric]) | column.str.starts_with(RETURN))
+        known = known.filter(column.is_in([*TABLE_METRICS, ranked_by]) | column.str.starts_with(metrics.RETURN))
     scores: dict[str, dict[MetricName, float]] = defaultdict(dict)
-    for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranking.metric))]).rows():
+    for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranked_by))]).rows():
         # A total is in the row of all vehicles together if that has no such score itself.
         scores[run].setdefault(MetricName(policy, "" if vehicle == TOTAL else vehicle, metric), value)
-    scored = {*collection.scores["run"]}
     groups = []
     for cell in ranking.cells:
         texts = {key: value_text(value) for key, value in cell.keys.items()}
@@ -124,26 +111,22 @@ def group_cells(collection: Collection, ranking: Ranking, columns: Sequence[str]
         algorithm = cell.experiment.algorithm.name
         group = ScoreGroup({**trial, **texts}, task, algorithm, ranking.title, wanted=len(cell.rows))
         group.evaluation = cell.experiment.evaluation
-        for row in cell.rows:
-            if row.id in scored:
-                group.seeds.append(row.seed)
-                for place, value in scores[row.id].items():
-                    group.scores[place].append(value)
+        for row in (row for row in cell.rows if row.id in scores):
+            group.seeds.append(row.seed)
+            for place, value in scores[row.id].items():
+                group.scores[place].append(value)
         groups += [group] if group.seeds else []
     return groups
 
 
-def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], metrics: Sequence[str] = TABLE_COLUMNS) -> Rows:
+def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], columns: Sequence[str] | None) -> Rows:
     """The first cells of a ranking for the terminal: short names of their keys, and the scores of one vehicle."""
+    rows = scores_table(groups, list(dict.fromkeys([ranking.place.metric, *(columns or TABLE_COLUMNS)])))
     keys = short_names(varying_keys([cell.keys for cell in ranking.cells]))
-    columns = [value_labels([cell.keys.get(key) for cell in ranking.cells[: len(groups)]]) for key in keys]
-    brief = []
-    for i, group in enumerate(groups):
-        trial = {name: text for name, text in group.about.items() if name == "trial"}
-        about = {name: texts[i] for name, texts in zip(keys.values(), columns, strict=True)}
-        brief.append(replace(group, about={**trial, **about}))
-    rows = scores_table(brief, [ranking.metric, *(name for name in metrics if name != ranking.metric)])
-    return [[cell for name, cell in zip(rows[0], row, strict=True) if name != "vehicle"] for row in rows]
+    hidden = {"vehicle", *(key for cell in ranking.cells for key in cell.keys if key not in keys)}
+    shown = [i for i, name in enumerate(rows[0]) if name not in hidden]
+    body = [[row[i] for i in shown] for row in rows[1:]]
+    return [[keys.get(rows[0][i], rows[0][i]) for i in shown], *body]
 
 
 # ------------------------------------------------------------------------------------------------------------- ranking
@@ -153,9 +136,7 @@ class Ranking(NamedTuple):
     """Cells whose scores are comparable, ranked: same environment, utility, discount and reference point."""
 
     title: str
-    policy: str  # of the score that the cells are ranked by; this and the next two are "" if no run has a score
-    vehicle: str  # "" for one vehicle, or all together, and TOTAL for the sum over vehicles
-    metric: str
+    place: MetricName  # by which they are ranked, all "" if no run has a score; the vehicle may be TOTAL
     cells: tuple[Cell, ...]  # best first, then those without a score
     ranked: tuple[float, ...]  # the means of the former
     scores: dict[str, float]  # by run id
@@ -163,8 +144,7 @@ class Ranking(NamedTuple):
     @property
     def score_name(self) -> str:
         """The score as text, such as "greedy total utility"."""
-        words = [self.policy, self.vehicle, self.metric.removesuffix("_esr")]
-        return " ".join(filter(None, words)).replace("_", " ")
+        return " ".join(filter(None, self.place)).removesuffix("_esr").replace("_", " ")
 
 
 def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None) -> list[Ranking]:
@@ -176,7 +156,7 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
     if metric is not None:
         places = sorted(finite.select(SCORE_KEYS).unique().rows())
         forms = (form for place in places for form in (place, place[1:], (place[0], place[2]), place[2:]))
-        known_metric(metric, dict.fromkeys("/".join(filter(None, form)) for form in forms))
+        metrics.known_metric(metric, dict.fromkeys("/".join(filter(None, form)) for form in forms))
     candidates = [
         MetricName(policy, vehicle, given.metric)
         for given in (DEFAULT_METRICS if metric is None else (split_name(metric),))
@@ -196,15 +176,15 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
     for title, members in zip(titles, comparable.values(), strict=True):
         of_members = known.filter(pl.col("cell").is_in(members))
         by_name = of_members.partition_by(SCORE_KEYS, as_dict=True)
-        name = next((name for name in candidates if name in by_name), MetricName("", "", ""))
-        chosen = by_name.get(name, of_members.clear())
-        descending = not lower_is_better(name.metric)
+        place = next((place for place in candidates if place in by_name), MetricName("", "", ""))
+        chosen = by_name.get(place, of_members.clear())
+        descending = not metrics.lower_is_better(place.metric)
         means = chosen.group_by("cell").agg(pl.col("value").mean())
         means = means.sort("value", "cell", descending=[descending, False])
         best = means["cell"].to_list()
         ordered = [cells[i] for i in [*best, *(i for i in members if i not in best)]]
         by_run = dict(chosen.select("run", "value").rows())
-        rankings.append(Ranking(title, *name, tuple(ordered), tuple(means["value"]), by_run))
+        rankings.append(Ranking(title, place, tuple(ordered), tuple(means["value"]), by_run))
     return rankings
 
 
