@@ -18,7 +18,6 @@ is the policy that actor-critics optimise.
 from __future__ import annotations
 
 import gzip
-import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -30,10 +29,11 @@ import numpy as np
 import polars as pl
 import yaml
 
+from algorithms.reporting import training_log
 from algorithms.runs.config import CONFIGS
 from algorithms.runs.interrupts import never_fatal
+from algorithms.runs.run_directory import METRICS_FILE
 from algorithms.studies import FIGURES
-from algorithms.studies.collection import collect
 from algorithms.studies.execution import Backend, Runner
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.results import frame_of, results_of
@@ -251,17 +251,16 @@ def gather(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> PaperRe
                 (metrics.HIGHEST_DISTANCE, distances.max()),
             ):
                 rows.append(replace(row, column=column, value=float(value), low=None, high=None))
-    collection = collect(directory, lambda line: print(line, file=sys.stderr))
-    keys = pl.DataFrame(
-        [(row.id, *arm.arm.key, row.seed) for arm in runs for row in arm.final],
-        {"run": pl.String, "task": pl.String, "learner": pl.String, "seed": pl.Int64},
-        orient="row",
-    )
-    logged = collection.metrics.lazy()
-    names = [name for name in logged.collect_schema().names() if name.startswith(metrics.EVALUATION)]
-    renamed = (pl.col(name).cast(pl.Float32).alias(name.removeprefix(metrics.EVALUATION)) for name in names)
-    evaluated = logged.filter(pl.any_horizontal(pl.col(names).is_not_null())).select("run", STEP, *renamed).collect()
-    curves = keys.join(evaluated, on="run", maintain_order="left_right").drop("run")
+    logs = [pl.DataFrame(schema=CURVE_KEYS)]
+    for (task, learner), run in [(arm_runs.arm.key, run) for arm_runs in runs for run in arm_runs.final]:
+        log = training_log.read_rows(directory / run.directory / METRICS_FILE).fill_nan(None)
+        names = [name for name in log.columns if name.startswith(metrics.EVALUATION)]
+        renamed = (pl.col(name).cast(pl.Float32).alias(name.removeprefix(metrics.EVALUATION)) for name in names)
+        evaluated = log.filter(pl.any_horizontal(pl.col(name).is_not_null() for name in names))
+        about = {"task": pl.lit(task), "learner": pl.lit(learner), "seed": pl.lit(run.seed, pl.Int64)}
+        logs.append(evaluated.select(STEP, *renamed).with_columns(**about))
+    curves = pl.concat(logs, how="diagonal")
+    curves = curves.select(*CURVE_KEYS, *sorted({*curves.columns} - {*CURVE_KEYS}))
     return PaperResults(plan.study, rows, curves)
 
 
@@ -433,8 +432,8 @@ def reproduce(study: Study, options: Namespace, console: Console) -> int:
     part = figure or claim or quick
     # A report of everything with all steps is published where there is a checkout.
     output = options.output or (runs / "results" if part or not PUBLISHED.is_dir() else PUBLISHED)
-    given = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(options, name))]
-    command = " ".join(["mo-deepdrive reproduce", *(["--quick"] if quick else [] if part else ["--all"]), *given])
+    chosen = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(options, name))]
+    command = " ".join(["mo-deepdrive reproduce", *(["--quick"] if quick else [] if part else ["--all"]), *chosen])
     code, arms, results = 0, [], None
     if options.redraw:
         results = PaperResults.read(study, output)

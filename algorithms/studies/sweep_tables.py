@@ -1,16 +1,37 @@
-"""The tables and figures of a sweep: its cells, the best first, and comparisons where nothing else differs."""
+"""The results of a sweep or study: data frames, tables and figures of its cells, the best first, and comparisons.
+
+The data frames are also Parquet files for other programs.
+
+``SWEEP/collected/`` is for anything that reads Parquet: ``pl.scan_parquet("SWEEP/collected/metrics.parquet")``,
+``pandas.read_parquet("SWEEP/collected/scores.parquet")``. In every file the column "run" has the run's id:
+
+``runs.parquet``, one row per run of the manifest:
+    run, directory (relative to SWEEP), cell (its keys and values as text), trial (of a search, else null), seed,
+    state ("finished", "pruned", "failed", "running", "interrupted", "trained"; "waiting" before it starts),
+    step (environment steps so far), rows (of its metrics); then a column per key of the cell: numbers, booleans and
+    strings as they are, other values as JSON.
+``scores.parquet``, one row per metric in the final evaluation of each finished run:
+    run, policy ("greedy", "stochastic" or "front"), vehicle ("" for one vehicle, or all together), metric, value,
+    low and high (95% interval over the episodes, null if there is none); then the columns of ``runs.parquet``
+    without directory, step and rows.
+``metrics.parquet``, one row per row of each run's metrics.csv, unfinished runs included:
+    run, step; then every metric of any run, null where a run or a row does not have it.
+"""
 
 from __future__ import annotations
 
+import io
+import json
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
-from algorithms.reporting.run_records import distinct_labels
+from algorithms.reporting.run_records import ExperimentRecord, distinct_labels, experiment_record, final_scores
 from algorithms.reporting.tables import (
     TABLE_COLUMNS,
     TABLE_METRICS,
@@ -22,10 +43,13 @@ from algorithms.reporting.tables import (
     print_rows,
     scores_table,
 )
-from algorithms.studies.collection import SCORE_KEYS, Cell, Collection, as_json, collect
-from algorithms.studies.manifest import value_text
+from algorithms.reporting.training_log import read_rows
+from algorithms.runs.run_directory import METRICS_FILE, changed_files, read_status
+from algorithms.studies.manifest import ManifestRow, first_of, label, read_manifest, value_text
 from mo_deepdrive.evaluation import metrics
+from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import EVALUATION, FRONT, POLICIES, STEP, UTILITY_ESR, MetricName, split_name
+from mo_deepdrive.support.atomic_io import atomic_write, own_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,6 +59,12 @@ if TYPE_CHECKING:
 
     from algorithms.reporting.curves import CurveGroup, VariedScores
 
+FOLDER = "collected"
+MAX_NAMED = 3  # runs that a message lists by name
+SCORE_KEYS = MetricName._fields  # columns that identify a score of a run
+SCORE_TYPES = dict.fromkeys(("run", *SCORE_KEYS), pl.String) | dict.fromkeys(("value", "low", "high"), pl.Float64)
+RUN_TYPES = dict.fromkeys(("run", "directory", "cell"), pl.String) | {"trial": pl.Int64, "seed": pl.Int64}
+RUN_TYPES |= {"state": pl.String, "step": pl.Int64, "rows": pl.Int64}
 REST = "--output FILE.csv writes every metric"
 ALGORITHM_KEYS = ("config", "algorithm", "algorithm.name")  # keys of cells that choose the algorithm
 # Cells are ranked by the first of these metrics that the runs have.
@@ -46,6 +76,137 @@ DEFAULT_METRICS = (
 )
 MAX_CURVES = 8  # cells, as many as there are markers
 TOTAL = "total"  # instead of a vehicle: the sum over all vehicles
+
+
+# ------------------------------------------------------------------------------------------------------- data frames
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Runs that differ in their seed alone: the varied values and the number of the trial, as in the manifest."""
+
+    keys: dict[str, Any]
+    trial: int | None
+    rows: tuple[ManifestRow, ...]
+
+    @cached_property
+    def experiment(self) -> ExperimentRecord:
+        """The resolved experiment of the first run."""
+        return experiment_record(self.rows[0].config, f"config of run {self.rows[0].id} in the manifest")
+
+
+@dataclass(frozen=True)
+class Collection:
+    """The manifest of a sweep, its runs, their final evaluations and what they logged, as in the module's docstring."""
+
+    rows: tuple[ManifestRow, ...]
+    runs: pl.DataFrame
+    scores: pl.DataFrame
+    metrics: pl.DataFrame
+
+    @cached_property
+    def cells(self) -> tuple[Cell, ...]:
+        """The cells, in the order of the manifest."""
+        rows_by_cell: dict[tuple[int | None, str], list[ManifestRow]] = {}
+        for row in self.rows:
+            rows_by_cell.setdefault((row.trial, as_json(row.cell)), []).append(row)
+        return tuple(Cell(rows[0].cell, rows[0].trial, tuple(rows)) for rows in rows_by_cell.values())
+
+    def latest_scores(self) -> tuple[str, pl.DataFrame]:
+        """The best scores that are known, "final" ones or, if there are none, the "last" ones during training."""
+        final = self.scores.select("run", *SCORE_KEYS, "value")
+        names = [name for name in self.metrics.columns if name.startswith(EVALUATION)]
+        if len(final) or not names:
+            return "final" if len(final) else "last", final
+        last = (
+            self.metrics.select("run", STEP, *names)
+            .unpivot(names, index=["run", STEP], variable_name="name")
+            .filter(pl.col("value").is_finite())
+            .group_by("run", "name")
+            .agg(pl.col("value").sort_by(STEP).last())
+        )
+        rows = [(run, *split_name(name), value) for run, name, value in last.select("run", "name", "value").rows()]
+        return "last", pl.DataFrame(rows, final.schema, orient="row")
+
+
+def collect(sweep: Path, warn: Callable[[str], None]) -> Collection:
+    """Collect the results of all runs, and write ``SWEEP/collected/``; ``warn`` is told what is left out."""
+    rows = tuple(read_manifest(sweep))
+    if not rows:
+        hint = "its manifest has no runs; mo-deepdrive sweep writes the manifest"
+        raise ValueError(f"sweep {str(sweep)!r} is empty: {hint}")
+    about: list[tuple[Any, ...]] = []
+    scores: list[tuple[Any, ...]] = []
+    logged = [pl.DataFrame(schema={"run": pl.String, STEP: pl.Int64})]
+    without: dict[str, str] = {}  # directories of runs without a final evaluation, with their states
+    unreadable: list[str] = []
+    for row in rows:
+        directory, length = sweep / row.directory, 0
+        status = read_status(directory)
+        state = str(status.get("state", "waiting"))
+        try:
+            logged.append(
+                read_rows(directory / METRICS_FILE).fill_nan(None).insert_column(0, pl.lit(row.id).alias("run"))
+            )
+            length = len(logged[-1])
+        except ValueError as error:
+            unreadable.append(str(error))
+        about.append(
+            (row.id, row.directory, label(row.cell), row.trial, row.seed, state, status.get("step", 0), length)
+        )
+        try:
+            if state == "finished" and (changed := changed_files(directory, [EVALUATION_FILE])):
+                raise ValueError(f"{row.directory}: {changed[0]}; mo-deepdrive sweep --remake makes it again")
+            known = final_scores(directory) if state == "finished" else {}
+        except ValueError as error:
+            unreadable.append(str(error))
+            continue
+        scores += [(row.id, *split_name(name), score.value, score.low, score.high) for name, score in known.items()]
+        if not known:
+            without[row.directory] = state
+    if without:
+        states = ", ".join(f"{number} {state}" for state, number in Counter(without.values()).most_common())
+        names = ", ".join(first_of([*without], MAX_NAMED))
+        warn(f"left out: {len(without)} of {len(rows)} runs have no final evaluation ({states}): {names}")
+    if unreadable:
+        names = ", ".join(first_of(unreadable, MAX_NAMED))
+        warn(f"left out: {len(unreadable)} files cannot be read: {names}")
+    keys = dict.fromkeys(key for row in rows for key in row.cell)
+    columns = (_key_column(key, [row.cell.get(key) for row in rows]) for key in keys)
+    runs = pl.DataFrame(about, RUN_TYPES, orient="row").with_columns(columns)
+    of_scores = pl.DataFrame(scores, SCORE_TYPES, orient="row").join(
+        runs.drop("directory", "step", "rows"), on="run", how="left"
+    )
+    logs = pl.concat(logged, how="diagonal")
+    logs = logs.select("run", STEP, *sorted({*logs.columns} - {"run", STEP}))
+    try:
+        for name, frame in (("metrics", logs), ("runs", runs), ("scores", of_scores)):
+            buffer = io.BytesIO()
+            # A reader skips row groups without the runs that it needs.
+            frame.write_parquet(buffer, compression_level=1, row_group_size=10_000)
+            file = own_path(sweep, f"{FOLDER}/{name}.parquet")
+            file.parent.mkdir(exist_ok=True)
+            atomic_write(file, buffer.getvalue())
+    except OSError as error:
+        warn(f"the collected results are not stored: {error}")
+    return Collection(rows, runs, of_scores, logs)
+
+
+def _key_column(key: str, values: Sequence[Any]) -> pl.Series:
+    """A column of values of a varied key, in the narrowest type that holds them all; else as JSON."""
+    types = {type(value) for value in values if value is not None}
+    for allowed, kind in (({bool}, pl.Boolean), ({int}, pl.Int64), ({int, float}, pl.Float64), ({str}, pl.String)):
+        if types <= allowed:
+            return pl.Series(key, values, kind, strict=False)
+    return pl.Series(key, [as_json(value) for value in values], pl.String)
+
+
+def as_json(value: Any) -> str:
+    """JSON with sorted keys: equal values have equal texts."""
+    return json.dumps(value, sort_keys=True)
+
+
+# ------------------------------------------------------------------------------------------------------------- tables
 
 
 def print_sweep(
@@ -194,9 +355,6 @@ def totals(scores: pl.DataFrame) -> pl.DataFrame:
     return of_vehicles.group_by("run", *SCORE_KEYS).agg(pl.col("value").sum())
 
 
-# -------------------------------------------------------------------------------------------------------------- labels
-
-
 def varying_keys(cells: Sequence[Mapping[str, Any]]) -> list[str]:
     """The keys whose values differ between cells, in the order of the cells."""
     keys = dict.fromkeys(key for cell in cells for key in cell)
@@ -235,11 +393,17 @@ def cell_labels(cells: Sequence[Cell], keys: Sequence[str]) -> list[str]:
     return labels
 
 
+# ------------------------------------------------------------------------------------------------------------ figures
+
+
 def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], warn: Callable[[str], None]) -> None:
     """Draw the best cells of a sweep, and into ``OUTPUT-cells`` the scores of all runs against each key that varies."""
     from algorithms.reporting.curves import describe, plot, plot_effects  # not earlier: tables need no matplotlib
 
     collection = collect(sweep, warn)
+    if collection.metrics.is_empty():
+        hint = f"mo-deepdrive sweep with --output {sweep} trains the runs"
+        raise ValueError(f"no run of sweep {str(sweep)!r} has any metrics yet: {hint}")
     when, scores = collection.latest_scores()
     rankings = rank(collection.cells, scores)
     score = f"{when} {' or '.join(dict.fromkeys(ranking.score_name for ranking in rankings if ranking.scores))}"
@@ -262,15 +426,16 @@ def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[Cur
 
     places = sorted((place, r) for r, ranking in enumerate(rankings) for place in range(len(ranking.ranked)))
     cells = [rankings[r].cells[place] for r, place in sorted((r, place) for place, r in places[:MAX_CURVES])]
-    names = [name for name in collection.metrics.columns if name not in ("run", STEP)]
-    wanted = names if len(cells) == 1 else [name for name in names if name.startswith(EVALUATION)]
+    names = [name for name in collection.metrics.columns if name.startswith(EVALUATION) or len(cells) == 1]
+    shown = collection.metrics.select("run", STEP, *sorted({*names} - {"run", STEP}))
+    metrics_by_run = shown.partition_by("run", as_dict=True, include_key=False)
     runs = {run for ranking in rankings for run in ranking.scores}
     labels = cell_labels(cells, varying_keys([cell.keys for cell in collection.cells]))
     groups = []
-    for label, cell in zip(labels, cells, strict=True):
-        columns = (collection.columns_of(row.id, sorted(wanted)) for row in cell.rows if row.id in runs)
-        if logged := tuple(of_run for of_run in columns if len(of_run[STEP])):
-            groups.append(CurveGroup(label, cell.experiment, logged))
+    for name, cell in zip(labels, cells, strict=True):
+        logged = [metrics_by_run[row.id,] for row in cell.rows if row.id in runs and (row.id,) in metrics_by_run]
+        columns = ({column.name: column.to_numpy().astype(np.float64) for column in frame} for frame in logged)
+        groups += [CurveGroup(name, cell.experiment, tuple(columns))] if logged else []
     return groups
 
 

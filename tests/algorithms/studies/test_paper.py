@@ -82,7 +82,7 @@ def test_a_quick_reproduction_differs_only_in_length_and_seeds(whole: list[Manif
         assert row.config["algorithm"] == other["algorithm"]
         assert row.config["evaluation"]["final_episodes"] == 200 < other["evaluation"]["final_episodes"]
         assert row.config["evaluation"]["interval"] * 5 == row.config["training"]["total_timesteps"]
-    assert {len(its) for its in seeds.values()} == {QUICK_SEEDS}
+    assert {len(numbers) for numbers in seeds.values()} == {QUICK_SEEDS}
     assert {task for task, _ in seeds} >= {f"{task}/best" for claim in CLAIMS for task in claim.tasks}
 
 
@@ -136,17 +136,17 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     assert code == 0
     assert "of them done" not in out
     assert before == {path: path.stat().st_mtime_ns for path in before}
-    found = PaperResults.read(load_paper("plan.yaml"), results)
-    rows = final_rows(paper_plan(found.study, ["one_waypoint_linear"]))
-    assert {(row.task, row.learner, row.seed, row.policy) for row in found.rows} == {
+    published = PaperResults.read(load_paper("plan.yaml"), results)
+    rows = final_rows(paper_plan(published.study, ["one_waypoint_linear"]))
+    assert {(row.task, row.learner, row.seed, row.policy) for row in published.rows} == {
         (*arm_of(row), row.seed, policy) for row in rows for policy in ("greedy", "stochastic")
     }
-    curves = found.tasks["one_waypoint_linear"]["best"].learning_curves("a2c")
+    curves = published.tasks["one_waypoint_linear"]["best"].learning_curves("a2c")
     assert [curve["step"][-1] for curve in curves] == [800, 800]
     (results / "reproduction.md").unlink()
     code, _, _ = call("--claim", "1", "--redraw", "--output", "out")
     assert code == 0
-    assert verdict_table(found) in (results / "reproduction.md").read_text()
+    assert verdict_table(published) in (results / "reproduction.md").read_text()
 
 
 @pytest.mark.parametrize(
