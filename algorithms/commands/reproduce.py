@@ -39,7 +39,8 @@ OPTIONS = (
 def run(options: Namespace) -> int:
     """Run the reproduction that the options ask for."""
     from algorithms.runs.console import make_console
-    from algorithms.studies.paper import load_paper, reproduce
+    from algorithms.studies.paper import load_paper
+    from algorithms.studies.paper_report import reproduce
 
     check_at_least(options, 1, "seeds", "workers")
     for name in ("runs", "output"):

@@ -20,7 +20,6 @@ from __future__ import annotations
 import gzip
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -30,15 +29,10 @@ import polars as pl
 import yaml
 
 from algorithms.reporting import training_log
-from algorithms.runs.config import CONFIGS
-from algorithms.runs.interrupts import never_fatal
 from algorithms.runs.run_directory import METRICS_FILE
-from algorithms.studies import FIGURES
-from algorithms.studies.execution import Backend, Runner
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.results import frame_of, results_of
 from algorithms.studies.settings import load_study
-from algorithms.zoo.exporting import export
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.metrics import FRONT, HYPERVOLUME, STEP, STOCHASTIC, SUCCESS, MetricName
@@ -57,21 +51,17 @@ from mo_deepdrive.support.names import nearest
 from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
-    from rich.console import Console
 
     from algorithms.reporting.training_log import Columns
     from algorithms.studies.plan import ArmRuns
     from algorithms.studies.settings import Study
     from mo_deepdrive.suite import Row
 
-PUBLISHED = CONFIGS.parent / "docs" / "results"  # exists in a checkout alone
 # A quick reproduction: protocols, seeds, share of the steps, final episodes, and evaluations during training.
 QUICK_PROTOCOLS, QUICK_SEEDS, QUICK_SHARE, QUICK_EPISODES, QUICK_EVALUATIONS = ("printed", "best"), 3, 10, 200, 5
-SOLVED, LEARNED = 0.95, 0.5  # success rates of a run that solves its task, and of one that does not fail
 SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.gz"
 CURVE_KEYS = {"task": pl.String, "learner": pl.String, "seed": pl.Int64, STEP: pl.Int64}
 LABELS = {"a2c": "A2C", "mo_a2c": "MO-A2C"}  # of the two algorithms that are compared, by their keys in the study
@@ -410,105 +400,3 @@ def percent(estimate: Estimate) -> str:
     """A fraction in percent, with its interval."""
     bounds = [None if bound is None else 100.0 * bound for bound in (estimate.low, estimate.high)]
     return f"{shown(Estimate(100.0 * estimate.value, *bounds))}%"
-
-
-# ------------------------------------------------------------------------------------------------------ reproduction
-
-
-def reproduce(study: Study, options: Namespace, console: Console) -> int:
-    """Train the missing runs, write report and figures, update the zoo of a checkout; the code of Runner.run.
-
-    The options are those of ``mo-deepdrive reproduce``, which describes them.
-    """
-    from algorithms.studies.paper_report import QUICK, print_verdicts, write_report
-
-    figure, claim, seeds, quick = options.figure, options.claim, options.seeds, options.quick
-    tasks, figures = list(dict.fromkeys(key.partition("/")[0] for key in study.tasks)), list(FIGURES)
-    if figure or claim:
-        claims = [known for known in CLAIMS if figure in known.figures or known.number == claim]
-        tasks = list(dict.fromkeys(task for known in claims for task in known.tasks))
-        figures = [figure] if figure else claims[0].figures
-    runs = options.runs or Path("runs") / ("reproduce-quick" if quick else "reproduce")
-    part = figure or claim or quick
-    # A report of everything with all steps is published where there is a checkout.
-    output = options.output or (runs / "results" if part or not PUBLISHED.is_dir() else PUBLISHED)
-    chosen = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(options, name))]
-    command = " ".join(["mo-deepdrive reproduce", *(["--quick"] if quick else [] if part else ["--all"]), *chosen])
-    code, arms, results = 0, [], None
-    if options.redraw:
-        results = PaperResults.read(study, output)
-    else:
-        plan = paper_plan(study, tasks, seeds=seeds, quick=quick)
-        runner = Runner(plan, runs, Backend(workers=options.workers), console)
-        code = runner.run()
-        if code > 1:  # it was interrupted
-            return code
-        arms = [arm for arm in plan.runs(runner) if arm.arm.key in plan.selected]
-        results = gather(plan, arms, runs)
-        if not results.tasks:
-            raise ValueError("no run has finished")
-        output.mkdir(parents=True, exist_ok=True)
-        _keep_fronts(arms, results, runs, output)
-    paths: list[Path] = []
-    with never_fatal("the report could not be written"):
-        paths = write_report(results, output, figures, how=command, quick=quick)
-    print_verdicts(results, console, quick=quick)
-    if quick:
-        console.print(QUICK)
-    console.print(f"written: {', '.join(map(str, paths))}", soft_wrap=True)
-    if arms and output == PUBLISHED and not options.output and not seeds and code == 0:
-        console.print(f"updated the policies {', '.join(export_policies(arms, results, runs))} in the zoo")
-    return code
-
-
-def _median_seed(scores: Mapping[int, float]) -> int | None:
-    """The seed with the median of the scores by seed, the lower of two; None if there are none."""
-    ordered = sorted(scores, key=lambda seed: (scores[seed], seed))
-    return ordered[(len(ordered) - 1) // 2] if ordered else None
-
-
-def _keep_fronts(runs: Sequence[ArmRuns], results: PaperResults, directory: Path, output: Path) -> None:
-    """Save the front of the run with the median hypervolume of every protocol; figures are drawn from it."""
-    rows = {(arm.arm.task, row.seed): row for arm in runs for row in arm.final}
-    for protocol, of_protocol in results.tasks.get(FRONT_TASK, {}).items():
-        seed = _median_seed(of_protocol.by_seed(FRONT_LEARNER, HYPERVOLUME))
-        if seed is not None:
-            folder = output / f"front_{protocol}"
-            folder.mkdir(exist_ok=True)
-            Front.read(directory / rows[of_protocol.key, seed].directory).write(folder, {"seed_of_the_run": seed})
-
-
-def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: Path) -> list[str]:
-    """Export the run with the median score of every compared learner; the names in the zoo.
-
-    If it fails while others solve the task, the median one of those is exported, too, as "NAME-solved".
-    """
-    exported: list[str] = []
-    for arm in runs:
-        task, _, protocol = arm.arm.task.partition("/")
-        of_task, learner = results.tasks.get(task, {}).get(protocol), arm.arm.learner
-        if of_task is None or learner not in of_task.compared:
-            continue
-        metric = of_task.score.metric
-        scores = of_task.by_seed(learner, metric)
-        chosen = _median_seed(scores)
-        if chosen is None:
-            continue
-        rows = {row.seed: row for row in arm.final}
-        name = f"{task}-{rows[chosen].config['algorithm']['name']}" + ("" if protocol == "best" else f"-{protocol}")
-        wanted = [(name, chosen, f"median {metric} of {len(arm.arm.seeds)} seeds")]
-        arrivals = {} if of_task.is_front else of_task.by_seed(learner, SUCCESS)
-        solved = {seed: scores[seed] for seed, rate in arrivals.items() if rate > SOLVED}
-        success = _median_seed(solved)
-        if success is not None and arrivals[chosen] < LEARNED:
-            seeds = f"{len(solved)} of {len(arm.arm.seeds)} seeds that arrive in over {SOLVED:.0%} of the episodes"
-            wanted.append((f"{name}-solved", success, f"median {metric} of the {seeds}"))
-        shown = (HYPERVOLUME, metrics.CARDINALITY) if of_task.is_front else (SUCCESS, metric)
-        for zoo_name, seed, why in wanted:
-            main_scores: dict[str, dict[str, float]] = {}
-            for policy, metric in product(metrics.POLICIES, shown):
-                if (score := of_task.by_seed(learner, metric, policy).get(seed)) is not None:
-                    main_scores.setdefault(policy, {})[metric] = score
-            export(rows[seed].job(directory).open(), zoo_name, about={"chosen": why, "scores": main_scores})
-            exported.append(zoo_name)
-    return exported

@@ -1,8 +1,9 @@
-"""The report of the reproduction: verdicts, tables and figures 4 to 10 of the paper."""
+"""The reproduction of the paper, and its report: verdicts, tables and figures 4 to 10 of the paper."""
 
 from __future__ import annotations
 
 import tempfile
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,14 +16,30 @@ from algorithms.reporting.curves import curve
 from algorithms.reporting.explorer.plots import draw_front
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
 from algorithms.reporting.tables import markdown, print_rows
-from algorithms.studies.paper import CLAIMS, FRONT_LEARNER, LABELS, percent, shown
+from algorithms.runs.config import CONFIGS
+from algorithms.runs.interrupts import never_fatal
+from algorithms.studies import FIGURES
+from algorithms.studies.execution import Backend, Runner
+from algorithms.studies.paper import (
+    CLAIMS,
+    FRONT_LEARNER,
+    FRONT_TASK,
+    LABELS,
+    PaperResults,
+    gather,
+    paper_plan,
+    percent,
+    shown,
+)
+from algorithms.zoo.exporting import export
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.front import Front
-from mo_deepdrive.evaluation.metrics import STEP, STOCHASTIC, SUCCESS, UTILITY_ESR
+from mo_deepdrive.evaluation.metrics import HYPERVOLUME, STEP, STOCHASTIC, SUCCESS, UTILITY_ESR
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, iqm, iqm_difference, probability_of_improvement
 from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
@@ -30,8 +47,12 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.reporting.tables import Rows
-    from algorithms.studies.paper import Claim, PaperResults, TaskResults
+    from algorithms.studies.paper import Claim, TaskResults
+    from algorithms.studies.plan import ArmRuns
+    from algorithms.studies.settings import Study
 
+PUBLISHED = CONFIGS.parent / "docs" / "results"  # exists in a checkout alone
+SOLVED, LEARNED = 0.95, 0.5  # success rates of a run that solves its task, and of one that does not fail
 REPORT_FILE = "reproduction.md"
 QUICK = "A quick reproduction checks the pipeline. It trains too little for verdicts."
 EFFECT = ("difference from the first", "P(higher)")
@@ -251,3 +272,103 @@ def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how
             drawn |= {*new}
     parts += [f"## {_task_section(protocols)}" for protocols in unclaimed.values()]
     return "\n\n".join(parts) + "\n"
+
+
+# ------------------------------------------------------------------------------------------------------ reproduction
+
+
+def reproduce(study: Study, options: Namespace, console: Console) -> int:
+    """Train the missing runs, write report and figures, update the zoo of a checkout; the code of Runner.run.
+
+    The options are those of ``mo-deepdrive reproduce``, which describes them.
+    """
+    figure, claim, seeds, quick = options.figure, options.claim, options.seeds, options.quick
+    tasks, figures = list(dict.fromkeys(key.partition("/")[0] for key in study.tasks)), list(FIGURES)
+    if figure or claim:
+        claims = [known for known in CLAIMS if figure in known.figures or known.number == claim]
+        tasks = list(dict.fromkeys(task for known in claims for task in known.tasks))
+        figures = [figure] if figure else claims[0].figures
+    runs = options.runs or Path("runs") / ("reproduce-quick" if quick else "reproduce")
+    part = figure or claim or quick
+    # A report of everything with all steps is published where there is a checkout.
+    output = options.output or (runs / "results" if part or not PUBLISHED.is_dir() else PUBLISHED)
+    chosen = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(options, name))]
+    command = " ".join(["mo-deepdrive reproduce", *(["--quick"] if quick else [] if part else ["--all"]), *chosen])
+    code, arms, results = 0, [], None
+    if options.redraw:
+        results = PaperResults.read(study, output)
+    else:
+        plan = paper_plan(study, tasks, seeds=seeds, quick=quick)
+        runner = Runner(plan, runs, Backend(workers=options.workers), console)
+        code = runner.run()
+        if code > 1:  # it was interrupted
+            return code
+        arms = [arm for arm in plan.runs(runner) if arm.arm.key in plan.selected]
+        results = gather(plan, arms, runs)
+        if not results.tasks:
+            raise ValueError("no run has finished")
+        output.mkdir(parents=True, exist_ok=True)
+        _keep_fronts(arms, results, runs, output)
+    paths: list[Path] = []
+    with never_fatal("the report could not be written"):
+        paths = write_report(results, output, figures, how=command, quick=quick)
+    print_verdicts(results, console, quick=quick)
+    if quick:
+        console.print(QUICK)
+    console.print(f"written: {', '.join(map(str, paths))}", soft_wrap=True)
+    if arms and output == PUBLISHED and not options.output and not seeds and code == 0:
+        console.print(f"updated the policies {', '.join(export_policies(arms, results, runs))} in the zoo")
+    return code
+
+
+def _median_seed(scores: Mapping[int, float]) -> int | None:
+    """The seed with the median of the scores by seed, the lower of two; None if there are none."""
+    ordered = sorted(scores, key=lambda seed: (scores[seed], seed))
+    return ordered[(len(ordered) - 1) // 2] if ordered else None
+
+
+def _keep_fronts(runs: Sequence[ArmRuns], results: PaperResults, directory: Path, output: Path) -> None:
+    """Save the front of the run with the median hypervolume of every protocol; figures are drawn from it."""
+    rows = {(arm.arm.task, row.seed): row for arm in runs for row in arm.final}
+    for protocol, of_protocol in results.tasks.get(FRONT_TASK, {}).items():
+        seed = _median_seed(of_protocol.by_seed(FRONT_LEARNER, HYPERVOLUME))
+        if seed is not None:
+            folder = output / f"front_{protocol}"
+            folder.mkdir(exist_ok=True)
+            Front.read(directory / rows[of_protocol.key, seed].directory).write(folder, {"seed_of_the_run": seed})
+
+
+def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: Path) -> list[str]:
+    """Export the run with the median score of every compared learner; the names in the zoo.
+
+    If it fails while others solve the task, the median one of those is exported, too, as "NAME-solved".
+    """
+    exported: list[str] = []
+    for arm in runs:
+        task, _, protocol = arm.arm.task.partition("/")
+        of_task, learner = results.tasks.get(task, {}).get(protocol), arm.arm.learner
+        if of_task is None or learner not in of_task.compared:
+            continue
+        metric = of_task.score.metric
+        scores = of_task.by_seed(learner, metric)
+        chosen = _median_seed(scores)
+        if chosen is None:
+            continue
+        rows = {row.seed: row for row in arm.final}
+        name = f"{task}-{rows[chosen].config['algorithm']['name']}" + ("" if protocol == "best" else f"-{protocol}")
+        wanted = [(name, chosen, f"median {metric} of {len(arm.arm.seeds)} seeds")]
+        arrivals = {} if of_task.is_front else of_task.by_seed(learner, SUCCESS)
+        solved = {seed: scores[seed] for seed, rate in arrivals.items() if rate > SOLVED}
+        success = _median_seed(solved)
+        if success is not None and arrivals[chosen] < LEARNED:
+            seeds = f"{len(solved)} of {len(arm.arm.seeds)} seeds that arrive in over {SOLVED:.0%} of the episodes"
+            wanted.append((f"{name}-solved", success, f"median {metric} of the {seeds}"))
+        shown = (HYPERVOLUME, metrics.CARDINALITY) if of_task.is_front else (SUCCESS, metric)
+        for zoo_name, seed, why in wanted:
+            main_scores: dict[str, dict[str, float]] = {}
+            for policy, metric in product(metrics.POLICIES, shown):
+                if (score := of_task.by_seed(learner, metric, policy).get(seed)) is not None:
+                    main_scores.setdefault(policy, {})[metric] = score
+            export(rows[seed].job(directory).open(), zoo_name, about={"chosen": why, "scores": main_scores})
+            exported.append(zoo_name)
+    return exported

@@ -45,7 +45,7 @@ from algorithms.reporting.tables import (
 )
 from algorithms.reporting.training_log import read_rows
 from algorithms.runs.run_directory import METRICS_FILE, changed_files, read_status
-from algorithms.studies.manifest import ManifestRow, first_of, label, read_manifest, value_text
+from algorithms.studies.manifest import ManifestRow, label, read_manifest, value_text
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import EVALUATION, FRONT, POLICIES, STEP, UTILITY_ESR, MetricName, split_name
@@ -166,11 +166,11 @@ def collect(sweep: Path, warn: Callable[[str], None]) -> Collection:
             without[row.directory] = state
     if without:
         states = ", ".join(f"{number} {state}" for state, number in Counter(without.values()).most_common())
-        names = ", ".join(first_of([*without], MAX_NAMED))
-        warn(f"left out: {len(without)} of {len(rows)} runs have no final evaluation ({states}): {names}")
+        warn(
+            f"left out: {len(without)} of {len(rows)} runs have no final evaluation ({states}): {_first_of([*without])}"
+        )
     if unreadable:
-        names = ", ".join(first_of(unreadable, MAX_NAMED))
-        warn(f"left out: {len(unreadable)} files cannot be read: {names}")
+        warn(f"left out: {len(unreadable)} files cannot be read: {_first_of(unreadable)}")
     keys = dict.fromkeys(key for row in rows for key in row.cell)
     columns = (_key_column(key, [row.cell.get(key) for row in rows]) for key in keys)
     runs = pl.DataFrame(about, RUN_TYPES, orient="row").with_columns(columns)
@@ -199,6 +199,12 @@ def _key_column(key: str, values: Sequence[Any]) -> pl.Series:
         if types <= allowed:
             return pl.Series(key, values, kind, strict=False)
     return pl.Series(key, [as_json(value) for value in values], pl.String)
+
+
+def _first_of(names: Sequence[str]) -> str:
+    """The first names, and the number of the others."""
+    more = len(names) - MAX_NAMED
+    return ", ".join([*names[:MAX_NAMED], *([f"and {more} more"] if more > 0 else [])])
 
 
 def as_json(value: Any) -> str:

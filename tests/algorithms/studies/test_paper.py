@@ -12,8 +12,7 @@ from rich.console import Console
 
 from algorithms.commands.reproduce import main
 from algorithms.runs.jobs import Job
-from algorithms.studies import FIGURES
-from algorithms.studies import paper as paper_module
+from algorithms.studies import FIGURES, paper_report
 from algorithms.studies.manifest import ManifestRow
 from algorithms.studies.paper import CLAIMS, QUICK_SEEDS, PaperResults, load_paper, paper_plan
 from algorithms.studies.paper_report import (
@@ -182,8 +181,8 @@ def test_a_success_is_exported_beside_a_median_that_fails(
     results = make_results("one_waypoint_linear", {"mo_a2c": {"utility_esr": utilities, "success": arrivals}})
     exported: dict[str, tuple[Path, dict[str, Any]]] = {}
     monkeypatch.setattr(Job, "open", lambda job: job.path)
-    monkeypatch.setattr(paper_module, "export", lambda run, name, about: exported.update({name: (run, about)}))
-    names = paper_module.export_policies(runs, results, tmp_path)
+    monkeypatch.setattr(paper_report, "export", lambda run, name, about: exported.update({name: (run, about)}))
+    names = paper_report.export_policies(runs, results, tmp_path)
     wanted = ["one_waypoint_linear-mo_ppo", "one_waypoint_linear-mo_ppo-solved"]
     assert names == list(exported) == wanted[: 1 if solved is None else 2]
     path, about = exported[wanted[0]]
