@@ -36,18 +36,18 @@ OPTIONS = (
 )
 
 
-def reproduce(options: Namespace) -> int:
+def run(options: Namespace) -> int:
     """Run the reproduction that the options ask for."""
     from algorithms.runs.console import make_console
-    from algorithms.studies.paper import Reproduction, load_paper
+    from algorithms.studies.paper import load_paper
+    from algorithms.studies.paper_report import reproduce
 
     check_at_least(options, 1, "seeds", "workers")
     for name in ("runs", "output"):
         check_directory(f"--{name}", getattr(options, name))
     if options.redraw and (options.quick or options.seeds is not None or options.workers is not None):
         raise ValueError("--redraw does not train; it cannot be combined with --quick, --seeds or --workers")
-    given = {name: value for name, value in vars(options).items() if name not in ("all", "plan", "overrides")}
-    return Reproduction(load_paper(options.plan), **given).run(make_console())
+    return reproduce(load_paper(options.plan), options, make_console())
 
 
-main = Command("reproduce", __doc__, OPTIONS, reproduce)
+main = Command("reproduce", __doc__, OPTIONS, run)

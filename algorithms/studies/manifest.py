@@ -181,12 +181,6 @@ def short_names(paths: Sequence[str]) -> dict[str, str]:
     return dict(zip(paths, stems if len(set(stems)) == len(stems) else paths, strict=True))
 
 
-def first_of(texts: Sequence[str], count: int) -> list[str]:
-    """The first texts of a message, and the number of the others."""
-    more = len(texts) - count
-    return [*texts[:count], *([f"and {more} more"] if more > 0 else [])]
-
-
 def refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
     """Refuse two cells that are the same run."""
     seen: dict[str, ManifestRow] = {}
