@@ -55,14 +55,6 @@ SHIPPED = (
     *(f"{scenario}/mo_ppo_linear" for scenario in ("one_waypoint", "static_obstacle", "intersection", "left_turn")),
 )
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "POLARS_MAX_THREADS")
-ONE_UPDATE = """
-environment: {id: mo-deepdrive-one-waypoint-v0}
-utility: {name: one_waypoint_linear}
-algorithm: {name: mo_a2c, steps: 16, hidden: [64, 32]}
-training: {total_timesteps: 4096, num_envs: 256}
-evaluation: {episodes: 1, final_episodes: 1}
-logging: {save_figures: false}
-"""
 FIRST_STEP = """
 import sys
 import gymnasium, mo_deepdrive
@@ -104,12 +96,12 @@ ONE_CORE = Place()
 # ------------------------------------------------------------------------------------------------------- measurements
 
 
-def training(place: Place, values: str | dict[str, Any], *overrides: str, steps: int = MEASURED) -> float:
+def training(place: Place, values: str | dict[str, Any], steps: int = MEASURED) -> float:
     """Environment steps per second of an experiment, or a shipped one; on a GPU of SEEDS trainings side by side."""
     from algorithms.runs.build import build, build_trainee
     from algorithms.runs.config import load_experiment, make_experiment
 
-    values = load_experiment(values, overrides).to_dict() if isinstance(values, str) else values
+    values = load_experiment(values).to_dict() if isinstance(values, str) else values
     where: dict[str, Any] = {"threads": place.threads, "device": place.device}
     if place.on_gpu:
         where |= {"seeds": [*range(SEEDS)], "compiled": True}
@@ -211,21 +203,19 @@ def parallel(place: Place, steps: int = 5000) -> float:
     return stepping(place, step, steps)
 
 
-def process(place: Place, *arguments: str, times: int = 2, **variables: str) -> float:
-    """Seconds of ``python ARGUMENTS`` from start to end, the last of several times: the first ones fill caches."""
-    for _ in range(times):
-        with tempfile.TemporaryDirectory() as folder:
-            (Path(folder) / "run.yaml").write_text(ONE_UPDATE)
-            before, started = os.times(), perf_counter()
-            run_python(*(str(word).format(tree=place.tree) for word in arguments), folder=folder, **variables)
-            after, seconds = os.times(), perf_counter() - started
+def process(place: Place, code: str, *arguments: str, **variables: str) -> float:
+    """Seconds that a new process of Python takes for ``code``, from its start to its end."""
+    before, started = os.times(), perf_counter()
+    run_python("-c", code, *arguments, **variables)
+    after, seconds = os.times(), perf_counter() - started
     used = after.children_user + after.children_system - before.children_user - before.children_system
     return seconds if place.tree is None else used
 
 
-def run_python(*arguments: str, folder: str | None = None, **variables: str) -> str:
+def run_python(*arguments: str, **variables: str) -> str:
     """The last line that ``python ARGUMENTS`` prints; if it fails, that line is a RuntimeError."""
     command, variables = [sys.executable, *arguments], {**os.environ, **variables}
+    folder = tempfile.gettempdir()  # without packages, so that those of PYTHONPATH are found
     done = subprocess.run(command, cwd=folder, env=variables, capture_output=True, text=True, check=False)
     *_, last_line = ["", *((done.returncode and done.stderr) or done.stdout).strip().splitlines()]
     if done.returncode:
@@ -246,11 +236,6 @@ def experiment_of(algorithm: str, env_id: str, hidden: list[int], **arguments: A
 def short(env_id: str) -> str:
     """``one-waypoint`` of the environment's id."""
     return env_id.removeprefix("mo-deepdrive-").removesuffix("-v0")
-
-
-def pcn(place: Place, *settings: str) -> float:
-    """Environment steps per second of the shipped PCN."""
-    return training(place, "one_waypoint/pcn", *(f"--algorithm.{setting}" for setting in settings), steps=40_000)
 
 
 Case = Callable[[Place], float]
@@ -277,16 +262,10 @@ PLACED: dict[str, Case] = {  # what can be measured in a place
     },
     "make_vec-roundabout-8": partial(make_vec, env_id=ROUNDABOUT, vehicles=8),
 }
-TRAIN = "{tree}/scripts/train.py"
-IN_SECONDS: dict[str, Case] = {
-    "import": lambda place: process(place, "-c", "import mo_deepdrive"),
-    "train-help": lambda place: process(place, TRAIN, "--help"),
-    "train-one-update": lambda place: process(place, TRAIN, "--config", "run.yaml", "--output", "run"),
-}
+IN_SECONDS: dict[str, Case] = {"import": partial(process, code="import mo_deepdrive")}
 CASES: dict[str, Case] = {
     **PLACED,
-    "pcn-collection": lambda place: pcn(place, "gradient_steps=1", "batch_size=1"),
-    "pcn": pcn,
+    "pcn": partial(training, values="one_waypoint/pcn", steps=40_000),
     "make": make,
     **IN_SECONDS,
 }
@@ -340,7 +319,7 @@ def overview(repetitions: int) -> list[Row]:
         add(f"independent {algorithm} training, {hidden}, 256 x 16, 1 thread", speed, "joint steps/s")
     with tempfile.TemporaryDirectory() as cache:
         for state, goal in (("cold", "< 20"), ("warm", "< 1.5")):
-            seconds = process(ONE_CORE, "-c", FIRST_STEP, ONE_WAYPOINT, "1", times=1, NUMBA_CACHE_DIR=cache)
+            seconds = process(ONE_CORE, FIRST_STEP, ONE_WAYPOINT, "1", NUMBA_CACHE_DIR=cache)
             add(f"import and first step, {state} cache", seconds, "s", goal)
     for env_id in (ONE_WAYPOINT, INTERSECTION) if sys.platform == "linux" else ():
         small, large = (float(run_python("-c", FIRST_STEP, env_id, count)) for count in ("1", "4096"))
