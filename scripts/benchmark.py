@@ -79,9 +79,6 @@ class Place:
         """Whether worlds and learners are on a device."""
         return self.device != "cpu"
 
-    def __str__(self) -> str:
-        return self.device if self.on_gpu else f"{self.threads} thread{'' if self.threads == 1 else 's'}"
-
     def now(self) -> float:
         """The time (s), when all that was begun on the device is done."""
         if self.on_gpu:
