@@ -19,7 +19,7 @@ from algorithms.runs.run_directory import Run, default_directory
 from mo_deepdrive.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from mo_deepdrive.support.atomic_io import expand_home, without_links
 from mo_deepdrive.support.faults import Fault
-from mo_deepdrive.support.names import nearest, printable, shortened
+from mo_deepdrive.support.names import nearest, printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -163,7 +163,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """End with the usage and ``message``."""
-        super().error(printable(shortened(message)))
+        super().error(printable(message))
 
 
 def make_parser(description: str | None, command: str = "") -> argparse.ArgumentParser:
@@ -279,7 +279,7 @@ def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> di
 
 def warn(message: str) -> None:
     """Print to standard error, without the control characters of names in the message, and with very long ones cut."""
-    print(printable(shortened(message)), file=sys.stderr)
+    print(printable(message), file=sys.stderr)
 
 
 @contextlib.contextmanager
