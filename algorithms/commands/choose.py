@@ -32,8 +32,6 @@ from mo_deepdrive.utilities import check_utility, make_utility
 from mo_deepdrive.world.config import UtilityChoice, parse
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
     from numpy.typing import NDArray
     from rich.table import Table
 
@@ -43,7 +41,7 @@ if TYPE_CHECKING:
 RUNNERS_UP = 4
 
 
-def parse_criterion(options: Namespace, objectives: tuple[str, ...], scales: NDArray[Any]) -> ChoiceCriterion:
+def parse_criterion(options: cli.Options, objectives: tuple[str, ...], scales: NDArray[Any]) -> ChoiceCriterion:
     """What to choose by, from the command line."""
     if options.arguments != "{}" and options.utility is None:
         raise ValueError("--arguments can only be given with --utility")
@@ -68,37 +66,29 @@ def choice_table(
     names: dict[int, str],
 ) -> Table:
     """The best policy with intervals, and the next best; ``values`` are what the criterion gives the policies."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean, of_three, rate
+    from algorithms.reporting.fronts import episodes_note
+    from algorithms.reporting.tables import make_table
+    from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean, rate
 
     episodes = len(evaluations[0].returns)
-    intervals = episodes >= MIN_SAMPLES
-    how = f"{episodes} episode{'' if episodes == 1 else 's'} each"
-    if intervals:
-        how += f", 95% intervals{of_three([episodes], 'episodes')}"
-    title = f"{len(front)} polic{'y' if len(front) == 1 else 'ies'} by {criterion.name}; {how}"
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    table.add_column("", overflow="fold")
-    for name in names.values():
-        table.add_column(name, justify="right", no_wrap=True)
+    title = f"{len(front)} polic{'y' if len(front) == 1 else 'ies'} by {criterion.name}; {episodes_note(episodes)}"
     shown = [evaluations[k] for k in names]
     # The value by which a policy was chosen is too high, whatever its interval.
     worth = [criterion.estimate(shown[0].joint_returns)] if len(front) == 1 else [Estimate(values[k]) for k in names]
-    rows = {criterion.name: worth}
+    estimates = {criterion.name: worth}
     for i, objective in enumerate(front.objectives):
-        rows[objective] = [mean(evaluation.joint_returns[:, i]) for evaluation in shown]
+        estimates[objective] = [mean(evaluation.joint_returns[:, i]) for evaluation in shown]
     if np.isfinite(front.success).all():
         arrivals = [rate(evaluation.joint_succeeded) for evaluation in shown]
-        rows["arrivals"] = arrivals if intervals else [Estimate(share.value) for share in arrivals]
-    rows["decisions"] = [mean(evaluation.joint_lengths.astype(np.float64)) for evaluation in shown]
-    for name, (first, *rest) in rows.items():
-        table.add_row(name, first.text().replace("[", r"\["), *(f"{estimate.value:.4g}" for estimate in rest))
-    return table
+        estimates["arrivals"] = arrivals if episodes >= MIN_SAMPLES else [Estimate(share.value) for share in arrivals]
+    estimates["decisions"] = [mean(evaluation.joint_lengths.astype(np.float64)) for evaluation in shown]
+    rows = [["", *names.values()]]
+    for name, (first, *rest) in estimates.items():
+        rows.append([name, first.text(), *(f"{estimate.value:.4g}" for estimate in rest)])
+    return make_table(rows, 1, unbroken=range(1, len(rows[0])), title=title)
 
 
-def choose(options: Namespace) -> int:
+def choose(options: cli.Options) -> int:
     """Evaluate the policies of a front, choose one, show it and film it if asked to."""
     from algorithms.runs.build import load_policy
     from algorithms.runs.console import make_console

@@ -30,7 +30,6 @@ from algorithms.studies.settings import Learner, Study, StudyTask, SweepSettings
 from mo_deepdrive.world.config import EnvConfig, is_ours
 
 if TYPE_CHECKING:
-    from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
 _TYPES = {"integer": "int", "number": "float", "boolean": "bool", "string": "str", "object": "mapping"}
@@ -131,7 +130,7 @@ def differing_values(values: Mapping[str, Any], keys: Sequence[Key]) -> dict[str
     return differing
 
 
-def list_keys(options: Namespace) -> int:
+def list_keys(options: cli.Options) -> int:
     """Print the keys of one algorithm, of an experiment's, or of all, of sweeps and of studies."""
     from algorithms.runs.console import make_console, print_line
 

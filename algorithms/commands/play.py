@@ -28,7 +28,6 @@ from mo_deepdrive.world.config import is_ours
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
-    from argparse import Namespace
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
 ENVIRONMENT: dict[str, str] = {}  # SDL chooses the driver of the window
 
 
-def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
+def open_environment(options: cli.Options) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
     """The environment that the options ask for, what drives the other vehicles, if any, and the user's vehicles."""
     from mo_deepdrive.play import KEYBOARD, make_play_env
 
@@ -71,7 +70,7 @@ def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | Non
 
 
 def _open_rivals(
-    options: Namespace, env_id: str, *, scripted: bool
+    options: cli.Options, env_id: str, *, scripted: bool
 ) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
     """What drives the other vehicles, the arguments of its environment, and the partners that it learnt with."""
     from algorithms.runs.build import load_policy, open_driver
@@ -102,7 +101,7 @@ def print_outcome(objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
         print("  ".join((name.ljust(widths[0]), end.ljust(widths[1]), *cells)).rstrip())
 
 
-def play(options: Namespace) -> int:
+def play(options: cli.Options) -> int:
     """Open the window, and drive until it is closed."""
     from mo_deepdrive.drawing.quiet_pygame import pygame
     from mo_deepdrive.play import HumanPlayEnv, describe_controls, open_display, play_in_window

@@ -16,15 +16,11 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from algorithms.runs import cli
 
-if TYPE_CHECKING:
-    from argparse import Namespace
 
-
-def draw(options: Namespace) -> int:
+def draw(options: cli.Options) -> int:
     """Draw the curves, and say what each of them is."""
     from algorithms.runs.console import make_console, print_line
     from algorithms.runs.interrupts import never_fatal

@@ -19,10 +19,9 @@ from typing import TYPE_CHECKING
 
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import directory_of, run_command, run_options
-from algorithms.runs.cli import Command, flag, many, option
+from algorithms.runs.cli import Command, Options, flag, many, option
 
 if TYPE_CHECKING:
-    from argparse import Namespace
     from pathlib import Path
 
     from rich.console import Console
@@ -55,7 +54,7 @@ def write_tables(plan: StudyPlan, runner: Runner, directory: Path, console: Cons
     print_line(console, f"written: {directory / RESULTS_FILE}, {directory / TABLES_FILE}")
 
 
-def train_study(options: Namespace) -> int:
+def train_study(options: Options) -> int:
     """Do what the options say; returns the exit code."""
 
     def make_plan() -> StudyPlan:

@@ -22,40 +22,36 @@ from typing import TYPE_CHECKING
 from algorithms.commands.study import STUDY_OPTIONS, write_tables
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import run_command
-from algorithms.runs.cli import TRUST, Command, CommandGroup, check_at_least, check_file, flag, many, option
+from algorithms.runs.cli import TRUST, Command, CommandGroup, Options, check_at_least, check_file, flag, many, option
 from algorithms.runs.config import parse_overrides
 from algorithms.studies import ALL, CORE, REFERENCE
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
     from algorithms.studies.plan import StudyPlan
 
 
-def suite_list(_options: Namespace) -> int:
+def suite_list(_options: Options) -> int:
     """Print the tasks."""
-    from rich.table import Table
-
+    from algorithms.reporting.tables import make_table
     from algorithms.runs.console import make_console
     from algorithms.studies.plan import PUBLISHED
     from algorithms.studies.suite_tables import minutes_per_run
     from mo_deepdrive import suite
 
     minutes = minutes_per_run(suite.read_rows(PUBLISHED)) if PUBLISHED.is_file() else {}
-    columns = ("task", "track", "title", "steps", "minutes", "floor", "ceiling", "", "what it tests")
-    table = Table(*columns, title="The suite")
+    rows = [["task", "track", "title", "steps", "minutes", "floor", "ceiling", "", "what it tests"]]
     for name, task in suite.load().tasks.items():
         track = task.track if task.counted else "(not counted)"
         about = f"{task.steps / 1e6:g} M", f"{minutes[name]:.1f}" if name in minutes else ""
         bounds = f"{task.floor.value:.4g}", f"{task.ceiling.value:.4g}", task.ceiling.kind
-        table.add_row(f"{name}{' *' if task.core else ''}", track, task.title, *about, *bounds, task.tests)
+        rows.append([f"{name}{' *' if task.core else ''}", track, task.title, *about, *bounds, task.tests])
     version = suite.load().version
-    table.caption = f"version {version}; * of the core subset; minutes of one core, the median of published runs"
-    make_console().print(table)
+    caption = f"version {version}; * of the core subset; minutes of one core, the median of published runs"
+    make_console().print(make_table(rows, 9, title="The suite", caption=caption))
     return 0
 
 
-def suite_score(options: Namespace) -> int:
+def suite_score(options: Options) -> int:
     """Score policies."""
     from algorithms.reporting.tables import print_rows
     from algorithms.runs.console import make_console, print_line
@@ -94,7 +90,7 @@ def suite_score(options: Namespace) -> int:
     return 0
 
 
-def suite_verify(options: Namespace) -> int:
+def suite_verify(options: Options) -> int:
     """Score an entry again, on the scenarios of the test split and on fresh ones; 0 if everything agrees, else 1."""
     from algorithms.reporting.tables import print_rows
     from algorithms.runs.console import make_console
@@ -137,7 +133,7 @@ def suite_verify(options: Namespace) -> int:
     return 1 if faults else 0
 
 
-def suite_run(options: Namespace) -> int:
+def suite_run(options: Options) -> int:
     """Train learners on tasks of the suite, and score them."""
     from algorithms.studies.manifest import short_names
     from algorithms.studies.plan import plan_of
@@ -151,7 +147,7 @@ def suite_run(options: Namespace) -> int:
     return run_command(options, options.output or Path("runs") / "studies" / name, make_plan, write_tables)
 
 
-def suite_table(options: Namespace) -> int:
+def suite_table(options: Options) -> int:
     """Print the tables of the suite, and write them if asked to."""
     from algorithms.reporting.tables import FORMATS, markdown, print_rows, write_table
     from algorithms.runs.console import make_console, print_line

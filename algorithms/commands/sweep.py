@@ -20,12 +20,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from algorithms.runs.cli import PROCESS_DEFAULTS, Command, Option, check_directory, flag, one_of, option, warn
+from algorithms.runs.cli import PROCESS_DEFAULTS, Command, Option, Options, check_directory, flag, one_of, option, warn
 from algorithms.runs.interrupts import Stopped, no_space
 from algorithms.studies import BACKENDS
 
 if TYPE_CHECKING:
-    from argparse import Namespace
     from collections.abc import Callable
 
     from rich.console import Console
@@ -72,7 +71,7 @@ def run_options(what: str, *instead: Option) -> tuple[Option, ...]:
     )
 
 
-def check_options(options: Namespace) -> None:
+def check_options(options: Options) -> None:
     """Check the options before any work."""
     if options.workers is not None and options.workers < 1:
         raise ValueError(f"--workers {options.workers} must be at least 1")
@@ -89,7 +88,7 @@ def check_options(options: Namespace) -> None:
         raise ValueError(f"--on {options.on} needs {module}: pip install 'mo-deepdrive[sweep]'")
 
 
-def directory_of(options: Namespace, folder: str) -> Path:
+def directory_of(options: Options, folder: str) -> Path:
     """The directory of the runs: --output, or that of the name of --config in ``runs/FOLDER``."""
     if options.config is None and not ((options.status or options.verify) and options.output):
         raise ValueError("--config is required, except for --status and --verify with --output")
@@ -97,7 +96,7 @@ def directory_of(options: Namespace, folder: str) -> Path:
 
 
 def run_command(
-    options: Namespace,
+    options: Options,
     directory: Path,
     make_plan: Callable[[], P],
     finish: Callable[[P, Runner, Path, Console], None] | None = None,
@@ -133,7 +132,7 @@ def run_command(
         return 1
 
 
-def train_sweep(options: Namespace) -> int:
+def train_sweep(options: Options) -> int:
     """Do what the options say; returns the exit code."""
 
     def make_plan() -> SweepPlan:

@@ -26,13 +26,9 @@ shown, the exit code is 2.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from algorithms.runs import cli
 from algorithms.runs.run_directory import changed_files, diverged, read_status
-
-if TYPE_CHECKING:
-    from argparse import Namespace
 
 TOP = 20
 
@@ -54,7 +50,7 @@ def intact_runs(paths: list[Path]) -> list[Path]:
     return runs
 
 
-def print_tables(options: Namespace) -> int:
+def print_tables(options: cli.Options) -> int:
     """Print the tables of runs or of a sweep, and write them."""
     from algorithms.reporting.tables import FORMATS, print_runs, write_tables
     from algorithms.runs.console import make_console

@@ -67,7 +67,7 @@ from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.support.names import nearest_few
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from rich.console import Console
@@ -394,28 +394,37 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
     names = list(dict.fromkeys(name for estimates in columns.values() for name in estimates))
     ends = [name for name in names if split_name(name).metric.startswith(END)]
     happened = {name for name in ends for column in columns.values() if name in column and column[name].value > 0.0}
-    how = f"95% intervals{of_three((len(evaluation.returns) for evaluation in evaluations.values()), 'episodes')}"
-    table = Table(title=f"{title}; {how}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    table.add_column("", overflow="fold")
-    if ends:
-        table.caption = f"{SUCCESS}: the share of arrivals; other ends ({END}...) that no episode had are left out."
-        table.caption_justify = "left"
-    for policy in columns:
-        table.add_column(policy, justify="right", overflow="fold")
-    for name in names:
-        if name in ends and name not in happened:
-            continue
+    rows = [["", *columns]]
+    for name in (name for name in names if name not in ends or name in happened):
         cells = []
         for policy, estimates in columns.items():
             estimate = estimates.get(name)
             if estimate is None and name in ends and any(end in estimates for end in ends):  # this end never happened
                 estimate = rate(np.zeros(len(evaluations[policy].returns), dtype=np.bool_))
             cells.append("" if estimate is None else estimate.text())
-        table.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
-    return table
+        rows.append([name, *cells])
+    how = f"95% intervals{of_three((len(evaluation.returns) for evaluation in evaluations.values()), 'episodes')}"
+    caption = (
+        f"{SUCCESS}: the share of arrivals; other ends ({END}...) that no episode had are left out." if ends else ""
+    )
+    return make_table(rows, 1, title=f"{title}; {how}", caption=caption if ends else "")
 
 
 # --------------------------------------------------------------------------------------------------------- a terminal
+
+
+def make_table(
+    rows: Rows, labels: int, *, unbroken: Container[int] = (), title: str | None = None, caption: str | None = None
+) -> Table:
+    """A table for a terminal: ``labels`` columns to the left, others to the right; of some no line is broken."""
+    table = Table(title=title and Text(title, style="bold"), caption=caption and Text(caption), box=SIMPLE_HEAD)
+    table.title_justify = table.caption_justify = "left"
+    for i, name in enumerate(rows[0]):
+        justify: Any = "left" if i < labels else "right"
+        table.add_column(Text(name), justify=justify, overflow="fold", no_wrap=i in unbroken)
+    for row in rows[1:]:
+        table.add_row(*map(Text, row))
+    return table
 
 
 def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: str | None = None) -> None:
@@ -460,14 +469,9 @@ def fitted_tables(rows: Rows, labels: int, width: int) -> list[Table]:
         parts[-1].append(i)
     tables = []
     for part in parts:
-        table = Table(box=SIMPLE_HEAD)
-        for i in (*range(labels), *part):
-            justify: Any = "left" if i < labels else "right"
-            table.add_column(Text(rows[0][i]), justify=justify, overflow="fold", no_wrap=i >= labels)
-        for row in rows[1:]:
-            if any(row[i] for i in part):
-                table.add_row(*(Text(row[i]) for i in (*range(labels), *part)))
-        tables.append(table)
+        body = [row for row in rows[1:] if any(row[i] for i in part)]
+        shown = [[row[i] for i in (*range(labels), *part)] for row in [rows[0], *body]]
+        tables.append(make_table(shown, labels, unbroken=range(labels, len(shown[0]))))
     return tables
 
 
