@@ -2,7 +2,7 @@
 
 A :class:`Viewer` reads the state of one world. For trails and sums it keeps the decisions drawn so far in the episode.
 Everything is drawn at twice the size and scaled down, which smooths edges, on surfaces in memory; only
-``render_mode="human"`` needs a display. Static parts are drawn and scaled once.
+``render_mode="human"`` needs a display. Static parts are drawn once.
 """
 
 from __future__ import annotations
@@ -282,8 +282,7 @@ class Viewer:
         )
         large = (MAP_PIXELS * SUPERSAMPLING, MAP_PIXELS * SUPERSAMPLING)
         self._ground = Canvas(pygame.Surface(large, 0, 32), math.inf)
-        self._small_ground = pygame.Surface((MAP_PIXELS, MAP_PIXELS), 0, 32)
-        self._map = pygame.Surface(large, 0, 32)  # the ground; while drawing, with everything on it
+        self._map = pygame.Surface(large, 0, 32)
         self._sheet = pygame.Surface(large, pygame.SRCALPHA, 32)
         self._frame = pygame.Surface(FRAME_SIZE, 0, 32)
         self._clock = pygame.time.Clock()
@@ -348,6 +347,7 @@ class Viewer:
         reach = reach_of(world, self._roads)
         if reach != self._ground.reach:
             self._draw_ground(reach)
+        self._map.blit(self._ground.surface, (0, 0))
         canvas = Canvas(self._map, reach)
         for vehicle, positions, colour in zip(world, self._trace.trails, VEHICLE_COLOURS, strict=False):
             if self._roads:
@@ -366,12 +366,8 @@ class Viewer:
         for v in order if len(world) <= 2 else order[world["end"][order] == RUNNING]:
             number = int(v) if len(world) > 1 else None
             canvas.vehicle(world[v], VEHICLE_COLOURS[v], number, signals=self._signal_is_lit(world[v]))
-        self._frame.blit(self._small_ground, (0, 0))
-        for area in canvas.touched:
-            small = pygame.Rect(*(side // SUPERSAMPLING for side in area))
-            pygame.transform.smoothscale(self._map.subsurface(area), small.size, self._frame.subsurface(small))
-        for area in canvas.touched:
-            self._map.blit(self._ground.surface, area, area)
+        shown = self._frame.subsurface((0, 0, MAP_PIXELS, MAP_PIXELS))
+        pygame.transform.smoothscale(self._map, shown.get_size(), shown)
 
     def _signal_is_lit(self, vehicle: Any) -> bool:
         """Whether the left turn signal of a vehicle is lit; those who face oncoming cars have one, which flashes."""
@@ -387,5 +383,3 @@ class Viewer:
             self._ground.roads()
         else:
             self._ground.grid()
-        pygame.transform.smoothscale(self._ground.surface, self._small_ground.get_size(), self._small_ground)
-        self._map.blit(self._ground.surface, (0, 0))
