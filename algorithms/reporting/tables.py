@@ -136,7 +136,7 @@ class ScoreGroup:
         return str(self.wanted) if len(self.seeds) == self.wanted else f"{len(self.seeds)} of {self.wanted}"
 
     def labels(self, about: Sequence[str], policy: str, vehicle: str) -> list[str]:
-        """The first cells of a row: those named by ``about``, policy, vehicle and seeds."""
+        """The first cells of a row."""
         return [*(self.about.get(name, "") for name in about), policy, vehicle, self.seeds_text]
 
     def values(self, place: MetricName) -> list[float]:
@@ -205,7 +205,7 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything
 def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> list[ScoreEstimate]:
     """The means over seeds with their intervals, and the interquartile means of the utilities, which have none.
 
-    They are in the order of the groups and of the metrics, None for :data:`TABLE_METRICS` and all others of the groups.
+    Without ``metrics`` those are :data:`TABLE_METRICS` and all others of the groups.
     """
     wanted = metrics or [*TABLE_METRICS, UTILITY_IQM, *(place.metric for group in groups for place in group.scores)]
     places = [
@@ -225,19 +225,14 @@ def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None 
     return estimates
 
 
-def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Rows:
+def scores_table(groups: Sequence[ScoreGroup], columns: Sequence[str] = TABLE_COLUMNS) -> Rows:
     """One row per group, policy and vehicle, one column per metric: the means over seeds with their intervals.
 
-    The digits are also no more than one run's interval over evaluation episodes supports, where it is known. Where
-    two groups were measured alike, and no more, there are rows of their differences, second minus first. Without
-    ``metrics`` the columns are those of :func:`score_estimates`, the interquartile mean of the utility last.
+    Where two groups were measured alike, and no more, there are rows of their differences, second minus first.
     """
-    estimates = score_estimates(groups, metrics)
     about = _about(groups)
-    names = dict.fromkeys([*TABLE_METRICS, *(estimate.place.metric for estimate in estimates)])
-    columns = [*(name for name in names if name != UTILITY_IQM), UTILITY_IQM] if metrics is None else [*metrics]
     rows: dict[tuple[int, str, str], list[str]] = {}
-    for estimate in estimates:
+    for estimate in score_estimates(groups, columns):
         policy, vehicle, metric = estimate.place
         labels = estimate.group.labels(about, policy, vehicle)
         row = rows.setdefault((id(estimate.group), policy, vehicle), [*labels, *[""] * len(columns)])
@@ -277,9 +272,8 @@ def check_columns(groups: Sequence[ScoreGroup], columns: Sequence[str] | None) -
     """Refuse columns of which no group has a score."""
     known = {place.metric for group in groups for place in group.scores}
     known |= {UTILITY_IQM} if UTILITY_ESR in known else set()
-    for name in columns or ():
-        if name not in known:
-            raise ValueError(f"--columns {name}: no run has such a score; the nearest: {nearest_few(name, known)}")
+    for name in set(columns or ()) - known:
+        raise ValueError(f"--columns {name}: no run has such a score; the nearest: {nearest_few(name, known)}")
 
 
 def tidy_scores(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Cells:
@@ -297,9 +291,8 @@ def tidy_scores(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = No
 def tidy_comparisons(groups: Sequence[ScoreGroup]) -> Cells:
     """One row per policy and vehicle of two groups that differ in the algorithm: how their means differ.
 
-    Each has the difference of the means with its interval, n, the seeds of the first, n_other, those of the other, and
-    p of a two-sided Mann-Whitney test. If not all groups were trained for the same number of steps, rows have those of
-    the pair.
+    Columns are those of COMPARED, with p of a two-sided Mann-Whitney test, and the steps of both unless all have the
+    same.
     """
     shared = list(groups[0].task) if groups else []
     rows: Cells = [[*shared, "policy", "vehicle", "difference", "steps", "metric", *COMPARED]]
@@ -327,7 +320,7 @@ def tidy_comparisons(groups: Sequence[ScoreGroup]) -> Cells:
 
 
 def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
-    """The rows of :func:`tidy_comparisons` as text, without columns that are empty."""
+    """The rows of :func:`tidy_comparisons` as text."""
 
     def text(cell: str | float | None) -> str:
         return "" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell)
@@ -430,9 +423,8 @@ def make_table(
 def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: str | None = None) -> None:
     """Print a table below its title, in parts that fit the console, so that nothing is cut off.
 
-    If it does not fit, first the labels that all rows share move to the title; then columns follow in further parts.
-    The first ``labels`` columns say what a row is. With ``rest``, how to see all columns, the first part alone is
-    printed, then the names of the columns that are not in it, and this.
+    If it does not fit, first the labels that all rows share move to the title. With ``rest``, how to see all columns,
+    the first part alone is printed, and then the names of the columns that are not in it.
     """
     if sum(_widths(rows)) + MARGIN > console.width and len(rows) > 1:
         shared, rows, labels = lift_labels(rows, labels)
@@ -448,10 +440,9 @@ def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: s
 
 
 def fitted_tables(rows: Rows, labels: int, width: int) -> list[Table]:
-    """A table in parts that fit a width, each of which begins with the labels.
+    """A table in parts that fit a width, each with the labels, and with those rows that have a value in it.
 
-    Labels are wrapped where they are too long; those that take too much of the width are joined in one column
-    ("name=value, name=value"). Rows without any value in a part are left out of it.
+    Labels that take too much of the width are joined in one column ("name=value, name=value").
     """
     most = int(LABEL_SHARE * width)
     if labels > 1 and sum(_widths(rows)) + MARGIN > width and sum(_widths(rows)[:labels]) > most:
@@ -496,8 +487,7 @@ def write_tables(
 ) -> list[Path]:
     """Write the scores and, if algorithms can be compared, their differences into ``NAME-differences``.
 
-    A CSV has one number per cell, and the returns of all objectives; LaTeX and Markdown have the table of the terminal,
-    with names as people write them.
+    A CSV is tidy; LaTeX and Markdown have the table of the terminal, with names as people write them.
     """
     note, tidy = interval_note(scores), path.suffix.lower() == ".csv"
     table = tidy_scores(scores, columns) if tidy else scores_table(scores, columns or TABLE_COLUMNS)
