@@ -54,9 +54,9 @@ def open_environment(options: cli.Options) -> tuple[DrivingVectorEnv, Policy | N
             raise ValueError(f"--env {options.env} has {env.vehicles} vehicles, and {room}")
         return env, None, list(range(env.vehicles))
     with needed_for("--against"):
-        from algorithms.driving.named_rules import is_rule
         from mo_deepdrive.evaluation.metrics import vehicle_name
-    policy, arguments, partners = _open_rivals(options, spec.id, scripted=is_rule(options.against))
+
+        policy, arguments, partners = _open_rivals(options, spec.id)
     vehicles = policy.env.vehicles
     if vehicles == 1:
         raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")
@@ -69,14 +69,13 @@ def open_environment(options: cli.Options) -> tuple[DrivingVectorEnv, Policy | N
     return make_play_env(spec.id, **arguments), policy, [seat]
 
 
-def _open_rivals(
-    options: cli.Options, env_id: str, *, scripted: bool
-) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
+def _open_rivals(options: cli.Options, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
     """What drives the other vehicles, the arguments of its environment, and the partners that it learnt with."""
+    from algorithms.driving.named_rules import is_rule
     from algorithms.runs.build import load_policy, open_driver
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 
-    if scripted:
+    if is_rule(options.against):
         seat = 1 - options.vehicle if options.vehicle in (0, 1) else 1
         env = EnvAdapter(make_env(env_id, 1))
         return open_driver(options.against, min(seat, env.vehicles - 1), env, "discrete"), {}, {}

@@ -20,7 +20,18 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from algorithms.runs.cli import PROCESS_DEFAULTS, Command, Option, Options, check_directory, flag, one_of, option, warn
+from algorithms.runs.cli import (
+    PROCESS_DEFAULTS,
+    Command,
+    Option,
+    Options,
+    check_at_least,
+    check_directory,
+    flag,
+    one_of,
+    option,
+    warn,
+)
 from algorithms.runs.console import make_console, print_line
 from algorithms.runs.interrupts import Stopped, no_space
 from algorithms.studies import BACKENDS

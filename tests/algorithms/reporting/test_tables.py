@@ -184,18 +184,6 @@ def test_ends_that_occurred_have_a_row_with_the_rate_of_every_policy() -> None:
     assert cells["end/harmful_jerk"][1] == never
 
 
-def test_success_and_collisions_of_all_vehicles_are_counted_per_episode() -> None:
-    found = evaluation(episodes=4, vehicles=2)
-    found.succeeded[:] = [[True, True], [True, False], [False, True], [False, False]]
-    found.ends[:] = [["arrived", "arrived"], ["arrived", "collision"], ["collision", "arrived"], ["collision"] * 2]
-    summary = found.estimates()
-    assert summary["success"].value == 0.25
-    assert summary["end/collision"].value == 0.75
-    assert summary["vehicle_1/end/collision"].value == 0.5
-    assert "success" in evaluation().estimates()
-    assert {"utility_esr", "length"}.isdisjoint(summary)
-
-
 # --------------------------------------------------------------------------------------------------------- a terminal
 
 LABELS = ("algorithm", "policy", "vehicle", "seeds")
