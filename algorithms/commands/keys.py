@@ -133,10 +133,10 @@ def list_keys(options: cli.Options) -> int:
     sections: dict[str, list[Key]] = {}
     for algorithm in [name] if name else sorted(ALGORITHMS):
         keys = experiment_keys(algorithm, env_id)
-        own = [key for key in keys if key.name.startswith("algorithm.") and key.name != "algorithm.name"]
-        sections.setdefault("experiment", [key for key in keys if key not in own])
+        of_algorithm = [key for key in keys if key.name.startswith("algorithm.") and key.name != "algorithm.name"]
+        sections.setdefault("experiment", [key for key in keys if key not in of_algorithm])
         equations = "" if is_peer(algorithm) else f"; equations: help({agent_class(algorithm).__module__!r})"
-        sections[f"hyperparameters of {algorithm}{equations}"] = own
+        sections[f"hyperparameters of {algorithm}{equations}"] = of_algorithm
     if not name:
         sections |= {title: model_keys(model) for title, model in _OTHERS.items()}
     console = make_console()

@@ -71,6 +71,8 @@ if TYPE_CHECKING:
     from algorithms.reporting.training_log import Columns
 
 FORMATS = tuple(f".{name}" for name in FigureCanvasBase.get_supported_filetypes())  # of figures
+SETTLED = 0.2  # share of the training after which a curve always gets the full height of its axis
+CUT_RATIO = 30.0  # how many times larger the whole range must be than the settled one for the start to be cut off
 MARKS = 10  # markers per curve, where several curves share a colour
 # Of scores against what was varied:
 PANEL = (3.3, 3.2)  # in, width and height with its labels
@@ -124,11 +126,7 @@ def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] =
 
     ``warn`` is told which runs cannot be read or have no metrics yet; without it such runs are refused.
     """
-    runs = read_runs(map(Path, directories), warn, metrics=True)
-    for run in runs:
-        if not len(run.metrics[STEP]):
-            warn(f"{LEFT_OUT}run {str(run.path)!r} has no metrics yet")
-    groups = group_by_experiment([run for run in runs if len(run.metrics[STEP])])
+    groups = group_by_experiment(read_runs(map(Path, directories), warn, metrics=True))
     if not groups:
         raise ValueError("there is no run whose metrics can be drawn")
     groups.sort(key=lambda members: algorithm_order(members[0].experiment.algorithm.name))
@@ -248,12 +246,12 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
     alone = len(groups) == 1
     faint = min(1.0, 4 / len(groups))  # or many bands would hide each other
     styles = curve_styles([group.experiment.algorithm.name for group in groups])
-    drawn: list[NDArray[Any]] = []
+    drawn: list[tuple[NDArray[Any], ...]] = []
     for g, (k, (kind, name)) in product(panel.groups, enumerate(zip(KINDS, panel.names, strict=True))):
-        found = curve(groups[g].runs, name) if alone or k > 0 else None  # several without training, to avoid clutter
-        if found is None:
+        points = curve(groups[g].runs, name) if alone or k > 0 else None  # several without training, to avoid clutter
+        if points is None:
             continue
-        steps, means, low, high = found
+        steps, means, low, high = points
         colour, marker = styles[g]
         marks: dict[str, Any] = {"marker": marker or ("o" if len(steps) < 4 else ""), "markersize": 3.5}
         marks["markevery"] = max(1, len(steps) // MARKS)
@@ -262,7 +260,7 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
         if np.isfinite(low).all():
             alpha = faint * (0.16 if alone or k == 1 else 0.07)
             axis.fill_between(steps, low, high, color=shade, alpha=alpha, linewidth=0, zorder=2)
-        drawn += [means, low, high]
+        drawn.append((means[steps >= SETTLED * steps.max()], means, low, high))
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(5))
@@ -272,13 +270,22 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
         axis.set_ylim(-0.03, 1.03)
         axis.yaxis.set_major_formatter(PercentFormatter(1.0))
     elif drawn:
-        objective = split_name(panel.names[-1]).metric.removeprefix(RETURN)
-        values = np.concatenate(drawn)
-        known = values[np.isfinite(values)]
-        low, high = axis_limits(known, OBJECTIVES[INDEX[objective]].scale if objective in INDEX else 0.0)
-        axis.set_ylim(low, high)
-        if known.min() < low or known.max() > high:
-            axis.set_title(f"{panel.title} (partly cut off)")
+        settled, means = (np.concatenate([parts[i] for parts in drawn]) for i in (0, 1))
+        limits = _limits(panel.names[-1], settled, 0.25)
+        if np.ptp(means) < CUT_RATIO * (limits[1] - limits[0]):
+            limits = _limits(panel.names[-1], np.concatenate([part for parts in drawn for part in parts[1:]]), 0.05)
+        else:
+            axis.set_title(f"{panel.title} (start cut off)")
+        axis.set_ylim(*limits)
+
+
+def _limits(name: str, values: NDArray[Any], pad: float) -> tuple[float, float]:
+    """Limits of an axis around values of a metric, which do not magnify noise."""
+    objective = split_name(name).metric.removeprefix(RETURN)
+    nominal = OBJECTIVES[INDEX[objective]].scale if objective in INDEX else 0.0
+    low, high = widened(np.nanmin(values), np.nanmax(values), max(float(np.nanmax(np.abs(values))), nominal))
+    pad *= high - low or 2.0
+    return low - pad, high + pad
 
 
 def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
@@ -340,7 +347,7 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
         figure = Figure(figsize=(PANEL[0] * max(columns, 2), PANEL[1] * len(rows)))
         parts: Any = figure.subfigures(len(rows), 1, squeeze=False)[:, 0]
         for part, (comparable, keys) in zip(parts, rows, strict=True):
-            low, high = axis_limits(comparable.values)
+            low, high = score_limits(comparable.values)
             outside = int(((comparable.values < low) | (comparable.values > high)).sum())
             beyond = f"; scores of {outside} of {len(comparable.values)} runs are beyond the axes" if outside else ""
             part.suptitle(comparable.title + beyond, x=0.01, ha="left", fontsize=11, fontweight="bold")
@@ -394,14 +401,11 @@ def _draw_effect(
     axis.yaxis.set_major_locator(MaxNLocator(5))
 
 
-def axis_limits(values: NDArray[np.float64], scale: float = 0.0) -> tuple[float, float]:
-    """Limits around all but what is so far from most values that it would flatten the rest; they magnify no noise.
-
-    ``scale`` is the nominal magnitude of the quantity.
-    """
-    low, high = np.quantile(values, [0.05, 0.95])
-    reach = high - low or np.ptp(values)
-    near = values[(values >= low - reach) & (values <= high + reach)]
-    low, high = widened(near.min(), near.max(), max(float(np.abs(near).max()), scale))
+def score_limits(scores: NDArray[np.float64]) -> tuple[float, float]:
+    """Limits of the axis of scores: around all but those so far from most of them that they would flatten the rest."""
+    low, high = np.quantile(scores, [0.05, 0.95])
+    reach = high - low or np.ptp(scores)
+    near = scores[(scores >= low - reach) & (scores <= high + reach)]
+    low, high = widened(near.min(), near.max(), np.abs(near).max())
     pad = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
     return float(low - pad), float(high + pad)

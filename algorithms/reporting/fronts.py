@@ -69,8 +69,8 @@ def front_table(front: Front, measured: Mapping[str, float], title: str, width: 
 
 def episodes_note(episodes: int) -> str:
     """Of how many episodes of each policy the numbers of a table are."""
-    each = f"{episodes} episode{'' if episodes == 1 else 's'} each"
-    return each + (f", 95% intervals{of_three([episodes], 'episodes')}" if episodes >= MIN_SAMPLES else "")
+    intervals = f", 95% intervals{of_three([episodes], 'episodes')}" if episodes >= MIN_SAMPLES else ""
+    return f"{episodes} episode{'' if episodes == 1 else 's'} each{intervals}"
 
 
 def caption(front: Front, k: int) -> str:

@@ -19,6 +19,7 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from algorithms.reporting.training_log import Columns, read_metrics
 from mo_deepdrive.evaluation.front import EVALUATION_FILE, LARGEST
+from mo_deepdrive.evaluation.metrics import STEP
 from mo_deepdrive.evaluation.statistics import Estimate
 from mo_deepdrive.support.yaml import read_mapping
 from mo_deepdrive.world.config import EnvConfig, Settings, is_ours, parse
@@ -205,7 +206,7 @@ def _runs_below(path: Path) -> Iterator[Path]:
 def read_runs(
     paths: Iterable[Path], warn: Callable[[str], None], *, scores: bool = False, metrics: bool = False
 ) -> list[RunRecord]:
-    """Read runs, with what is asked for; those that cannot be read are left out with a warning."""
+    """Read runs, with what is asked for; those that cannot be read, or do not have it, are left out with a warning."""
     records = []
     for path in paths:
         file = path / "config.yaml"
@@ -215,7 +216,12 @@ def read_runs(
                 raise ValueError(f"{str(path)!r} is not {other}")
             experiment = experiment_record(read_mapping(file), f"config file {str(file)!r}")
             columns = read_metrics(path / "metrics.csv") if metrics else {}
-            records.append(RunRecord(path, experiment, final_scores(path) if scores else {}, columns))
+            estimates = final_scores(path) if scores else {}
+            if scores and not estimates:
+                raise ValueError(f"{path} has no final evaluation")
+            if metrics and not len(columns[STEP]):
+                raise ValueError(f"run {str(path)!r} has no metrics yet")
+            records.append(RunRecord(path, experiment, estimates, columns))
         except ValueError as error:
             warn(f"{LEFT_OUT}{error}")
     return records

@@ -19,7 +19,6 @@ from rich.table import Table
 from rich.text import Text
 
 from algorithms.reporting.run_records import (
-    LEFT_OUT,
     EvaluationRecord,
     distinct_labels,
     find_runs,
@@ -166,11 +165,7 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything
 
     Of metrics those of tables and the returns are read, or ``everything``; ``warn`` is told which runs are left out.
     """
-    records = read_runs(find_runs(paths, warn), warn, scores=True)
-    for run in records:
-        if not run.scores:
-            warn(f"{LEFT_OUT}{run.path} has no final evaluation")
-    members = group_by_experiment([run for run in records if run.scores])
+    members = group_by_experiment(read_runs(find_runs(paths, warn), warn, scores=True))
     experiments = [runs[0].experiment for runs in members]
     environments, utilities = (
         distinct_labels(list(map(label_of, sections)), sections)
