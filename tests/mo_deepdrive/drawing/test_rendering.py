@@ -157,7 +157,12 @@ def test_the_panel_shows_the_return_with_the_sign_of_the_rewards(
     viewer.draw(batch.state[0])
     returns = np.zeros(len(viewer.objectives))
     written: list[tuple[str, float]] = []
-    monkeypatch.setattr(Panel, "_write", lambda _, text, x, *__: written.append((text, x)))
+
+    def write(_: Panel, text: str, x: float, *__: Any) -> float:
+        written.append((text, x))
+        return 0.0
+
+    monkeypatch.setattr(Panel, "_write", write)
     for _ in range(12):
         drive(batch)
         returns += batch.rewards[0, 0]
