@@ -12,13 +12,9 @@ Run the same command again to resume: finished runs are skipped, interrupted one
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import Command, check_at_least, check_directory, flag, one_of, option
+from algorithms.runs.cli import Command, Options, check_at_least, check_directory, flag, one_of, option
 from algorithms.studies import CLAIM_NUMBERS, FIGURES
-
-if TYPE_CHECKING:
-    from argparse import Namespace
 
 OPTIONS = (
     one_of(
@@ -36,7 +32,7 @@ OPTIONS = (
 )
 
 
-def run(options: Namespace) -> int:
+def run(options: Options) -> int:
     """Run the reproduction that the options ask for."""
     from algorithms.runs.console import make_console
     from algorithms.studies.paper import load_paper

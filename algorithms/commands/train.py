@@ -21,12 +21,10 @@ from algorithms.runs.config import check_loggers, load_experiment, parse_overrid
 from algorithms.runs.run_directory import imported_paths, resume_options
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
     from algorithms.runs.run_directory import Run
 
 
-def open_runs(options: Namespace) -> tuple[list[Run], Any]:
+def open_runs(options: cli.Options) -> tuple[list[Run], Any]:
     """The new or resumed runs of the command line, one per seed, and what trains them."""
     from algorithms.runs.build import build_trainee
     from algorithms.runs.training import reopen
@@ -65,7 +63,7 @@ def next_steps(run: Run) -> str:
     return f"next: {line}\n      tensorboard --logdir {path}"
 
 
-def train(options: Namespace) -> int:
+def train(options: cli.Options) -> int:
     """Train, and evaluate what was trained."""
     with cli.exit_on_error(ValueError, OSError):
         runs, trainee = open_runs(options)

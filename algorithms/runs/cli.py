@@ -40,6 +40,7 @@ CHOICE_SPLIT: Split = "validation"
 # ----------------------------------------------------------------------------------------------- commands and options
 
 
+Options = argparse.Namespace  # of a command line
 Option = Callable[["argparse._ActionsContainer"], object]  # adds an option, an argument or several of them to a parser
 
 
