@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
     from gymnasium.envs.registration import EnvSpec
 
+    from mo_deepdrive.suite import Task
+
 SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
 T = TypeVar("T")
 
@@ -209,10 +211,9 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
 
 
 def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here: bool = True) -> Experiment:
-    """Validate ``values`` and fill in every default, including those of the environment and the algorithm.
+    """Validate ``values``, which error messages call ``what``, and fill in every default.
 
-    ``what`` names them in error messages; ``here`` is whether the experiment will run on this machine, which must then
-    have its device.
+    ``here`` is whether the experiment will run on this machine, which must then have its device.
     """
     problems: list[str] = []
 
@@ -229,14 +230,15 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
         sections["algorithm"] = attempt(_algorithm, given) or AlgorithmSettings(name="", config=Settings())
     experiment = parse(Experiment, sections, what)
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
-    worlds = attempt(_worlds, experiment.environment)
-    arguments, config = worlds or ({}, None)
+    environment, config = attempt(_with_every_argument, experiment.environment) or (None, None)
     attempt(check_device, "training.device", training.device, here)
     attempt(_check_seeds, training)
     attempt(check_episodes, "evaluation.episodes", evaluation.episodes, "validation")
     attempt(check_episodes, "evaluation.final_episodes", evaluation.final_episodes, evaluation.split)
-    if evaluation.task is not None and worlds is not None:
-        attempt(_check_task, experiment, evaluation.task, arguments)
+    if environment is not None:
+        experiment = experiment.model_copy(update={"environment": environment})
+        if evaluation.task is not None:
+            attempt(check_task, experiment, evaluation.task)
     front = None
     if experiment.algorithm.name:
         attempt(_check_utility, experiment)
@@ -250,7 +252,6 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     return experiment.model_copy(
         update={
             "training": training,
-            "environment": experiment.environment.model_copy(update={"arguments": arguments}),
             "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **(front or {})}),
             "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or default}),
         }
@@ -291,16 +292,17 @@ def override(values: dict[str, Any], key: str, value: Any) -> None:
         values[last] = value
 
 
-def _worlds(settings: EnvironmentSettings) -> tuple[dict[str, Any], EnvConfig | None]:
-    """All arguments of an environment, and the configuration of one of this package's environments."""
+def _with_every_argument(settings: EnvironmentSettings) -> tuple[EnvironmentSettings, EnvConfig | None]:
+    """An environment with all of its arguments, and its configuration if it is one of this package's."""
     spec = find_environment(settings.id)
     if not is_ours(spec):
-        return dict(settings.arguments), None
+        return settings, None
     what = f"environment.arguments of {settings.id}"
     if "scenario" in settings.arguments:
         raise ValueError(f"invalid {what}: 'scenario' is set by the id; choose another id instead")
     config = parse(EnvConfig, {**spec.kwargs, **settings.arguments}, what)
-    return config.model_dump(mode="json", exclude={"scenario"}), config
+    arguments = config.model_dump(mode="json", exclude={"scenario"})
+    return settings.model_copy(update={"arguments": arguments}), config
 
 
 def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
@@ -355,20 +357,19 @@ def _check_seeds(settings: TrainingSettings) -> None:
         raise ValueError(f"training.seed = {settings.seed} must be one of training.seeds = {seeds}")
 
 
-def _check_task(experiment: Experiment, name: str, arguments: Mapping[str, Any]) -> None:
-    """Refuse to score as a task of the suite what is trained in another environment, whose arguments are all given."""
+def check_task(experiment: Experiment, task_id: str) -> Task:
+    """The task of the suite as which an experiment is scored, which was trained in its environment and no longer."""
     from mo_deepdrive import suite  # as late as this, because it imports the simulation
 
-    try:
-        task = suite.load().task(name)
-    except ValueError as error:
-        raise ValueError(f"evaluation.task: {error}") from None
-    for key, (given, needed) in task.differences(experiment.environment.id, arguments).items():
-        raise ValueError(f"environment.{key} = {given!r}: evaluation.task = {name!r} needs {needed!r}")
+    task, environment = suite.load().task(task_id), experiment.environment
+    differences = task.differences(environment.id, environment.arguments)
+    if texts := [f"environment.{key} = {given!r} (not {needed!r})" for key, (given, needed) in differences.items()]:
+        raise ValueError(f"task {task_id} needs another environment: {', '.join(texts)}")
     if (steps := experiment.training.total_timesteps) > task.steps:
         raise ValueError(
-            f"training.total_timesteps = {steps:,}: evaluation.task = {name!r} allows {task.steps:,} environment steps"
+            f"training.total_timesteps = {steps:,}: task {task_id} allows {task.steps:,} environment steps"
         )
+    return task
 
 
 def check_effects(experiment: Experiment, keys: Iterable[str], why: str) -> None:

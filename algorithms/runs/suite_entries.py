@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from algorithms.reporting.run_records import read_evaluation
+from algorithms.runs.config import check_task
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE
@@ -126,12 +127,11 @@ def _of_run(source: str, *, trust: bool) -> Entry:
 
 def check_experiment(experiment: Experiment, task_id: str, source: str) -> None:
     """Refuse a run that cannot be an entry of a task, as far as its config says."""
-    task, training, environment = suite.load().task(task_id), experiment.training, experiment.environment
-    if differences := task.differences(environment.id, environment.arguments):
-        texts = [f"environment.{name} = {given!r} (not {needed!r})" for name, (given, needed) in differences.items()]
-        raise ValueError(f"{source!r} was not trained on task {task_id}: {', '.join(texts)}")
-    if (steps := training.total_timesteps) > task.steps:
-        raise ValueError(f"{source!r} trained for {steps:,} environment steps; task {task_id} allows {task.steps:,}")
+    training = experiment.training
+    try:
+        task = check_task(experiment, task_id)
+    except ValueError as error:
+        raise ValueError(f"{source!r} cannot be an entry: {error}") from None
     if training.seed in SPLITS["test"]:
         raise ValueError(
             f"{source!r} was trained on the test split: training.seed = {training.seed:,} is a seed of it; choose one "
