@@ -120,18 +120,16 @@ class Agent(ABC):
         trains_on_devices: whether it can train on a GPU, and several seeds side by side.
         compiled_saves: seconds by which a compiled gradient step is shorter.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read.
-        env: the training environment, an :class:`mo_deepdrive.evaluation.env_adapter.EnvAdapter`: its reset and step
-            are in shapes (N, V, ...).
+        env: the training environment, an EnvAdapter: its reset and step are in shapes (N, V, ...).
         learners: what learns by gradient steps, each a Learner.
         scales: (d,) nominal size of each objective's return.
         utilities: one per vehicle; empty where none is known.
-        seed, seeds: the only seed or the first one, and all S of them.
+        seeds: all S of them.
         failed: why seeds ended before the others, by their indices.
         step: environment steps that each seed has taken, over all its parallel environments.
         updates: rollouts, or rounds of episodes, that have been collected.
         episodes: sums over those that ended since training metrics were last logged.
-        initial: generator of the initial weights.
-        generator: generator of the exploring actions, seeded anew before every update of :meth:`train`.
+        initial, generator: of the initial weights, and of the exploring actions of an update.
 
     Raises:
         ValueError: for unknown or invalid hyperparameters, spaces or utilities.
@@ -183,25 +181,20 @@ class Agent(ABC):
                 "the CPU"
             )
         self.utilities: list[Utility] = list(vehicle_utilities(utility, self.env))
-        if self.resident:
-            self._check_utilities()
+        for known in self.utilities if self.resident else ():  # they are called for all seeds at once
+            try:
+                torch.func.vmap(known.unchecked())(torch.zeros(2, 3, len(self.env.objectives), device=self.device))
+            except Exception as error:
+                raise ValueError(
+                    f"utility {known.name!r} cannot be calculated for several seeds at once, because of "
+                    f"{origin(error)}; take operations of torch on whole tensors, such as torch.where instead of if"
+                ) from error
         self.step, self.updates = 0, 0
         self.failed: dict[int, str] = {}
         self.initial = self.initial_generator(0)
         self.generator = torch.Generator(self.device).manual_seed(self.seed_of(ACTIONS))
-        unchecked = [each.unchecked() for each in self.utilities]
+        unchecked = [known.unchecked() for known in self.utilities]
         self.episodes = EpisodeSums(len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device)
-
-    def _check_utilities(self) -> None:
-        """Refuse utilities that cannot be called for all seeds at once."""
-        for utility in self.utilities:
-            try:
-                torch.func.vmap(utility.unchecked())(torch.zeros(2, 3, len(self.env.objectives), device=self.device))
-            except Exception as error:
-                raise ValueError(
-                    f"utility {utility.name!r} cannot be calculated for several seeds at once, because of "
-                    f"{origin(error)}; take operations of torch on whole tensors, such as torch.where instead of if"
-                ) from error
 
     @property
     def seed(self) -> int:
@@ -215,7 +208,7 @@ class Agent(ABC):
     @property
     def env_seeds(self) -> list[int]:
         """Of the first reset of every seed's training environment."""
-        return [FIRST_TRAINING_SEED + int(np.random.SeedSequence(each).generate_state(2)[1]) for each in self.seeds]
+        return [FIRST_TRAINING_SEED + int(np.random.SeedSequence(seed).generate_state(2)[1]) for seed in self.seeds]
 
     @property
     def env_seed(self) -> int:
@@ -223,15 +216,12 @@ class Agent(ABC):
         return self.env_seeds[0]
 
     def of_seed(self, index: int) -> Any:
-        """The agent of the seed with this index, on the CPU, with what it has learnt; itself if there is no other."""
+        """The agent of one seed, on the CPU, with what it has learnt; itself if there is no other."""
         assert index == 0
         return self
 
     def seed_of(self, stream: int, index: int = 0) -> int:
-        """The seed of an update's random numbers: a function of a seed of the run, a stream and the updates so far.
-
-        Nothing of the numbers has to be saved. Stream 0 has the exploring actions.
-        """
+        """The seed of an update's random numbers, a function of a seed of the run, a stream and the updates so far."""
         entropy = [self.seeds[index], stream, self.updates]
         return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0]) >> 1
 
@@ -248,7 +238,7 @@ class Agent(ABC):
         if len(learning) == 1:
             raise ValueError(f"share_policy = True needs several vehicles that learn; {self.env.name} has one")
         utilities = [(self.utilities[v].name, self.utilities[v].arguments) for v in learning if self.utilities]
-        if any(each != utilities[0] for each in utilities):
+        if any(utility != utilities[0] for utility in utilities):
             names = ", ".join(repr(name) for name, _ in utilities)
             raise ValueError(f"share_policy = True needs one utility for all vehicles, not {names}")
         return [tuple(learning)]
@@ -485,14 +475,14 @@ class Agent(ABC):
 
     @contextmanager
     def _located(self, when: str) -> Iterator[None]:
-        """Say in a fault when it happened."""
+        """Say in a fault when it happened, which ends all seeds."""
         try:
             yield
         except Fault as error:
             raise type(error)(f"{when}: {error}") from error
 
     def _training_metrics(self, losses: Mapping[str, Any]) -> dict[int, dict[str, float]]:
-        """By seed that has not failed: means over the episodes that ended since the last call, and the losses."""
+        """By seed: means over the episodes that ended since the last call, and the losses."""
         rows, episodes = {}, self.episodes.take()
         prefixes = [TRAIN + vehicle_prefix(v, self.env.vehicles) for v in range(self.env.vehicles)]
         for seed in self._alive():

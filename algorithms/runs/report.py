@@ -26,7 +26,7 @@ from algorithms.runs.loggers import log_results
 from algorithms.runs.run_directory import METRICS_FILE, imported_paths
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
-from mo_deepdrive.evaluation.episodes import OTHER_ENVS, OUR_ENVS, evaluate
+from mo_deepdrive.evaluation.episodes import evaluate, parallel_envs
 from mo_deepdrive.evaluation.evaluation import Evaluation, write_evaluation
 from mo_deepdrive.evaluation.front import FRONT_FILE, Front, best_known_front, indicators, measure_front
 from mo_deepdrive.evaluation.metrics import ARRIVED, FRONT, GREEDY, STOCHASTIC, SUCCESS, SUITE
@@ -58,8 +58,7 @@ FRONT_EPISODES = 256  # parallel environments for the episodes of all policies o
 
 def evaluation_env(experiment: Experiment, episodes: int) -> VectorEnv:
     """A raw environment for evaluations of ``episodes`` episodes; the caller closes it."""
-    ours = is_ours(find_environment(experiment.environment.id))
-    return make_environment(experiment.environment, min(episodes, OUR_ENVS if ours else OTHER_ENVS))
+    return make_environment(experiment.environment, parallel_envs(experiment.environment.id, episodes))
 
 
 def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:

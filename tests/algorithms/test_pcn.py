@@ -594,27 +594,6 @@ def test_logged_fronts_have_the_logged_indicators() -> None:
         assert metrics == {f"eval/front/{name}": pytest.approx(value) for name, value in expected.items()}
 
 
-# Checkpoints.
-
-
-@pytest.mark.slow
-@EVERYWHERE
-def test_a_resumed_run_is_the_uninterrupted_run(place: str, tmp_path: Path) -> None:
-    whole = small_pcn(place)
-    lines = recorded(whole, TOTAL, log_interval=3)
-    first = small_pcn(place)
-    before = recorded(first, TOTAL, log_interval=3, after_update=lambda agent: agent.updates == 4)
-    assert 0 < first.step < whole.step
-    first.save(tmp_path / "middle.safetensors")
-    second = small_pcn(place, seed=99)  # nothing of its own is left after loading
-    second.load(tmp_path / "middle.safetensors")
-    assert (second.step, second.updates) == (first.step, 4)
-    after = recorded(second, TOTAL, log_interval=3)
-    assert before + after == lines
-    assert same(saved(second, tmp_path), saved(whole, tmp_path))
-    assert second.updates == whole.updates > 5
-
-
 # Fronts.
 
 
