@@ -532,19 +532,19 @@ class Agent(ABC):
         whole = not policy_only
         may_differ = () if whole else ("num_envs", RESIDENT, PARTNERS, GUIDES)
         expected = {**self.get_seed_state(0), EPISODES: self.episodes.totals[0]} if whole else self.get_policy()
-        found, states = [], []
+        headers, states = [], []
         for path in paths:
-            tensors, about = read_checkpoint(path, self.identity(), may_differ, whole=whole)
+            tensors, header = read_checkpoint(path, self.identity(), may_differ, whole=whole)
             states.append(check_tensors(path, tensors, expected, self.varying_shapes, whole=whole))
-            found.append(about)
-        if len(steps := {about[STEP] for about in found}) > 1:
+            headers.append(header)
+        if len(steps := {header[STEP] for header in headers}) > 1:
             named = ", ".join(f"{step:,}" for step in sorted(steps))
             raise ValueError(f"the checkpoints are of the steps {named}; resume those of the same step together")
         if policy_only:
             self.set_policy(states[0])
             return
-        self.step, self.updates = found[0][STEP], found[0][UPDATES]
-        self.seeds = tuple(about[SEED] for about in found)
+        self.step, self.updates = headers[0][STEP], headers[0][UPDATES]
+        self.seeds = tuple(header[SEED] for header in headers)
         self.set_seed_states(states)
         for seed, state in enumerate(states):
             self.episodes.totals[seed] = state[EPISODES]

@@ -61,13 +61,13 @@ def build(
         check_reference_point(experiment.evaluation.reference_point, objectives)
     else:
         options["utility"] = make_utilities(experiment.utility, adapter)
-    for key, able, what in (
+    for key, able, ability in (
         ("partners", algorithm.trains_with_partners, "train with partners"),
         ("guides", algorithm.trains_with_guides or not guides, "train with guides"),
         ("share_policy", algorithm.shares_policies, "share a policy"),
     ):
         if getattr(training, key) and not able:
-            raise ValueError(f"training.{key}: algorithm {experiment.algorithm.name!r} cannot {what}")
+            raise ValueError(f"training.{key}: algorithm {experiment.algorithm.name!r} cannot {ability}")
     if training.partners:
         options["partners"] = _partners(experiment, adapter, idle_only=not partners)
     if training.guides and guides:
@@ -112,11 +112,7 @@ def load_policy(run: Run, *, partners: bool = True) -> Any:
 
 
 def open_driver(name: str, vehicle: int, env: EnvAdapter, action_type: str, **permissions: Any) -> Policy:
-    """What drives a vehicle in an environment with this type of actions.
-
-    It is named by the directory of a run, as a policy of the zoo, or as a scripted driver such as ``rule:gap_3``
-    (``algorithms/driving/named_rules.py``). The permissions are those of :meth:`Run.open`.
-    """
+    """What drives a vehicle: a run, a policy of the zoo, or a scripted driver, such as ``rule:gap_3``, by its name."""
     if is_rule(name):
         return scripted_policy(name, vehicle, env, action_type)
     run = Run.open(name, **permissions)

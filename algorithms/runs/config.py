@@ -210,8 +210,8 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
     return make_experiment(values, f"experiment {str(path)!r}")
 
 
-def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here: bool = True) -> Experiment:
-    """Validate ``values``, which error messages call ``what``, and fill in every default.
+def make_experiment(values: Mapping[str, Any], name: str = "experiment", *, here: bool = True) -> Experiment:
+    """Validate ``values``, which error messages call ``name``, and fill in every default.
 
     ``here`` is whether the experiment will run on this machine, which must then have its device.
     """
@@ -228,7 +228,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     if isinstance(given := values.get("algorithm"), dict):
         # If it is refused, the other sections are checked nevertheless.
         sections["algorithm"] = attempt(_algorithm, given) or AlgorithmSettings(name="", config=Settings())
-    experiment = parse(Experiment, sections, what)
+    experiment = parse(Experiment, sections, name)
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
     environment, config = attempt(_with_every_argument, experiment.environment) or (None, None)
     attempt(check_device, "training.device", training.device, here)
@@ -245,7 +245,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
         if config is not None and not experiment.known_utility:
             front = attempt(_front_evaluation, evaluation, config)
     if problems:
-        raise ValueError(f"invalid {what}: " + "; ".join(problems))
+        raise ValueError(f"invalid {name}: " + "; ".join(problems))
     default = a_twentieth(training.total_timesteps)
     if training.seeds is not None and training.seed not in training.seeds:
         training = training.model_copy(update={"seed": training.seeds[0]})
@@ -297,10 +297,10 @@ def _with_every_argument(settings: EnvironmentSettings) -> tuple[EnvironmentSett
     spec = find_environment(settings.id)
     if not is_ours(spec):
         return settings, None
-    what = f"environment.arguments of {settings.id}"
+    section = f"environment.arguments of {settings.id}"
     if "scenario" in settings.arguments:
-        raise ValueError(f"invalid {what}: 'scenario' is set by the id; choose another id instead")
-    config = parse(EnvConfig, {**spec.kwargs, **settings.arguments}, what)
+        raise ValueError(f"invalid {section}: 'scenario' is set by the id; choose another id instead")
+    config = parse(EnvConfig, {**spec.kwargs, **settings.arguments}, section)
     arguments = config.model_dump(mode="json", exclude={"scenario"})
     return settings.model_copy(update={"arguments": arguments}), config
 
@@ -327,10 +327,7 @@ def _check_utility(experiment: Experiment) -> None:
 
 
 def _front_evaluation(evaluation: EvaluationSettings, config: EnvConfig) -> dict[str, Any]:
-    """The discount and the reference point of a front of this package's environments, where none are given.
-
-    The front of two vehicles has no point by default: the hypervolume of 64 of its policies would take hours.
-    """
+    """The discount and the reference point of a front of this package's environments, where none are given."""
     if config.cost_sign != "maximise":
         raise ValueError(f"environment.arguments.cost_sign = {config.cost_sign!r}: a front needs 'maximise'")
     gamma, point = evaluation.gamma, evaluation.reference_point
@@ -340,6 +337,7 @@ def _front_evaluation(evaluation: EvaluationSettings, config: EnvConfig) -> dict
         from mo_deepdrive.world.params import chosen_objectives
 
         gamma = default_discount(chosen_objectives(config))
+    # Of two vehicles the hypervolume of 64 policies would take hours.
     if point is None and config.scenario_data.vehicles == 1:
         try:
             default = mo_deepdrive.reference_point(config.scenario, config.action_type, gamma, config.objectives)
@@ -402,10 +400,7 @@ def config_names() -> list[str]:
 
 
 def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
-    """The YAML file that a user names: a file, relative to the working directory or to what names it, ``beside``.
-
-    If there is none, it is a shipped one, by its name in :func:`config_names` or its path in a checkout.
-    """
+    """The YAML file that a user names: in the working directory or ``beside`` what names it, or else a shipped one."""
     path = expand_home(name)
     wanted, names = path.as_posix().removeprefix("configs/").removesuffix(".yaml"), config_names()
     candidates = [path] if beside is None else [path, Path(beside).parent / path]
@@ -425,10 +420,7 @@ def is_peer(name: str) -> bool:
 
 
 def find_algorithm(name: object, source: str = "algorithm.name") -> Any:
-    """What has an algorithm's ``known_utility`` and ``Config``: its class, or the entry of another library's.
-
-    ``source`` is the key of its name.
-    """
+    """An algorithm's class, or the entry of another library's, which has its ``known_utility`` and ``Config``, too."""
     if isinstance(name, str) and not is_peer(name):
         return agent_class(name)
     peers = resolve_name("algorithms.peers:PEERS")  # of a layer above this one

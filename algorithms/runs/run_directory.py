@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from algorithms.runs.config import Experiment, directory_name, make_experiment
+from algorithms.runs.config import Experiment, check_loggers, directory_name, make_experiment
 from mo_deepdrive.support.atomic_io import (
     atomic_write,
     expand_home,
@@ -52,10 +52,7 @@ class InUse(ValueError):
 
 
 class Run:
-    """One training run and the directory ``path`` that holds it, made by :meth:`create` or :meth:`open`.
-
-    A process that trains in it holds its lock until the process ends.
-    """
+    """One training run and the directory ``path`` that holds it, made by :meth:`create` or :meth:`open`."""
 
     def __init__(self, path: Path, experiment: Experiment):
         self.path = path
@@ -82,10 +79,10 @@ class Run:
 
     @classmethod
     def open(cls, path: str | Path, *, trust: bool = False, imports: Collection[str] | None = None) -> Run:
-        """The run in an existing directory; or a policy of the zoo, which consists of a run's config and policy.
+        """The run in an existing directory, or a policy of the zoo.
 
-        A config.yaml that names code to import (:func:`imported_paths`) needs ``trust``. A run that drives in another
-        one may import what the config of that one names, which are then ``imports``.
+        A config.yaml that names code to import needs ``trust``; a run that drives in another one may import what the
+        config of that one names, which are then ``imports``.
         """
         path = expand_home(path)
         if not path.is_dir():
@@ -111,7 +108,8 @@ class Run:
         atomic_write(self.path / CONFIG_FILE, dump(self.experiment.to_dict()).encode())
 
     def lock(self) -> None:
-        """Lock the directory until this process ends; temporary files of processes that were killed are removed."""
+        """Lock the directory until this process ends, to train in it; what killed processes left is removed."""
+        check_loggers(self.experiment)
         for entry in self.path.iterdir():
             own_path(self.path, entry.name)
         try:

@@ -11,7 +11,7 @@ from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.training_log import rows_until
 from algorithms.runs.build import build_trainee
-from algorithms.runs.config import Experiment, check_loggers, find_environment, make_experiment
+from algorithms.runs.config import Experiment, find_environment, make_experiment
 from algorithms.runs.console import print_line
 from algorithms.runs.interrupts import PATIENCE, Interrupts, describe, stopped_by
 from algorithms.runs.loggers import Logger
@@ -55,9 +55,8 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
     Several may differ in their seeds alone. ``total_timesteps`` is a new, greater length of the training.
     """
     runs = [Run.open(path, trust=trust) for path in paths]
-    longer = [_longer(run.experiment, total_timesteps) for run in runs]
+    longer = [] if total_timesteps is None else [_longer(run.experiment, total_timesteps) for run in runs]
     for run in runs:
-        check_loggers(run.experiment)
         if run.checkpoint.exists():
             read_checkpoint(run.checkpoint, {}, whole=True)  # a policy of the zoo is refused before a lock is written
     for run in runs:
@@ -67,7 +66,7 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
         for name in (METRICS_FILE, FRONTS_FILE):
             rows_until(run.path / name, agent.step)
     trainee = trainees[0]
-    if total_timesteps is not None:
+    if longer:
         if trainee.schedules:
             raise ValueError(
                 f"training.total_timesteps = {longer[0].training.total_timesteps}: the run cannot be trained longer, "
@@ -82,9 +81,7 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
 
 
 def _longer(experiment: Experiment, total_timesteps: Any) -> Experiment:
-    """An experiment with another length of the training; itself if that is None."""
-    if total_timesteps is None:
-        return experiment
+    """An experiment with a greater length of the training."""
     values = experiment.to_dict()
     values["training"]["total_timesteps"] = total_timesteps
     longer = make_experiment(values)
@@ -166,9 +163,8 @@ def train(
 ) -> int | None:
     """Train to the end of the runs' experiment, or until SIGINT or SIGTERM, and save in either case.
 
-    Stopping and resuming do not affect what is learnt: checkpoints and evaluations depend on the step alone. After a
-    signal the update, or the evaluation, goes on to its end and is saved if that takes no longer than PATIENCE and
-    there is no second SIGINT; else the runs resume from their last checkpoints.
+    After a signal the update, or the evaluation, goes on to its end and is saved if that takes no longer than PATIENCE
+    and there is no second SIGINT; else the runs resume from their last checkpoints.
 
     Several runs are trained side by side by one ``trainee``, which is untrained or of :func:`resume`. ``watch`` is
     called with the step and the metrics of every logged row; ``stop`` after every update: True saves and stops as a

@@ -29,7 +29,7 @@ ALONE: dict[str, tuple[str, str, dict[str, Any], dict[str, Any], dict[str, Any]]
     "one policy for all": ("ppo", ROUNDABOUT, {}, {}, {"share_policy": True}),
     "mappo, one policy": ("mappo", INTERSECTION, {}, {"joint": "gini"}, {"share_policy": True}),
     "conditioned, switching": ("conditioned_mo_ppo", ONE_WAYPOINT, CONTINUOUS, {"switching": 0.2}, {}),
-    "partners": ("mo_ppo", INTERSECTION, {}, {}, {"partners": {"vehicle_1": ["rule:straight_6", "rule:gap_8"]}}),
+    "partners": ("mo_ppo", INTERSECTION, {}, {}, {"partners": {"vehicle_1": ["rule:straight_6", "rule:straight_4"]}}),
     "guides": ("mo_ppo", INTERSECTION, {}, {}, {"guides": {"vehicle_0": {"driver": "rule:gap_6", "decisions": 12}}}),
     "conditioned, guides": (
         *("conditioned_mo_ppo", ONE_WAYPOINT, FIXED, {}),
