@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from algorithms.runs import cli
-from algorithms.runs.config import check_effects, load_experiment
+from algorithms.runs.config import check_effects, check_loggers, load_experiment
 from mo_deepdrive.support.names import nearest
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
         )
     check_effects(experiment, UNUSED, f"algorithm {name!r} is trained by another library")
     prepare(experiment, lambda _step, _metrics: None)
+    check_loggers(experiment)
     return experiment
 
 

@@ -15,7 +15,7 @@ from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.learning.guides import Guide
 from algorithms.learning.threads import set_threads
 from algorithms.reporting.run_records import flatten
-from algorithms.runs.config import Experiment, UtilitySettings, agent_class, find_environment
+from algorithms.runs.config import Experiment, UtilitySettings, agent_class, check_loggers, find_environment
 from algorithms.runs.run_directory import Run, imported_paths
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import check_reference_point
@@ -201,6 +201,7 @@ def make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utili
 def build_trainee(experiments: Sequence[Experiment]) -> Any:
     """The untrained agent of experiments that differ in their seeds alone."""
     first = experiments[0]
+    check_loggers(first)
     if len(seeds := first.training.seeds or []) > 1:
         raise ValueError(f"training.seeds = {seeds}: mo-deepdrive train alone trains several")
     if len(experiments) == 1 and not first.is_resident:

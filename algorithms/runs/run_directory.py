@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from algorithms.runs.config import Experiment, check_loggers, directory_name, make_experiment
+from algorithms.runs.config import Experiment, directory_name, make_experiment
 from mo_deepdrive.support.atomic_io import (
     atomic_write,
     expand_home,
@@ -109,7 +109,6 @@ class Run:
 
     def lock(self) -> None:
         """Lock the directory until this process ends, to train in it; what killed processes left is removed."""
-        check_loggers(self.experiment)
         for entry in self.path.iterdir():
             own_path(self.path, entry.name)
         try:
@@ -186,9 +185,11 @@ def read_status(path: Path) -> dict[str, Any]:
 
 def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
     """What an experiment, which need not be valid, names to be imported: "package.module:name" by its key."""
-    places = [("environment", "id"), ("algorithm", "name"), ("algorithm", "network"), ("utility", "name")]
     vehicles = _entry(values, "utility", "vehicles")
-    places += [("utility", "vehicles", name, "name") for name in (vehicles if isinstance(vehicles, dict) else ())]
+    places = (
+        *(("environment", "id"), ("algorithm", "name"), ("algorithm", "network"), ("utility", "name")),
+        *(("utility", "vehicles", vehicle, "name") for vehicle in (vehicles if isinstance(vehicles, dict) else ())),
+    )
     names = {".".join(map(str, place)): _entry(values, *place) for place in places}
     paths = {key: name for key, name in names.items() if isinstance(name, str) and ":" in name}
     # These modules are imported in any case. Split as Gymnasium does: "gymnasium:evil:ID" is of "gymnasium:evil".
