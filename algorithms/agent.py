@@ -71,7 +71,7 @@ LogFront = Callable[[int, Front], None]
 
 
 @dataclass(frozen=True)
-class EvaluationPlan:
+class EvaluationSchedule:
     """How an agent is evaluated while it trains; :meth:`Agent.train` describes the fields."""
 
     env: VectorEnv
@@ -302,12 +302,12 @@ class Agent(ABC):
         """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
         self.set_state(state)
 
-    def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front | None]:
+    def evaluate(self, schedule: EvaluationSchedule) -> tuple[dict[str, float], Front | None]:
         """Metrics of the current policy, greedy and stochastic; a front too where the agent learns one."""
         metrics: dict[str, float] = {}
-        options: dict[str, Any] = {"episodes": plan.episodes, "seed": plan.seed, "gamma": plan.gamma}
+        options: dict[str, Any] = {"episodes": schedule.episodes, "seed": schedule.seed, "gamma": schedule.gamma}
         for policy in (GREEDY, STOCHASTIC):
-            result = evaluate(self, plan.env, greedy=policy == GREEDY, **options)
+            result = evaluate(self, schedule.env, greedy=policy == GREEDY, **options)
             metrics |= {evaluation_prefix(policy) + name: value for name, value in result.metrics().items()}
         return metrics, None
 
@@ -375,16 +375,18 @@ class Agent(ABC):
             if value is not None and value < least:
                 raise ValueError(f"{name} = {value} must be at least {least}")
         interval = a_twentieth(total_timesteps) if eval_interval is None else eval_interval
-        plan = None
+        schedule = None
         if eval_env is not None:
-            plan = EvaluationPlan(eval_env, eval_episodes, eval_seed, eval_gamma, reference_point, reference_front)
+            schedule = EvaluationSchedule(
+                eval_env, eval_episodes, eval_seed, eval_gamma, reference_point, reference_front
+            )
         self._choose_compiled(total_timesteps)
         logs = [log] if callable(log) else list(log or ())
         log_fronts = [log_front] if callable(log_front) else list(log_front or ())
         if self.step == 0:
             with self._located("before the first update"):
                 self.begin()
-            self._log_evaluations(plan, logs, log_fronts)
+            self._log_evaluations(schedule, logs, log_fronts)
         begun = first = self.step
         started = perf_counter()
         while self.step < total_timesteps:
@@ -404,7 +406,7 @@ class Agent(ABC):
                     logs[seed](self.step, {**row, STEPS_PER_SECOND: (self.step - first) / (now - started)})
             if self.step // interval > before // interval or last:
                 paused = perf_counter()
-                self._log_evaluations(plan, logs, log_fronts)
+                self._log_evaluations(schedule, logs, log_fronts)
                 started += perf_counter() - paused
             if before == begun:  # code may have been compiled, which says nothing of the speed
                 started, first = perf_counter(), self.step
@@ -430,13 +432,13 @@ class Agent(ABC):
             learner.computes_compiled = False if device == "cpu" else compiled  # there it pays for gradient steps alone
 
     def _log_evaluations(
-        self, plan: EvaluationPlan | None, logs: Sequence[Log], log_fronts: Sequence[LogFront]
+        self, schedule: EvaluationSchedule | None, logs: Sequence[Log], log_fronts: Sequence[LogFront]
     ) -> None:
-        if plan is None or not (logs or log_fronts):
+        if schedule is None or not (logs or log_fronts):
             return
         for seed in self._alive():
-            with self._alone(seed, f"in the evaluation at step {self.step:,}"):
-                metrics, front = self.of_seed(seed).evaluate(plan)
+            with self.alone(seed, f"in the evaluation at step {self.step:,}"):
+                metrics, front = self.of_seed(seed).evaluate(schedule)
                 if logs:
                     logs[seed](self.step, metrics)
                 if log_fronts and front is not None:
@@ -445,7 +447,7 @@ class Agent(ABC):
     def _check(self, losses: Mapping[str, Any], when: str) -> None:
         """Find the seeds of which a loss is not finite, or whose worlds or networks have failed."""
         for seed in self._alive():
-            with self._alone(seed, when):
+            with self.alone(seed, when):
                 self.check(seed)
                 check_numbers(_of_seed(losses, seed))
 
@@ -466,7 +468,7 @@ class Agent(ABC):
         return [seed for seed in range(len(self.seeds)) if seed not in self.failed]
 
     @contextmanager
-    def _alone(self, seed: int, when: str) -> Iterator[None]:
+    def alone(self, seed: int, when: str) -> Iterator[None]:
         """Let a fault end this seed alone."""
         try:
             yield
@@ -486,7 +488,7 @@ class Agent(ABC):
         rows, episodes = {}, self.episodes.take()
         prefixes = [TRAIN + vehicle_prefix(v, self.env.vehicles) for v in range(self.env.vehicles)]
         for seed in self._alive():
-            with self._alone(seed, f"in the episodes up to step {self.step:,}"):
+            with self.alone(seed, f"in the episodes up to step {self.step:,}"):
                 vehicles = zip(prefixes, episodes[seed], strict=True)
                 means = {prefix + name: value for prefix, sums in vehicles for name, value in sums.items()}
                 check_numbers(means)
@@ -626,10 +628,10 @@ class FrontAgent(Agent):
         evaluations = self.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=gamma)
         return Front.of_evaluations(evaluations, conditions, names, gamma=gamma, seed=seed).non_dominated()
 
-    def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
+    def evaluate(self, schedule: EvaluationSchedule) -> tuple[dict[str, float], Front]:
         """The front and its indicators."""
-        front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
-        points = {"reference_point": plan.reference_point, "reference_front": plan.reference_front}
+        front = self.front(schedule.env, episodes=schedule.episodes, seed=schedule.seed, gamma=schedule.gamma)
+        points = {"reference_point": schedule.reference_point, "reference_front": schedule.reference_front}
         metrics = measure_front(front, **points, scales=self.env.joint_scales)
         vehicles = range(self.env.vehicles)
         prefixes = [vehicle_prefix(v, len(vehicles)) for v in vehicles]

@@ -28,7 +28,6 @@ from algorithms.runs.progress import ENDED, Dashboard
 from algorithms.runs.run_directory import CONFIG_FILE, InUse, Run, imported_paths, is_run, read_status
 from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.support.machine import available_cores
-from mo_deepdrive.support.yaml import read_mapping
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -61,13 +60,14 @@ class Job:
 
     def open(self) -> Run:
         """The run in the directory, which has this experiment, and may import what it names."""
-        wanted = self.experiment.to_dict()
-        there = imported_paths(read_mapping(self.path / CONFIG_FILE)) if is_run(self.path) else {}
-        allowed = imported_paths(wanted).values()
-        changed = [f"{key} = {name!r} there" for key, name in there.items() if name not in allowed]
-        if not changed:
-            run = Run.open(self.path, trust=True)
-            changed = differences(run.experiment.to_dict(), wanted)
+        values = self.experiment.to_dict()
+        run = Run.open(self.path, imports=imported_paths(values).values())
+        there, wanted = flatten(run.experiment.to_dict()), flatten(values)
+        changed = [
+            f"{key} = {there.get(key)!r} there, {wanted.get(key)!r} wanted"
+            for key in there | wanted
+            if not {key, key.partition(".")[0]} & {*INCIDENTAL} and there.get(key) != wanted.get(key)
+        ]
         if changed:
             raise ValueError(
                 f"run directory {str(self.path)!r} holds another experiment: {'; '.join(changed)}; "
@@ -89,16 +89,6 @@ class Job:
     def unpack(cls, values: Mapping[str, Any]) -> Job:
         """The job from the values of :meth:`packed`."""
         return cls(values["name"], make_experiment(values["experiment"]), Path(values["path"]), values["id"])
-
-
-def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
-    """A line per key that differs between an experiment and the wanted one; INCIDENTAL keys are not compared."""
-    there, wanted = flatten(first), flatten(second)
-    return [
-        f"{key} = {there.get(key)!r} there, {wanted.get(key)!r} wanted"
-        for key in there | wanted
-        if not {key, key.partition(".")[0]} & {*INCIDENTAL} and there.get(key) != wanted.get(key)
-    ]
 
 
 def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | None = None) -> JobOutcome:

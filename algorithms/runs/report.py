@@ -75,7 +75,7 @@ def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
         return 1 if all(np.array_equal(*batch.state[name]) for name in names) else episodes
 
 
-def final_metrics(experiment: Experiment) -> list[str]:
+def final_metric_names(experiment: Experiment) -> list[str]:
     """The names of the metrics that the final evaluation of an experiment may have, as ``stochastic/success``."""
     settings = experiment.evaluation
     with closing(evaluation_env(experiment, 1)) as env:

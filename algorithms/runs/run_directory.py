@@ -96,7 +96,7 @@ class Run:
         values = read_mapping(config)
         advice = "add --trust if you trust whoever made the run"
         if imports is not None:
-            advice = "a run that drives in another may import only what that one's own config names"
+            advice = "only code that the experiment itself names may be imported"
         for key, name in imported_paths(values).items() if not trust else ():
             if name not in (imports or ()):
                 raise ValueError(f"{str(config)!r} has {key} = {name!r}, code that would be imported and run; {advice}")

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 Watch = Callable[[int, Mapping[str, float]], None]
+Stop = Callable[[], bool]
 
 
 def resume(*runs: Run) -> Any:
@@ -97,11 +98,22 @@ def train_and_finish(
     *,
     resumed: bool = False,
     watch: Watch | None = None,
-    stop: Callable[[], bool] | None = None,
+    stop: Stop | None = None,
 ) -> int | None:
-    """Call :func:`train` and, unless it was stopped, :func:`finish`; arguments, result and errors are theirs."""
+    """Train runs to their end and :func:`finish` them, or train until SIGINT or SIGTERM; save in either case.
+
+    After a signal the update, or the evaluation, goes on to its end and is saved if that takes no longer than PATIENCE
+    and there is no second SIGINT; else the runs resume from their last checkpoints.
+
+    Several runs are trained side by side by one ``trainee``, which is untrained or of :func:`resume`. ``watch`` is
+    called with the step and the metrics of every logged row; ``stop`` after every update: True saves and stops as a
+    signal does. After Stopped, where something could not be written, and Fault the last checkpoint is intact.
+
+    Returns:
+        The number of the signal that stopped training, 0 if ``stop`` did, or None if training is complete.
+    """
     runs = [runs] if isinstance(runs, Run) else runs
-    received = train(runs, trainee, console, resumed=resumed, watch=watch, stop=stop)
+    received = _train(runs, trainee, console, resumed, watch, stop)
     for seed, run in enumerate(runs) if received is None else ():
         if seed in trainee.failed:
             continue
@@ -152,27 +164,10 @@ class _Record:
         return f"the checkpoint of step {self.saved:,} is intact" if exists else "there is no checkpoint yet"
 
 
-def train(
-    runs: Sequence[Run],
-    trainee: Any,
-    console: Console,
-    *,
-    resumed: bool = False,
-    watch: Watch | None = None,
-    stop: Callable[[], bool] | None = None,
+def _train(
+    runs: Sequence[Run], trainee: Any, console: Console, resumed: bool, watch: Watch | None, stop: Stop | None
 ) -> int | None:
-    """Train to the end of the runs' experiment, or until SIGINT or SIGTERM, and save in either case.
-
-    After a signal the update, or the evaluation, goes on to its end and is saved if that takes no longer than PATIENCE
-    and there is no second SIGINT; else the runs resume from their last checkpoints.
-
-    Several runs are trained side by side by one ``trainee``, which is untrained or of :func:`resume`. ``watch`` is
-    called with the step and the metrics of every logged row; ``stop`` after every update: True saves and stops as a
-    signal does. After Stopped, where something could not be written, and Fault the last checkpoint is intact.
-
-    Returns:
-        The number of the signal that stopped training, 0 if ``stop`` did, or None if training is complete.
-    """
+    """Train and save; arguments and result are those of :func:`train_and_finish`."""
     experiment = runs[0].experiment
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
     checkpoint_interval = logging.checkpoint_interval or training.total_timesteps
@@ -201,10 +196,8 @@ def train(
     def save(state: Any) -> None:
         for seed, record in enumerate(records):
             if seed not in trainee.failed:
-                try:
+                with trainee.alone(seed, f"in the checkpoint of step {trainee.step:,}"):
                     record.save(trainee.step, partial(trainee.save, seed=seed), state)
-                except Fault as error:
-                    trainee.fail(seed, error, f"in the checkpoint of step {trainee.step:,}")
         note_failures()
 
     def after_update(_: Any) -> bool:

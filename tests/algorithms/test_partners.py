@@ -103,7 +103,7 @@ def test_a_partner_may_import_only_what_the_experiment_itself_names(
 
     mine = saved_run(tmp_path / "mine", naming("mine"))
     assert build(naming("mine", partners={"vehicle_1": [str(mine.path)]})).learners[0].vehicles == (0,)
-    refused = r"training.partners.vehicle_1: .*utility.name = 'partner_code:mine', code that .*; a run that drives in"
+    refused = r"training.partners.vehicle_1: .*utility.name = 'partner_code:mine', code that .*; only code that the exp"
     for experiment in (
         naming("other", partners={"vehicle_1": [str(mine.path)]}),
         experiment_with({"vehicle_1": [str(mine.path)]}),
