@@ -9,7 +9,7 @@ from rich.console import Group
 from rich.text import Text
 
 from algorithms.reporting.tables import fitted_tables
-from algorithms.reporting.training_log import MetricsFile
+from algorithms.reporting.training_log import POLICY, MetricsFile
 from mo_deepdrive.evaluation.metrics import STEP, discounted_return_of, name_and_unit
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, of_three
@@ -33,7 +33,7 @@ class FrontsFile(MetricsFile):
         """Append a front."""
         names = [discounted_return_of(name) for name in front.objectives]
         returns = [dict(zip(names, map(repr, values), strict=True)) for values in front.discounted.tolist()]
-        self._append([{STEP: str(step), "policy": str(k), **cells} for k, cells in enumerate(returns)])
+        self._append([{STEP: str(step), POLICY: str(k), **cells} for k, cells in enumerate(returns)])
 
 
 def covering_policies(front: Front, count: int) -> NDArray[np.intp]:

@@ -287,13 +287,13 @@ class StudyPlan(Plan):
 
     def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
         """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
-        from algorithms.runs.report import final_metrics
+        from algorithms.runs.report import final_metric_names
 
         known: set[str] = set()
         for row in rows:
             if known.issuperset(self.study.columns):
                 return
-            known |= {name.partition("/")[2] for name in final_metrics(row.experiment)}
+            known |= {name.partition("/")[2] for name in final_metric_names(row.experiment)}
         for column in self.study.columns:
             if column not in known:
                 near = nearest_few(column, known)

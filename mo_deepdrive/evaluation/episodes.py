@@ -89,13 +89,17 @@ def evaluate(
             raise ValueError("env_kwargs are for an environment given by its id")
         return _evaluate(policy, env, first + np.arange(episodes), utility, greedy, gamma)
     arguments = dict(env_kwargs or {})
-    at_once = OTHER_ENVS if find_spec(env).vector_entry_point is None else OUR_ENVS
-    with closing(make_env(env, min(episodes, at_once), arguments)) as made:
+    with closing(make_env(env, parallel_envs(env, episodes), arguments)) as made:
         evaluation = _evaluate(policy, made, first + np.arange(episodes), utility, greedy, gamma)
     if not is_drivable(env):
         # The environment itself knows neither the module that registers it nor its arguments.
         evaluation.provenance = Provenance(env, first, gamma, greedy, arguments)
     return evaluation
+
+
+def parallel_envs(env_id: str, episodes: int) -> int:
+    """The number of parallel environments that drive ``episodes`` episodes."""
+    return min(episodes, OTHER_ENVS if find_spec(env_id).vector_entry_point is None else OUR_ENVS)
 
 
 def as_policy(

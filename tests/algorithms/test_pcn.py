@@ -506,9 +506,6 @@ def test_logged_fronts_have_the_logged_indicators() -> None:
         assert metrics == {f"eval/front/{name}": pytest.approx(value) for name, value in expected.items()}
 
 
-# Checkpoints.
-
-
 # Fronts.
 
 

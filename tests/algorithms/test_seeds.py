@@ -42,24 +42,6 @@ def test_a_seed_ends_with_the_same_weights_and_metrics_whatever_seeds_are_beside
 
 @pytest.mark.slow
 @EVERY
-def test_an_interrupted_training_resumes_bit_for_bit(name: str, tmp_path: Path) -> None:
-    whole, part = trainer(name, [3, 4]), trainer(name, [3, 4])
-    rows = trained(whole)
-    before = trained(part, after_update=lambda each: each.step >= 192)
-    paths = [tmp_path / f"{seed}.safetensors" for seed in range(2)]
-    for seed, path in enumerate(paths):
-        part.save(path, seed)
-    resumed = trainer(name, [8, 9])
-    resumed.load(*paths)
-    assert resumed.seeds == (3, 4)
-    after = trained(resumed)
-    for seed in range(2):
-        assert before[seed] + after[seed] == rows[seed]
-        assert torch.equal(weights(whole, seed), weights(resumed, seed))
-
-
-@pytest.mark.slow
-@EVERY
 def test_the_agent_of_a_seed_acts_on_with_what_it_has_learnt(name: str) -> None:
     several = trainer(name, [3, 4])
     trained(several)
