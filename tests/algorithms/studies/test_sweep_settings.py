@@ -30,6 +30,10 @@ def refused(folder: Path, **settings: Any) -> str:
         ({"overrides": {RATE: 0.1}}, [f"'{RATE}' is in overrides and in grid"]),
         ({"grid": {"seed": [1, 2]}}, ["'seed' in grid: set seeds with the key 'seeds'"]),
         ({"overrides": {"training": {"seed": 1}}}, ["'training.seed' in overrides: set seeds with the key 'seeds'"]),
+        (
+            {"search": {"space": {RATE: [1, 2]}, "metric": METRIC, "trials": 1, "sampler": "random", "batch": 2}},
+            ["'batch' has no effect with the sampler 'random'"],
+        ),
         ({"seeds": [3, 5, 3]}, ["'seeds' = [3, 5, 3]: it has a duplicate"]),
         ({"grid": {RATE: []}}, [f"'grid.{RATE}' = []"]),
         ({"resources": {"cpus": 0}}, ["'resources.cpus' = 0"]),
@@ -61,7 +65,7 @@ def test_an_invalid_setting_is_refused_with_its_name(
 )
 def test_an_invalid_range_is_refused_with_its_key(tmp_path: Path, values: Any, message: str) -> None:
     file = write_sweep(tmp_path, search={"space": {RATE: values}, "metric": METRIC, "trials": 1})
-    with pytest.raises(ValueError, match="search.space") as error:
+    with pytest.raises(ValueError, match=r"search\.space") as error:
         SweepPlan(load_sweep(file)).rows(Scores())
     said = str(error.value)
     assert f"search.space.{RATE}" in said
