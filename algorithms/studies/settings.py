@@ -189,6 +189,12 @@ class SearchSettings(Settings):
     seed: Seed = 0
     """Seed of the sampler."""
 
+    @model_validator(mode="after")
+    def _check(self) -> SearchSettings:
+        if self.sampler == "random" and "batch" in self.model_fields_set:
+            raise ValueError("'batch' has no effect with the sampler 'random', which chooses all points in advance")
+        return self
+
 
 class SweepSettings(PlanSettings):
     """A sweep: a base experiment, what varies, and the resources of each run."""
@@ -363,6 +369,11 @@ def problems_of(study: Study) -> list[str]:
     for place, seeds in counted.items() if study.tuning else ():
         if both := set(seeds) & set(tuning.seeds):
             problems.append(f"{place} has {min(both)}, a seed of the tuning; take others")
+    tasks = study.tasks.values()
+    if study.metric is not None and all(task.task or task.metric for task in tasks):
+        problems.append("metric has no effect: every task has its own")
+    if "seeds" in study.model_fields_set and all(task.seeds for task in tasks):
+        problems.append("seeds has no effect: every task has its own")
     if study.ray.asha is not None:
         problems.append("ray.asha would prune runs that count")
     return problems

@@ -169,6 +169,7 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
         ({"tuning": {"values": {RATE: [0.1] * 13}}}, "13 tuning runs of a learner; at most 12"),
         ({"learners": {"a": {"tuning": {RATE: [0.1]}}, "b": {}}}, "the same number of tuning runs, not a 1, b 2"),
         ({"learners": {"a": {}}}, "learner 'a' on task 'short' has no algorithm"),
+        ({"tasks": ["K1"]}, "metric has no effect: every task has its own"),
         (
             {"tasks": {"K1": {"task": "K1", "steps": 10**8}}, "metric": None},
             r"training.total_timesteps = 100,000,000: evaluation.task = 'K1' allows 3,000,000 environment steps",

@@ -30,6 +30,10 @@ def refused(folder: Path, **settings: Any) -> str:
         ({"overrides": {RATE: 0.1}}, [f"'{RATE}' is in overrides and in grid"]),
         ({"grid": {"seed": [1, 2]}}, ["'seed' in grid: set seeds with the key 'seeds'"]),
         ({"overrides": {"training": {"seed": 1}}}, ["'training.seed' in overrides: set seeds with the key 'seeds'"]),
+        (
+            {"search": {"space": {RATE: [1, 2]}, "metric": METRIC, "trials": 1, "sampler": "random", "batch": 2}},
+            ["'batch' has no effect with the sampler 'random'"],
+        ),
         ({"seeds": [3, 5, 3]}, ["'seeds' = [3, 5, 3]: it has a duplicate"]),
         ({"grid": {RATE: []}}, [f"'grid.{RATE}' = []"]),
         ({"resources": {"cpus": 0}}, ["'resources.cpus' = 0"]),
