@@ -81,24 +81,46 @@ def turned(points: Points, angle: float) -> Points:
 
 
 class Canvas:
-    """Draws in metres (x to the right, y up) on a surface that shows ``reach`` m to each side of the map's centre."""
+    """Draws in metres (x to the right, y up) on a surface that shows ``reach`` m to each side of the map's centre.
+
+    Attributes:
+        touched: rectangles of pixels that cover everything drawn so far; their sides are even.
+    """
 
     def __init__(self, surface: pygame.Surface, reach: float):
         self.surface = surface
         self.reach = reach
         self.scale = MAP_PIXELS * SUPERSAMPLING / (2 * reach)  # pixels per metre
+        self.touched: list[pygame.Rect] = []
 
     def pixels(self, points: ArrayLike) -> NDArray[np.int64]:
         """Pixels (points, 2) of ``points`` (points, 2)."""
         offset = (np.array(points) - MAP_CENTRE) * (self.scale, -self.scale) + MAP_PIXELS * SUPERSAMPLING / 2
         return np.rint(offset).astype(np.int64)
 
+    def touch(self, area: pygame.Rect) -> None:
+        """Record a rectangle that was drawn on; it is merged with one that it overlaps."""
+        area = area.inflate(4, 4).clip(self.surface.get_rect())
+        if not area:
+            return  # nothing of it is on the surface
+        left, top = area.left // SUPERSAMPLING * SUPERSAMPLING, area.top // SUPERSAMPLING * SUPERSAMPLING
+        width, height = (-(-size // SUPERSAMPLING) * SUPERSAMPLING for size in (area.right - left, area.bottom - top))
+        area = pygame.Rect(left, top, width, height)
+        overlapped = area.collidelist(self.touched)
+        if overlapped >= 0:
+            self.touched[overlapped].union_ip(area)
+        else:
+            self.touched.append(area)
+
     def polygon(self, points: ArrayLike, colour: Colour) -> None:
         """A filled polygon, blended with the background if ``colour`` has an alpha."""
-        pixels = self.pixels(points).tolist()
+        corners = self.pixels(points)
+        pixels = corners.tolist()
         gfxdraw.filled_polygon(self.surface, pixels, colour)
         if len(colour) == 3:
             gfxdraw.aapolygon(self.surface, pixels, colour)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        self.touch(pygame.Rect(low.tolist(), (high - low + 1).tolist()))
 
     def line(self, start: ArrayLike, end: ArrayLike, width: float, colour: Colour) -> None:
         """A straight line with blunt ends."""
@@ -195,6 +217,7 @@ class Canvas:
         area = pieces[0].unionall(pieces[1:])
         self.surface.blit(sheet, area, area)
         sheet.fill((0, 0, 0, 0), area)
+        self.touch(area)
 
     def bicycle(self, ends: Points) -> None:
         """A bicycle from ``ends[0]`` to ``ends[1]``; collisions are with the line between them."""

@@ -2,7 +2,7 @@
 
 A :class:`Viewer` reads the state of one world. For trails and sums it keeps the decisions drawn so far in the episode.
 Everything is drawn at twice the size and scaled down, which smooths edges, on surfaces in memory; only
-``render_mode="human"`` needs a display. Static parts are drawn once.
+``render_mode="human"`` needs a display. Static parts are drawn and scaled once.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def signals_left(vehicle: Any) -> bool:
 
 
 class Panel:
-    """The readings beside the map.
+    """The readings beside the map; their labels are drawn once.
 
     Readings are magnitudes; rewards have the signs that the environment gives them (``reward_signs``, per objective).
     Positions are in pixels of the final frame, from the panel's upper left corner.
@@ -112,24 +112,28 @@ class Panel:
         self._title = title
         self._objectives = objectives
         self._signs = reward_signs
+        self._vehicles = vehicles
         self._decision_frequency = decision_frequency
         self._alone = vehicles == 1
-        self._spacing = min(44.0, 620.0 / vehicles)  # of the rows of more than two vehicles
+        self._many = vehicles > 2
+        self._spacing = min(44.0, 620.0 / vehicles)  # of the rows of many vehicles
         self._pitch = 1.6 if self._alone else 1.0  # factor of vertical distances
         self._row = min(22.0, (230.0 if self._alone else 158.0) / len(objectives))  # height of an objective
         self._fonts: dict[int, pygame.font.Font] = {}
         self._surface = pygame.Surface((PANEL_PIXELS, MAP_PIXELS), 0, 32)
+        self._labels: pygame.Surface | None = None
 
     def draw(self, world: NDArray[Any], trace: EpisodeTrace) -> pygame.Surface:
         """The panel for ``world`` (vehicles,)."""
         pygame.font.init()  # and new fonts for every frame: other environments quit pygame when they close
         self._fonts.clear()
-        self._surface.fill(PANEL)
-        self._write(self._title, 20, 34, 34, TEXT)
+        if self._labels is None:
+            self._draw_labels()
+            self._labels = self._surface.copy()
+        self._surface.blit(self._labels, (0, 0))
         self._write(f"{world['decisions'].max() / self._decision_frequency:.1f} s", -316, 34, 34, TEXT)
-        self._rectangle(20, 60, 296, 1, RULE)
         for v, vehicle in enumerate(world):
-            if len(world) > 2:
+            if self._many:
                 self._draw_row(v, vehicle)
             else:
                 self._draw_readings(v, vehicle, trace)
@@ -138,51 +142,61 @@ class Panel:
     def _draw_row(self, v: int, vehicle: Any) -> None:
         """The speed of one of many vehicles and what remains of its route, or how it ended."""
         row = 86 + self._spacing * v
-        self._name(f"Vehicle {v}", VEHICLE_COLOURS[v], row, 20)
         if vehicle.end == RUNNING:
             self._write(f"{vehicle.speed:,.1f} m/s", -220, row, 20, TEXT)
             self._write(f"{vehicle.route_distance:,.0f} m", -306, row, 20, DIM)
         else:
-            self._end(vehicle, row, self._seconds(vehicle))
+            end = f"{titled(ENDS[vehicle.end])}, {vehicle.decisions / self._decision_frequency:.1f} s"
+            self._write(end, -306, row, 20, TEXT, END_COLOURS.get(int(vehicle.end), FAILURE))
+
+    def _height(self, v: int, offset: float) -> float:
+        """Vertical position of a point ``offset`` below the top of the section of vehicle ``v``."""
+        return 72.0 + 322.0 * v + offset * self._pitch
+
+    def _tile(self, v: int, k: int) -> tuple[float, float]:
+        """Left and upper edge of the tile of the ``k``-th reading."""
+        return 20 + 152 * (k % 2), self._height(v, 32 + 48 * (k // 2))
+
+    def _draw_labels(self) -> None:
+        self._surface.fill(PANEL)
+        self._write(self._title, 20, 34, 34, TEXT)
+        self._rectangle(20, 60, 296, 1, RULE)
+        for v in range(self._vehicles if self._many else 0):
+            row = 86 + self._spacing * v
+            self._rectangle(20, row - 7, 14, 14, VEHICLE_COLOURS[v], radius=4)
+            self._write(f"Vehicle {v}", 44, row, 20, TEXT)
+        for v in range(0 if self._many else self._vehicles):
+            row = self._height(v, 12)
+            self._rectangle(20, row - 7, 14, 14, VEHICLE_COLOURS[v], radius=4)
+            self._write("Vehicle" if self._alone else f"Vehicle {v}", 44, row, 24, TEXT)
+            for k, (_, name, unit) in enumerate(READINGS):
+                left, upper = self._tile(v, k)
+                self._rectangle(left, upper, 144, 42 * self._pitch, TILE, radius=6)
+                self._write(name, left + 10, upper + 12 * self._pitch, 18, DIM)
+                self._write(unit, -(left + 134), upper + 29 * self._pitch, 18, DIM)
+            for text, x in (("Reward", 20), ("this decision", -226), ("episode", -316)):
+                self._write(text, x, self._height(v, 142), 18, DIM)
+            for k, name in enumerate(self._objectives):
+                row = self._height(v, 164 + self._row * k)
+                unit = OBJECTIVES[INDEX[name]].unit.replace("^2", "²").replace("^3", "³")
+                self._rectangle(20, row - 11 * self._pitch, 296, 1, RULE)
+                name_end = self._write(titled(name), 20, row, 21, TEXT)
+                if unit != "1":
+                    self._write(unit, name_end + 6, row + 1, 16, DIM)
 
     def _draw_readings(self, v: int, vehicle: Any, trace: EpisodeTrace) -> None:
-        """The section of one of two vehicles, or of the only one."""
-
-        def height(offset: float) -> float:
-            return 72.0 + 322.0 * v + offset * self._pitch
-
-        self._name("Vehicle" if self._alone else f"Vehicle {v}", VEHICLE_COLOURS[v], height(12), 24)
-        # The other vehicle may still drive.
-        self._end(vehicle, height(12), "" if vehicle.end == RUNNING or self._alone else self._seconds(vehicle))
-        for k, (field, name, unit) in enumerate(READINGS):
-            left, upper = 20 + 152 * (k % 2), height(32 + 48 * (k // 2))
-            self._rectangle(left, upper, 144, 42 * self._pitch, TILE, radius=6)
-            self._write(name, left + 10, upper + 12 * self._pitch, 18, DIM)
-            self._write(unit, -(left + 134), upper + 29 * self._pitch, 18, DIM)
+        end = titled(ENDS[vehicle.end]) or "Driving"
+        if vehicle.end != RUNNING and not self._alone:  # where the other vehicle may still drive
+            end += f", {vehicle.decisions / self._decision_frequency:.1f} s"
+        self._write(end, -306, self._height(v, 12), 20, TEXT, END_COLOURS.get(int(vehicle.end), FAILURE))
+        for k, (field, *_) in enumerate(READINGS):
+            left, upper = self._tile(v, k)
             self._write(f"{vehicle[field]:,.2f}", left + 10, upper + 29 * self._pitch, 26, TEXT)
-        for text, x in (("Reward", 20), ("this decision", -226), ("episode", -316)):
-            self._write(text, x, height(142), 18, DIM)
-        for k, (name, sign) in enumerate(zip(self._objectives, self._signs, strict=True)):
-            row = height(164 + self._row * k)
-            unit = OBJECTIVES[INDEX[name]].unit.replace("^2", "²").replace("^3", "³")
-            self._rectangle(20, row - 11 * self._pitch, 296, 1, RULE)
-            name_end = self._write(titled(name), 20, row, 21, TEXT)
-            if unit != "1":
-                self._write(unit, name_end + 6, row + 1, 16, DIM)
+        for k, sign in enumerate(self._signs):
+            row = self._height(v, 164 + self._row * k)
             self._write(reward_text(sign * trace.magnitudes[v, k]), -226, row, 21, TEXT)
             total = reward_text(sign * trace.sums[v, k]) if trace.complete[v] else "—"
             self._write(total, -316, row, 21, TEXT)
-
-    def _name(self, text: str, colour: Colour, row: float, size: int) -> None:
-        self._rectangle(20, row - 7, 14, 14, colour, radius=4)
-        self._write(text, 44, row, size, TEXT)
-
-    def _end(self, vehicle: Any, row: float, seconds: str) -> None:
-        text = ", ".join(filter(None, (titled(ENDS[vehicle.end]) or "Driving", seconds)))
-        self._write(text, -306, row, 20, TEXT, END_COLOURS.get(int(vehicle.end), FAILURE))
-
-    def _seconds(self, vehicle: Any) -> str:
-        return f"{vehicle.decisions / self._decision_frequency:.1f} s"
 
     def _rectangle(self, left: float, top: float, width: float, height: float, colour: Colour, radius: int = 0) -> None:
         """A rectangle with smooth round corners."""
@@ -268,7 +282,8 @@ class Viewer:
         )
         large = (MAP_PIXELS * SUPERSAMPLING, MAP_PIXELS * SUPERSAMPLING)
         self._ground = Canvas(pygame.Surface(large, 0, 32), math.inf)
-        self._map = pygame.Surface(large, 0, 32)
+        self._small_ground = pygame.Surface((MAP_PIXELS, MAP_PIXELS), 0, 32)
+        self._map = pygame.Surface(large, 0, 32)  # the ground; while drawing, with everything on it
         self._sheet = pygame.Surface(large, pygame.SRCALPHA, 32)
         self._frame = pygame.Surface(FRAME_SIZE, 0, 32)
         self._clock = pygame.time.Clock()
@@ -333,7 +348,6 @@ class Viewer:
         reach = reach_of(world, self._roads)
         if reach != self._ground.reach:
             self._draw_ground(reach)
-        self._map.blit(self._ground.surface, (0, 0))
         canvas = Canvas(self._map, reach)
         for vehicle, positions, colour in zip(world, self._trace.trails, VEHICLE_COLOURS, strict=False):
             if self._roads:
@@ -352,8 +366,12 @@ class Viewer:
         for v in order if len(world) <= 2 else order[world["end"][order] == RUNNING]:
             number = int(v) if len(world) > 1 else None
             canvas.vehicle(world[v], VEHICLE_COLOURS[v], number, signals=self._signal_is_lit(world[v]))
-        shown = self._frame.subsurface((0, 0, MAP_PIXELS, MAP_PIXELS))
-        pygame.transform.smoothscale(self._map, shown.get_size(), shown)
+        self._frame.blit(self._small_ground, (0, 0))
+        for area in canvas.touched:
+            small = pygame.Rect(*(side // SUPERSAMPLING for side in area))
+            pygame.transform.smoothscale(self._map.subsurface(area), small.size, self._frame.subsurface(small))
+        for area in canvas.touched:
+            self._map.blit(self._ground.surface, area, area)
 
     def _signal_is_lit(self, vehicle: Any) -> bool:
         """Whether the left turn signal of a vehicle is lit; those who face oncoming cars have one, which flashes."""
@@ -369,3 +387,5 @@ class Viewer:
             self._ground.roads()
         else:
             self._ground.grid()
+        pygame.transform.smoothscale(self._ground.surface, self._small_ground.get_size(), self._small_ground)
+        self._map.blit(self._ground.surface, (0, 0))

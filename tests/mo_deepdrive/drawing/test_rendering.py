@@ -157,20 +157,15 @@ def test_the_panel_shows_the_return_with_the_sign_of_the_rewards(
     viewer.draw(batch.state[0])
     returns = np.zeros(len(viewer.objectives))
     written: list[tuple[str, float]] = []
-
-    def write(_: Panel, text: str, x: float, *__: Any) -> float:
-        written.append((text, x))
-        return 0.0
-
-    monkeypatch.setattr(Panel, "_write", write)
+    monkeypatch.setattr(Panel, "_write", lambda _, text, x, *__: written.append((text, x)))
     for _ in range(12):
         drive(batch)
         returns += batch.rewards[0, 0]
         written.clear()
         viewer.draw(batch.state[0])
     assert (returns[viewer.objectives.index("g_force")] < -0.01) == (cost_sign == "maximise")
-    _, _, *totals = [text for text, x in written if x == -316]  # below the time and "episode"
-    _, *decision = [text for text, x in written if x == -226]
+    _, *totals = [text for text, x in written if x == -316]  # below the time
+    decision = [text for text, x in written if x == -226]
     assert list(map(float, totals)) == pytest.approx(returns, abs=0.006)
     assert list(map(float, decision)) == pytest.approx(batch.rewards[0, 0], abs=0.006)
     assert "-0.00" not in [text for text, _ in written]
