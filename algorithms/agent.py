@@ -71,7 +71,7 @@ LogFront = Callable[[int, Front], None]
 
 
 @dataclass(frozen=True)
-class EvaluationPlan:
+class EvaluationSchedule:
     """How an agent is evaluated while it trains; :meth:`Agent.train` describes the fields."""
 
     env: VectorEnv
@@ -120,18 +120,16 @@ class Agent(ABC):
         trains_on_devices: whether it can train on a GPU, and several seeds side by side.
         compiled_saves: seconds by which a compiled gradient step is shorter.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read.
-        env: the training environment, an :class:`mo_deepdrive.evaluation.env_adapter.EnvAdapter`: its reset and step
-            are in shapes (N, V, ...).
+        env: the training environment, an EnvAdapter: its reset and step are in shapes (N, V, ...).
         learners: what learns by gradient steps, each a Learner.
         scales: (d,) nominal size of each objective's return.
         utilities: one per vehicle; empty where none is known.
-        seed, seeds: the only seed or the first one, and all S of them.
+        seeds: all S of them.
         failed: why seeds ended before the others, by their indices.
         step: environment steps that each seed has taken, over all its parallel environments.
         updates: rollouts, or rounds of episodes, that have been collected.
         episodes: sums over those that ended since training metrics were last logged.
-        initial: generator of the initial weights.
-        generator: generator of the exploring actions, seeded anew before every update of :meth:`train`.
+        initial, generator: of the initial weights, and of the exploring actions of an update.
 
     Raises:
         ValueError: for unknown or invalid hyperparameters, spaces or utilities.
@@ -183,25 +181,20 @@ class Agent(ABC):
                 "the CPU"
             )
         self.utilities: list[Utility] = list(vehicle_utilities(utility, self.env))
-        if self.resident:
-            self._check_utilities()
+        for known in self.utilities if self.resident else ():  # they are called for all seeds at once
+            try:
+                torch.func.vmap(known.unchecked())(torch.zeros(2, 3, len(self.env.objectives), device=self.device))
+            except Exception as error:
+                raise ValueError(
+                    f"utility {known.name!r} cannot be calculated for several seeds at once, because of "
+                    f"{origin(error)}; take operations of torch on whole tensors, such as torch.where instead of if"
+                ) from error
         self.step, self.updates = 0, 0
         self.failed: dict[int, str] = {}
         self.initial = self.initial_generator(0)
         self.generator = torch.Generator(self.device).manual_seed(self.seed_of(ACTIONS))
-        unchecked = [each.unchecked() for each in self.utilities]
+        unchecked = [known.unchecked() for known in self.utilities]
         self.episodes = EpisodeSums(len(self.seeds), self.env.vehicles, self.env.objectives, unchecked, self.device)
-
-    def _check_utilities(self) -> None:
-        """Refuse utilities that cannot be called for all seeds at once."""
-        for utility in self.utilities:
-            try:
-                torch.func.vmap(utility.unchecked())(torch.zeros(2, 3, len(self.env.objectives), device=self.device))
-            except Exception as error:
-                raise ValueError(
-                    f"utility {utility.name!r} cannot be calculated for several seeds at once, because of "
-                    f"{origin(error)}; take operations of torch on whole tensors, such as torch.where instead of if"
-                ) from error
 
     @property
     def seed(self) -> int:
@@ -215,7 +208,7 @@ class Agent(ABC):
     @property
     def env_seeds(self) -> list[int]:
         """Of the first reset of every seed's training environment."""
-        return [FIRST_TRAINING_SEED + int(np.random.SeedSequence(each).generate_state(2)[1]) for each in self.seeds]
+        return [FIRST_TRAINING_SEED + int(np.random.SeedSequence(seed).generate_state(2)[1]) for seed in self.seeds]
 
     @property
     def env_seed(self) -> int:
@@ -223,15 +216,12 @@ class Agent(ABC):
         return self.env_seeds[0]
 
     def of_seed(self, index: int) -> Any:
-        """The agent of the seed with this index, on the CPU, with what it has learnt; itself if there is no other."""
+        """The agent of one seed, on the CPU, with what it has learnt; itself if there is no other."""
         assert index == 0
         return self
 
     def seed_of(self, stream: int, index: int = 0) -> int:
-        """The seed of an update's random numbers: a function of a seed of the run, a stream and the updates so far.
-
-        Nothing of the numbers has to be saved. Stream 0 has the exploring actions.
-        """
+        """The seed of an update's random numbers, a function of a seed of the run, a stream and the updates so far."""
         entropy = [self.seeds[index], stream, self.updates]
         return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0]) >> 1
 
@@ -248,7 +238,7 @@ class Agent(ABC):
         if len(learning) == 1:
             raise ValueError(f"share_policy = True needs several vehicles that learn; {self.env.name} has one")
         utilities = [(self.utilities[v].name, self.utilities[v].arguments) for v in learning if self.utilities]
-        if any(each != utilities[0] for each in utilities):
+        if any(utility != utilities[0] for utility in utilities):
             names = ", ".join(repr(name) for name, _ in utilities)
             raise ValueError(f"share_policy = True needs one utility for all vehicles, not {names}")
         return [tuple(learning)]
@@ -312,12 +302,12 @@ class Agent(ABC):
         """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
         self.set_state(state)
 
-    def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front | None]:
+    def evaluate(self, schedule: EvaluationSchedule) -> tuple[dict[str, float], Front | None]:
         """Metrics of the current policy, greedy and stochastic; a front too where the agent learns one."""
         metrics: dict[str, float] = {}
-        options: dict[str, Any] = {"episodes": plan.episodes, "seed": plan.seed, "gamma": plan.gamma}
+        options: dict[str, Any] = {"episodes": schedule.episodes, "seed": schedule.seed, "gamma": schedule.gamma}
         for policy in (GREEDY, STOCHASTIC):
-            result = evaluate(self, plan.env, greedy=policy == GREEDY, **options)
+            result = evaluate(self, schedule.env, greedy=policy == GREEDY, **options)
             metrics |= {evaluation_prefix(policy) + name: value for name, value in result.metrics().items()}
         return metrics, None
 
@@ -385,16 +375,18 @@ class Agent(ABC):
             if value is not None and value < least:
                 raise ValueError(f"{name} = {value} must be at least {least}")
         interval = a_twentieth(total_timesteps) if eval_interval is None else eval_interval
-        plan = None
+        schedule = None
         if eval_env is not None:
-            plan = EvaluationPlan(eval_env, eval_episodes, eval_seed, eval_gamma, reference_point, reference_front)
+            schedule = EvaluationSchedule(
+                eval_env, eval_episodes, eval_seed, eval_gamma, reference_point, reference_front
+            )
         self._choose_compiled(total_timesteps)
         logs = [log] if callable(log) else list(log or ())
         log_fronts = [log_front] if callable(log_front) else list(log_front or ())
         if self.step == 0:
             with self._located("before the first update"):
                 self.begin()
-            self._log_evaluations(plan, logs, log_fronts)
+            self._log_evaluations(schedule, logs, log_fronts)
         begun = first = self.step
         started = perf_counter()
         while self.step < total_timesteps:
@@ -414,7 +406,7 @@ class Agent(ABC):
                     logs[seed](self.step, {**row, STEPS_PER_SECOND: (self.step - first) / (now - started)})
             if self.step // interval > before // interval or last:
                 paused = perf_counter()
-                self._log_evaluations(plan, logs, log_fronts)
+                self._log_evaluations(schedule, logs, log_fronts)
                 started += perf_counter() - paused
             if before == begun:  # code may have been compiled, which says nothing of the speed
                 started, first = perf_counter(), self.step
@@ -440,13 +432,13 @@ class Agent(ABC):
             learner.computes_compiled = False if device == "cpu" else compiled  # there it pays for gradient steps alone
 
     def _log_evaluations(
-        self, plan: EvaluationPlan | None, logs: Sequence[Log], log_fronts: Sequence[LogFront]
+        self, schedule: EvaluationSchedule | None, logs: Sequence[Log], log_fronts: Sequence[LogFront]
     ) -> None:
-        if plan is None or not (logs or log_fronts):
+        if schedule is None or not (logs or log_fronts):
             return
         for seed in self._alive():
-            with self._alone(seed, f"in the evaluation at step {self.step:,}"):
-                metrics, front = self.of_seed(seed).evaluate(plan)
+            with self.alone(seed, f"in the evaluation at step {self.step:,}"):
+                metrics, front = self.of_seed(seed).evaluate(schedule)
                 if logs:
                     logs[seed](self.step, metrics)
                 if log_fronts and front is not None:
@@ -455,7 +447,7 @@ class Agent(ABC):
     def _check(self, losses: Mapping[str, Any], when: str) -> None:
         """Find the seeds of which a loss is not finite, or whose worlds or networks have failed."""
         for seed in self._alive():
-            with self._alone(seed, when):
+            with self.alone(seed, when):
                 self.check(seed)
                 check_numbers(_of_seed(losses, seed))
 
@@ -476,7 +468,7 @@ class Agent(ABC):
         return [seed for seed in range(len(self.seeds)) if seed not in self.failed]
 
     @contextmanager
-    def _alone(self, seed: int, when: str) -> Iterator[None]:
+    def alone(self, seed: int, when: str) -> Iterator[None]:
         """Let a fault end this seed alone."""
         try:
             yield
@@ -485,18 +477,18 @@ class Agent(ABC):
 
     @contextmanager
     def _located(self, when: str) -> Iterator[None]:
-        """Say in a fault when it happened."""
+        """Say in a fault when it happened, which ends all seeds."""
         try:
             yield
         except Fault as error:
             raise type(error)(f"{when}: {error}") from error
 
     def _training_metrics(self, losses: Mapping[str, Any]) -> dict[int, dict[str, float]]:
-        """By seed that has not failed: means over the episodes that ended since the last call, and the losses."""
+        """By seed: means over the episodes that ended since the last call, and the losses."""
         rows, episodes = {}, self.episodes.take()
         prefixes = [TRAIN + vehicle_prefix(v, self.env.vehicles) for v in range(self.env.vehicles)]
         for seed in self._alive():
-            with self._alone(seed, f"in the episodes up to step {self.step:,}"):
+            with self.alone(seed, f"in the episodes up to step {self.step:,}"):
                 vehicles = zip(prefixes, episodes[seed], strict=True)
                 means = {prefix + name: value for prefix, sums in vehicles for name, value in sums.items()}
                 check_numbers(means)
@@ -542,19 +534,19 @@ class Agent(ABC):
         whole = not policy_only
         may_differ = () if whole else ("num_envs", RESIDENT, PARTNERS, GUIDES)
         expected = {**self.get_seed_state(0), EPISODES: self.episodes.totals[0]} if whole else self.get_policy()
-        found, states = [], []
+        headers, states = [], []
         for path in paths:
-            tensors, about = read_checkpoint(path, self.identity(), may_differ, whole=whole)
+            tensors, header = read_checkpoint(path, self.identity(), may_differ, whole=whole)
             states.append(check_tensors(path, tensors, expected, self.varying_shapes, whole=whole))
-            found.append(about)
-        if len(steps := {about[STEP] for about in found}) > 1:
+            headers.append(header)
+        if len(steps := {header[STEP] for header in headers}) > 1:
             named = ", ".join(f"{step:,}" for step in sorted(steps))
             raise ValueError(f"the checkpoints are of the steps {named}; resume those of the same step together")
         if policy_only:
             self.set_policy(states[0])
             return
-        self.step, self.updates = found[0][STEP], found[0][UPDATES]
-        self.seeds = tuple(about[SEED] for about in found)
+        self.step, self.updates = headers[0][STEP], headers[0][UPDATES]
+        self.seeds = tuple(header[SEED] for header in headers)
         self.set_seed_states(states)
         for seed, state in enumerate(states):
             self.episodes.totals[seed] = state[EPISODES]
@@ -636,10 +628,10 @@ class FrontAgent(Agent):
         evaluations = self.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=gamma)
         return Front.of_evaluations(evaluations, conditions, names, gamma=gamma, seed=seed).non_dominated()
 
-    def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
+    def evaluate(self, schedule: EvaluationSchedule) -> tuple[dict[str, float], Front]:
         """The front and its indicators."""
-        front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
-        points = {"reference_point": plan.reference_point, "reference_front": plan.reference_front}
+        front = self.front(schedule.env, episodes=schedule.episodes, seed=schedule.seed, gamma=schedule.gamma)
+        points = {"reference_point": schedule.reference_point, "reference_front": schedule.reference_front}
         metrics = measure_front(front, **points, scales=self.env.joint_scales)
         vehicles = range(self.env.vehicles)
         prefixes = [vehicle_prefix(v, len(vehicles)) for v in vehicles]

@@ -104,21 +104,11 @@ def prepare_process(defaults: Mapping[str, str]) -> None:
 
 def _command(arguments: list[str]) -> str:
     """The name of the command with which a command line begins."""
-    import argparse
-
     import mo_deepdrive
     from algorithms.commands import COMMANDS
-    from algorithms.runs.cli import Parser
+    from algorithms.runs.cli import first_word, make_parser
 
-    parser = Parser(
-        prog="mo-deepdrive",
-        usage="%(prog)s COMMAND ...",
-        description="Multi-objective driving environments, and trainers for them.",
-        epilog="\n".join(
-            ["commands:", *(f"  {name:12}{what}" for name, what in COMMANDS.items()), "", "COMMAND --help: its options"]
-        ),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = make_parser("Multi-objective driving environments, and trainers for them.")
+    parser.prog, parser.usage = "mo-deepdrive", "%(prog)s COMMAND ..."
     parser.add_argument("--version", action="version", version=f"mo-deepdrive {mo_deepdrive.__version__}")
-    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
-    return str(parser.parse_args(arguments[:1]).command)
+    return first_word(parser, "command", COMMANDS, arguments)

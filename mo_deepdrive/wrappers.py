@@ -408,7 +408,7 @@ def _scaled(observations: Any, scales: NDArray[np.float32]) -> Any:
     """Observations divided by ``scales``; Gymnasium has an array of objects with None where there is no last one."""
     if isinstance(observations, np.ndarray) and observations.dtype.kind == "O":
         scaled = np.empty(len(observations), dtype=object)
-        scaled[:] = [None if each is None else _scaled(each, scales) for each in observations]
+        scaled[:] = [None if row is None else _scaled(row, scales) for row in observations]
         return scaled
     return np.asarray(observations / scales, dtype=np.float32)
 

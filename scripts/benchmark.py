@@ -6,8 +6,7 @@
     python scripts/benchmark.py --device cuda --output gpu.csv
 
 Everything is measured in one run, each speed as the best of several repetitions, so that ratios are reliable on a
-machine with other load. Other packages are measured where they are installed (``pip install highway-env`` for
-mo-highway-fast-v0).
+machine with other load.
 
 --against compares the working tree with a commit, in pairs of measurements of the CPU time of new processes, which
 other programs change much less than the time on the clock. --threads and --device compare environments and training on
@@ -27,29 +26,25 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
 from itertools import product
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
-Side = TypeVar("Side")
-
 REPOSITORY = Path(__file__).resolve().parent.parent
 ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN, ROUNDABOUT = (
     f"mo-deepdrive-{name}-v0" for name in ("one-waypoint", "static-obstacle", "intersection", "left-turn", "roundabout")
 )
 UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
-OTHERS = ("minecart-v0", "mo-highway-fast-v0")
 RUN = 3_000_000  # steps of the runs in which speeds are measured: short ones are not compiled
 WARM_UP, MEASURED = 3, 300_000  # updates that are not counted, and environment steps that are
 WORLDS, SEEDS = 65_536, 10  # on a GPU
@@ -60,16 +55,6 @@ SHIPPED = (
     *(f"{scenario}/mo_ppo_linear" for scenario in ("one_waypoint", "static_obstacle", "intersection", "left_turn")),
 )
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "POLARS_MAX_THREADS")
-SPINNING = {"GOMP_SPINCOUNT": "6000"}  # of idle threads, as commands set it
-TRAIN = "{tree}/scripts/train.py"
-ONE_UPDATE = """
-environment: {id: mo-deepdrive-one-waypoint-v0}
-utility: {name: one_waypoint_linear}
-algorithm: {name: mo_a2c, steps: 16, hidden: [64, 32]}
-training: {total_timesteps: 4096, num_envs: 256}
-evaluation: {episodes: 1, final_episodes: 1}
-logging: {save_figures: false}
-"""
 FIRST_STEP = """
 import sys
 import gymnasium, mo_deepdrive
@@ -83,27 +68,16 @@ if sys.platform == "linux":
 
 @dataclass(frozen=True)
 class Place:
-    """Where worlds or a training run, and by which clock their time is measured."""
+    """Where worlds or a training run; their time is that on the clock, or of a tree's packages CPU time."""
 
     threads: int = 1
     device: str = "cpu"
-    clock: Callable[[], float] = perf_counter
+    tree: Path | None = None
 
     @property
     def on_gpu(self) -> bool:
         """Whether worlds and learners are on a device."""
         return self.device != "cpu"
-
-    def __str__(self) -> str:
-        return self.device if self.on_gpu else f"{self.threads} thread{'' if self.threads == 1 else 's'}"
-
-    def device_name(self) -> str:
-        """The model of the device, or "cpu"."""
-        if not self.on_gpu:
-            return self.device
-        import torch
-
-        return torch.cuda.get_device_name(self.device)
 
     def now(self) -> float:
         """The time (s), when all that was begun on the device is done."""
@@ -111,20 +85,20 @@ class Place:
             import torch
 
             torch.cuda.synchronize(self.device)
-        return self.clock()
+        return perf_counter() if self.tree is None else process_time()
 
 
-ONE_CORE, CPU_TIME = Place(), Place(clock=process_time)
+ONE_CORE = Place()
 
 # ------------------------------------------------------------------------------------------------------- measurements
 
 
-def training(place: Place, values: str | dict[str, Any], *overrides: str, steps: int = MEASURED) -> float:
+def training(place: Place, values: str | dict[str, Any], steps: int = MEASURED) -> float:
     """Environment steps per second of an experiment, or a shipped one; on a GPU of SEEDS trainings side by side."""
     from algorithms.runs.build import build, build_trainee
     from algorithms.runs.config import load_experiment, make_experiment
 
-    values = load_experiment(values, overrides).to_dict() if isinstance(values, str) else values
+    values = load_experiment(values).to_dict() if isinstance(values, str) else values
     where: dict[str, Any] = {"threads": place.threads, "device": place.device}
     if place.on_gpu:
         where |= {"seeds": [*range(SEEDS)], "compiled": True}
@@ -226,38 +200,27 @@ def parallel(place: Place, steps: int = 5000) -> float:
     return stepping(place, step, steps)
 
 
-def process(place: Place, *arguments: str, outputs: Sequence[str] = ("warm-up", "run"), **variables: str) -> float:
-    """CPU seconds (on the clock in a place) of ``python ARGUMENTS`` from start to end, the last of several times."""
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "run.yaml").write_text(ONE_UPDATE)
-        for output in outputs:  # those before the last one fill caches
-            names = {"tree": os.environ.get("PYTHONPATH", ""), "output": output}
-            before, started = os.times(), perf_counter()
-            _run([word.format(**names) if "{" in word else word for word in arguments], folder, **variables)
-            after, seconds = os.times(), perf_counter() - started
+def process(place: Place, code: str, *arguments: str, **variables: str) -> float:
+    """Seconds that a new process of Python takes for ``code``, from its start to its end."""
+    before, started = os.times(), perf_counter()
+    run_python("-c", code, *arguments, **variables)
+    after, seconds = os.times(), perf_counter() - started
     used = after.children_user + after.children_system - before.children_user - before.children_system
-    return used if place.clock is process_time else seconds
+    return seconds if place.tree is None else used
 
 
-class CannotMeasureError(Exception):
-    """A measurement cannot be run; the message says why."""
-
-
-def _run(arguments: Sequence[str], folder: str | None = None, **variables: str) -> str:
-    """The last line that ``python ARGUMENTS`` prints, with these variables in its environment."""
+def run_python(*arguments: str, **variables: str) -> str:
+    """The last line that ``python ARGUMENTS`` prints; if it fails, that line is a RuntimeError."""
     command, variables = [sys.executable, *arguments], {**os.environ, **variables}
+    folder = tempfile.gettempdir()  # without packages, so that those of PYTHONPATH are found
     done = subprocess.run(command, cwd=folder, env=variables, capture_output=True, text=True, check=False)
-    printed = (done.returncode and done.stderr) or done.stdout
-    last_line = (printed.strip().splitlines() or [""])[-1]
+    *_, last_line = ["", *((done.returncode and done.stderr) or done.stdout).strip().splitlines()]
     if done.returncode:
-        raise CannotMeasureError(last_line)
+        raise RuntimeError(last_line)
     return last_line
 
 
-Case = Callable[[Place], float]
-
-
-def _experiment(algorithm: str, env_id: str, hidden: list[int], **arguments: Any) -> dict[str, Any]:
+def experiment_of(algorithm: str, env_id: str, hidden: list[int], **arguments: Any) -> dict[str, Any]:
     """An experiment with the default settings of an actor-critic."""
     return {
         "environment": {"id": env_id, "arguments": arguments},
@@ -267,48 +230,45 @@ def _experiment(algorithm: str, env_id: str, hidden: list[int], **arguments: Any
     }
 
 
-def _short(env_id: str) -> str:
+def short(env_id: str) -> str:
+    """``one-waypoint`` of the environment's id."""
     return env_id.removeprefix("mo-deepdrive-").removesuffix("-v0")
 
 
-def _placed_cases() -> Iterator[tuple[str, Case]]:
-    for algorithm, hidden, actions in product(
-        ("a2c", "mo_a2c", "ppo", "mo_ppo"), ([64, 32], [128, 64]), ("discrete", "continuous")
-    ):
-        name = f"{algorithm}-{hidden[0]}-{hidden[1]}-{actions}"
-        yield name, partial(training, values=_experiment(algorithm, ONE_WAYPOINT, hidden, action_type=actions))
-    for algorithm, hidden in (("a2c", [512] * 2), ("mo_ppo", [256] * 2), ("mo_ppo", [512] * 2), ("mocac", [128, 64])):
-        name = f"{algorithm}-{hidden[0]}-{hidden[1]}-discrete"
-        yield name, partial(training, values=_experiment(algorithm, ONE_WAYPOINT, hidden))
-    for algorithm in ("a2c", "mo_ppo"):
-        yield f"two-{algorithm}-128-64", partial(training, values=_experiment(algorithm, INTERSECTION, [128, 64]))
-    for config in SHIPPED:
-        yield config, partial(training, values=config)
-    for env_id in (ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN):
-        yield f"make_vec-{_short(env_id)}", partial(make_vec, env_id=env_id)
-    yield "make_vec-roundabout-8", partial(make_vec, env_id=ROUNDABOUT, vehicles=8)
-
-
-def _pcn(place: Place, *settings: str) -> float:
-    return training(place, "one_waypoint/pcn", *(f"--algorithm.{setting}" for setting in settings), steps=40_000)
-
-
-PLACED = dict(_placed_cases())  # what can be measured in a place
-IN_SECONDS: dict[str, Case] = {
-    "import": lambda place: process(place, "-c", "import mo_deepdrive"),
-    "train-help": lambda place: process(place, TRAIN, "--help"),
-    "train-one-update": lambda place: process(place, TRAIN, "--config", "run.yaml", "--output", "{output}"),
+Case = Callable[[Place], float]
+PLACED: dict[str, Case] = {  # what can be measured in a place
+    **{
+        f"{name}-{hidden[0]}-{hidden[1]}-{actions}": partial(
+            training, values=experiment_of(name, ONE_WAYPOINT, hidden, action_type=actions)
+        )
+        for name, hidden, actions in (
+            *product(("a2c", "mo_a2c", "ppo", "mo_ppo"), ([64, 32], [128, 64]), ("discrete", "continuous")),
+            *product(("a2c", "mo_ppo"), ([512, 512],), ("discrete",)),
+            ("mo_ppo", [256, 256], "discrete"),
+            ("mocac", [128, 64], "discrete"),
+        )
+    },
+    **{
+        f"two-{name}-128-64": partial(training, values=experiment_of(name, INTERSECTION, [128, 64]))
+        for name in ("a2c", "mo_ppo")
+    },
+    **{config: partial(training, values=config) for config in SHIPPED},
+    **{
+        f"make_vec-{short(env_id)}": partial(make_vec, env_id=env_id)
+        for env_id in (ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN)
+    },
+    "make_vec-roundabout-8": partial(make_vec, env_id=ROUNDABOUT, vehicles=8),
 }
+IN_SECONDS: dict[str, Case] = {"import": partial(process, code="import mo_deepdrive")}
 CASES: dict[str, Case] = {
     **PLACED,
-    "pcn-collection": lambda place: _pcn(place, "gradient_steps=1", "batch_size=1"),
-    "pcn": _pcn,
+    "pcn": partial(training, values="one_waypoint/pcn", steps=40_000),
     "make": make,
     **IN_SECONDS,
 }
 
 
-def select(patterns: Sequence[str], cases: Mapping[str, Case] = CASES) -> list[str]:
+def select(patterns: Sequence[str], cases: Mapping[str, Case]) -> list[str]:
     """The names of ``cases`` that match one of ``patterns`` (shell wildcards); all without patterns."""
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in cases):
@@ -322,19 +282,15 @@ Row = dict[str, Any]  # of the table and of the file, by column
 
 
 def overview(repetitions: int) -> list[Row]:
-    """Speed and memory of the working tree, and of what else is installed."""
-    import gymnasium
-
-    from mo_deepdrive.support.machine import available_cores
-
+    """Speed and memory of the working tree, and the speed of an environment of MO-Gymnasium."""
     rows: list[Row] = []
 
     def add(name: str, value: float, unit: str = "steps/s", goal: str = "") -> float:
         rows.append({"measurement": name, "value": value, "unit": unit, "goal": goal})
         return value
 
-    def best(run: Callable[..., float], *arguments: Any, place: Place = ONE_CORE, **settings: Any) -> float:
-        return max(run(place, *arguments, **settings) for _ in range(repetitions))
+    def best(run: Callable[..., float], *arguments: Any, place: Place = ONE_CORE) -> float:
+        return max(run(place, *arguments) for _ in range(repetitions))
 
     for title, env_id, goal in (
         ("OneWaypoint", ONE_WAYPOINT, "4.0 M"),
@@ -344,43 +300,42 @@ def overview(repetitions: int) -> list[Row]:
     ):
         add(f"{title}, kernel alone, N = 1024", best(kernel, env_id))
         add(f"{title}, make_vec, N = 1024, 1 thread", best(make_vec, env_id), goal=goal)
-        if available_cores() > 1:
-            one, two = (best(make_vec, env_id, 4096, 100, place=Place(threads)) for threads in (1, 2))
-            add(f"{title}, make_vec, N = 4096, 2 threads", two)
-            add(f"{title}, 2 threads / 1 thread, N = 4096", two / one, "x", "1.8")
+        one, two = (best(make_vec, env_id, 4096, 100, place=Place(threads)) for threads in (1, 2))
+        add(f"{title}, make_vec, N = 4096, 2 threads", two)
+        add(f"{title}, 2 threads / 1 thread, N = 4096", two / one, "x", "1.8")
     single = add("OneWaypoint, mo_gymnasium.make", best(make, ONE_WAYPOINT, 5000), goal="60 k")
     add("LeftTurn, mo_gymnasium.make", best(make, LEFT_TURN, 5000), goal="40 k")
-    for other in OTHERS:
-        try:
-            speed = best(make, other, 300)
-        except (gymnasium.error.Error, ImportError):  # it is not installed
-            continue
-        add(f"OneWaypoint / {other}, single", single / add(f"{other}, mo_gymnasium.make", speed), "x")
+    minecart = add("minecart-v0, mo_gymnasium.make", best(make, "minecart-v0", 300))
+    add("OneWaypoint / minecart-v0, single", single / minecart, "x")
     add("Intersection, parallel_env", best(parallel), "joint steps/s", "25 k")
     for algorithm, goal in (("a2c", "400 k"), ("mo_a2c", "300 k"), ("mo_ppo", "")):
-        speed = best(training, _experiment(algorithm, ONE_WAYPOINT, [64, 32]))
+        speed = best(training, experiment_of(algorithm, ONE_WAYPOINT, [64, 32]))
         add(f"{algorithm} training, 256 x 16, 1 thread", speed, goal=goal)
     for algorithm, hidden in product(("a2c", "mo_a2c", "mo_ppo"), ([64, 32], [128, 64])):
-        speed = best(training, _experiment(algorithm, INTERSECTION, hidden))
+        speed = best(training, experiment_of(algorithm, INTERSECTION, hidden))
         add(f"independent {algorithm} training, {hidden}, 256 x 16, 1 thread", speed, "joint steps/s")
-    first_step = ("-c", FIRST_STEP, ONE_WAYPOINT, "1")
     with tempfile.TemporaryDirectory() as cache:
         for state, goal in (("cold", "< 20"), ("warm", "< 1.5")):
-            seconds = process(ONE_CORE, *first_step, outputs=["run"], NUMBA_CACHE_DIR=cache)
+            seconds = process(ONE_CORE, FIRST_STEP, ONE_WAYPOINT, "1", NUMBA_CACHE_DIR=cache)
             add(f"import and first step, {state} cache", seconds, "s", goal)
     for env_id in (ONE_WAYPOINT, INTERSECTION) if sys.platform == "linux" else ():
-        small, large = (float(_run(["-c", FIRST_STEP, env_id, count])) for count in ("1", "4096"))
-        add(f"{_short(env_id)}, 4096 environments, growth of resident memory", large - small, "MB")
-        add(f"{_short(env_id)}, 4096 environments, resident memory of the process", large, "MB", "< 300")
+        small, large = (float(run_python("-c", FIRST_STEP, env_id, count)) for count in ("1", "4096"))
+        add(f"{short(env_id)}, 4096 environments, growth of resident memory", large - small, "MB")
+        add(f"{short(env_id)}, 4096 environments, resident memory of the process", large, "MB", "< 300")
     return rows
 
 
 # --------------------------------------------------------------------------------------------------------------- pairs
 
 
+def git(*arguments: str) -> bytes:
+    """What git prints; nothing if it fails."""
+    return subprocess.run(["git", "-C", str(REPOSITORY), *arguments], capture_output=True, check=False).stdout
+
+
 def revision(commit: str) -> str:
     """The full hash of ``commit``."""
-    full = _git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{commit}^{{commit}}").decode().strip()
+    full = git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{commit}^{{commit}}").decode().strip()
     if not full:
         raise ValueError(f"{commit!r} is not a commit of {REPOSITORY}")
     return full
@@ -388,20 +343,7 @@ def revision(commit: str) -> str:
 
 def working_tree() -> str:
     """The hash of the checked-out commit, with "-dirty" if files differ from it; "unknown" outside a repository."""
-    return _git("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*").decode().strip() or "unknown"
-
-
-@contextmanager
-def checkout(commit: str) -> Iterator[Path]:
-    """A temporary folder with the files of ``commit``."""
-    with tempfile.TemporaryDirectory() as folder:
-        with tarfile.open(fileobj=io.BytesIO(_git("archive", "--format=tar", commit))) as archive:
-            archive.extractall(folder, filter="data")
-        yield Path(folder)
-
-
-def _git(*arguments: str) -> bytes:
-    return subprocess.run(["git", "-C", str(REPOSITORY), *arguments], capture_output=True, check=False).stdout
+    return git("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*").decode().strip() or "unknown"
 
 
 def machine() -> str:
@@ -411,53 +353,37 @@ def machine() -> str:
     return f"{model[1] if model else platform.processor() or platform.machine()}, {os.cpu_count()} CPUs"
 
 
-def measure_apart(side: Path | Place, name: str) -> float:
-    """A measurement in a new process: of the packages in a tree in CPU time, or on the clock in a place."""
-    place, tree = (side, REPOSITORY) if isinstance(side, Place) else (ONE_CORE, side)
-    threads = str(place.threads)
-    where = (threads, place.device) if isinstance(side, Place) else ("", "")
-    variables = {**dict.fromkeys(THREADS, threads), **SPINNING, "PYTHONPATH": str(tree)}
-    return float(_run([__file__, "--measure", name, *where], **variables))
-
-
-def measure(name: str, place: Place, tree: Path) -> float:
-    """A measurement in this process, of the packages in ``tree``."""
-    if place.clock is perf_counter:
-        from algorithms.learning.threads import set_threads
-
-        set_threads(place.threads)
-    result = CASES[name](place)
-    for module_name, module in [*sys.modules.items()]:
-        file = getattr(module, "__file__", None)
-        ours = module_name.partition(".")[0] in ("mo_deepdrive", "algorithms")
-        # An installed package answers for modules that the tree lacks.
-        if ours and file is not None and not Path(file).is_relative_to(tree):
-            raise ImportError(f"{tree} has no module {module_name}")
-    return result
+def measure_apart(place: Place, name: str) -> float:
+    """A measurement in a new process."""
+    # Idle threads spin as long as commands let them.
+    variables = {**dict.fromkeys(THREADS, str(place.threads)), "GOMP_SPINCOUNT": "6000"}
+    variables["PYTHONPATH"] = str(place.tree or REPOSITORY)
+    where = str(place.threads), place.device, str(place.tree or "")
+    return float(run_python(__file__, "--measure", name, *where, **variables))
 
 
 def compare(
-    old: Side,
-    new: Side,
+    old: Place,
+    new: Place,
     names: Sequence[str],
     pairs: int,
-    measure: Callable[[Side, str], float],
-    progress: Callable[[Sequence[Any]], Iterable[Any]] = iter,
+    measure: Callable[[Place, str], float] = measure_apart,
 ) -> list[Row]:
-    """Measure two trees or places by turns, in changing order; the first pair fills caches and is not counted."""
-    values: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in names}
+    """Measure two places by turns, in changing order; the first pair fills caches and is not counted."""
+    from rich.progress import track
+
+    values: dict[tuple[str, Place], list[float]] = {(name, place): [] for name in names for place in (old, new)}
     problems: dict[str, str] = {}
-    for pair, name in progress(list(product(range(-1, pairs), names))):
-        sides = (("old", old, values[name][0]), ("new", new, values[name][1]))
-        for title, side, measured in () if name in problems else sides[:: 1 if pair % 2 == 0 else -1]:
+    for pair, name in track(list(product(range(-1, pairs), names))):
+        for place in () if name in problems else (old, new)[:: 1 if pair % 2 == 0 else -1]:
             try:
-                value = measure(side, name)
-            except CannotMeasureError as error:
-                problems[name] = f"the {title} side cannot run it: {error}"
+                value = measure(place, name)
+            except RuntimeError as error:
+                problems[name] = f"the {'old' if place == old else 'new'} side cannot run it: {error}"
                 break
             if pair >= 0:
-                measured.append(value)
-    return [comparison(name, *values[name], problems.get(name, "")) for name in names]
+                values[name, place].append(value)
+    return [comparison(name, values[name, old], values[name, new], problems.get(name, "")) for name in names]
 
 
 def comparison(name: str, old: Sequence[float], new: Sequence[float], problem: str = "") -> Row:
@@ -479,14 +405,14 @@ def comparison(name: str, old: Sequence[float], new: Sequence[float], problem: s
 # -------------------------------------------------------------------------------------------------------- command line
 
 
-def show(rows: Sequence[Row], output: Path | None, about: Row, caption: str = "") -> None:
+def show(rows: Sequence[Row], output: Path | None, about: Row) -> None:
     """Print a table, and write it to a CSV file with what it is about in further columns."""
     from rich.console import Console
     from rich.table import Table
 
     from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 
-    table = Table(*rows[0], caption=caption)
+    table = Table(*rows[0], caption=", ".join(f"{name} {value}" for name, value in about.items()))
     for column in table.columns[1:]:
         column.no_wrap = True
     for row in rows:
@@ -498,33 +424,35 @@ def show(rows: Sequence[Row], output: Path | None, about: Row, caption: str = ""
         atomic_write(output, csv_bytes([[*rows[0], *about], *cells]))
 
 
-def compare_as_asked(options: Namespace) -> None:
-    """Make the comparison that the options ask for, and show it."""
-    from rich.progress import track
+def compare_trees(options: Namespace) -> tuple[list[Row], Row]:
+    """Compare the working tree with a commit: the rows, and what they are about."""
+    names, commit = select(options.only, CASES), revision(options.against)
+    with tempfile.TemporaryDirectory() as folder:
+        with tarfile.open(fileobj=io.BytesIO(git("archive", "--format=tar", commit))) as archive:
+            archive.extractall(folder, filter="data")
+        rows = compare(Place(tree=Path(folder)), Place(tree=REPOSITORY), names, options.pairs or PAIRS)
+    return rows, {"old_commit": commit, "new_commit": working_tree(), "threads": 1, "machine": machine()}
 
+
+def compare_places(options: Namespace) -> tuple[list[Row], Row]:
+    """Compare several threads, or a device, with one thread: the rows, and what they are about."""
     from mo_deepdrive.support.machine import available_cores, check_device
 
-    pairs = PAIRS if options.pairs is None else options.pairs
-    tree = working_tree()
-    if options.against is not None:
-        names, commit = select(options.only), revision(options.against)
-        with checkout(commit) as old:
-            rows = compare(old, REPOSITORY, names, pairs, measure_apart, track)
-        about = {"old_commit": commit, "new_commit": tree, "threads": 1, "machine": machine()}
-        caption = f"old: {commit:.12}, new: {tree:.12}; CPU time, one thread; {machine()}"
+    names = select(options.only, PLACED)
+    if options.device is not None:
+        check_device("--device", options.device)
+        place = Place(device=options.device)
+    elif 2 <= options.threads <= available_cores():
+        place = Place(options.threads)
     else:
-        names = select(options.only, PLACED)
-        if options.device is not None:
-            check_device("--device", options.device)
-            place = Place(device=options.device)
-        elif 2 <= options.threads <= available_cores():
-            place = Place(options.threads)
-        else:
-            raise ValueError(f"--threads {options.threads} must be from 2 to {available_cores()}, the number of cores")
-        rows = compare(ONE_CORE, place, names, pairs, measure_apart, track)
-        about = {"commit": tree, "threads": place.threads, "device": place.device_name(), "machine": machine()}
-        caption = f"old: {ONE_CORE}, new: {place}; {tree:.12}; time on the clock; {machine()}"
-    show(rows, options.output, about, caption)
+        raise ValueError(f"--threads {options.threads} must be from 2 to {available_cores()}, the number of cores")
+    rows = compare(ONE_CORE, place, names, options.pairs or PAIRS)
+    device = place.device
+    if place.on_gpu:
+        import torch
+
+        device = torch.cuda.get_device_name(device)
+    return rows, {"commit": working_tree(), "threads": place.threads, "device": device, "machine": machine()}
 
 
 def run(options: Namespace) -> int:
@@ -539,20 +467,25 @@ def run(options: Namespace) -> int:
         raise ValueError(f"{COMPARISONS} are comparisons of their own; make one at a time")
     if not comparisons and (options.only or options.pairs is not None):
         raise ValueError(f"--only and --pairs are for {COMPARISONS}")
-    if comparisons:
-        compare_as_asked(options)
-    else:
+    if not comparisons:
         set_threads(1)
         show(overview(3 if options.quick else 15), options.output, {})
+        return 0
+    rows, about = compare_places(options) if options.against is None else compare_trees(options)
+    show(rows, options.output, about)
     return 0
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command line, or in a process of :func:`measure_apart` one measurement."""
     if arguments[:1] == ["--measure"]:
-        name, threads, device = arguments[1:]
-        place = Place(int(threads), device) if threads else CPU_TIME
-        print(measure(name, place, Path(os.environ["PYTHONPATH"])))
+        name, threads, device, tree = arguments[1:]
+        place = Place(int(threads), device, Path(tree) if tree else None)
+        if place.tree is None:
+            from algorithms.learning.threads import set_threads
+
+            set_threads(place.threads)
+        print(CASES[name](place))
         return 0
     from algorithms.runs import cli
 

@@ -21,6 +21,8 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,10 +38,12 @@ from algorithms.runs.build import load_policy, open_driver
 from algorithms.runs.config import find_environment
 from algorithms.runs.console import make_console
 from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.cross_play import OTHERS, cross_play, roles_of
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
-from mo_deepdrive.evaluation.metrics import COLLISION, SUCCESS, UTILITY_ESR, end_by, vehicle_name
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.metrics import COLLISION, SUCCESS, UTILITY_ESR, end_by, return_of, vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes
+from mo_deepdrive.evaluation.statistics import Estimate, mean_or_rate
+from mo_deepdrive.evaluation.team import Team
 from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.world.config import is_ours
@@ -47,14 +51,15 @@ from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from mo_deepdrive.evaluation.cross_play import Encounter
+    from mo_deepdrive.evaluation.evaluation import Evaluation
     from mo_deepdrive.evaluation.policy import Policy
 
+OTHERS = "others"
 OWN = "own"
 CELL = 0.3  # in, side of a cell of the picture
 MOST_WITH_NUMBERS = 40  # drivers of a role, above which the cells have no numbers
@@ -123,6 +128,61 @@ def utilities_of(options: Namespace, env: EnvAdapter, drivers: list[dict[str, Po
         scaled = weights / policy.agent.scales / weights.sum()
         utilities[name] = make_utility("linear", env.objectives, weights=scaled.tolist())
     return utilities
+
+
+# ---------------------------------------------------------------------------------------------------------- encounters
+
+
+def roles_of(vehicles: int) -> tuple[str, str]:
+    """The two roles: vehicle 0, and vehicle 1 or, if there are more, all others."""
+    return vehicle_name(0), vehicle_name(1) if vehicles == 2 else OTHERS
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """What the driver of vehicle 0 and that of all others achieve together."""
+
+    drivers: tuple[str, str]
+    roles: tuple[str, str]
+    #: What is measured of all vehicles together, such as "success"; arrivals and utility of both roles, such as
+    #: "vehicle_0/success", which for several others are means over them; and the returns of vehicle 0.
+    estimates: dict[str, Estimate]
+
+
+def cross_play(
+    drivers: Sequence[Mapping[str, Policy]],
+    env_id: str,
+    utility: Any,
+    progress: Callable[[], None] = lambda: None,
+    **evaluation: Any,
+) -> list[Encounter]:
+    """Let every driver of vehicle 0 drive with every driver of all other vehicles, on the same scenarios.
+
+    The utility judges all vehicles, or those of each driver, by its name; ``evaluation`` are further arguments of
+    :func:`mo_deepdrive.evaluation.evaluate`. The encounters of the first driver of vehicle 0 come first.
+    """
+    encounters = []
+    for (first, one), (second, other) in product(drivers[0].items(), drivers[1].items()):
+        others = one.env.vehicles - 1
+        judges = [utility[name] if isinstance(utility, dict) else utility for name in (first, second)]
+        team = Team([one, other], [0] + [1] * others)
+        result = evaluate(team, env_id, utility=judges[:1] + judges[1:] * others, **evaluation)
+        encounters.append(Encounter((first, second), roles_of(others + 1), estimates_of(result)))
+        progress()
+    return encounters
+
+
+def estimates_of(result: Evaluation) -> dict[str, Estimate]:
+    """The scores of an encounter with their intervals over the episodes."""
+    vehicles = result.returns.shape[1]
+    samples = result.team_samples()
+    utilities = np.stack([result.episode_utilities(v) for v in range(vehicles)], axis=1)
+    for name, scores in ((SUCCESS, result.succeeded), (UTILITY_ESR, utilities)):
+        for role, part in zip(roles_of(vehicles), (scores[:, :1], scores[:, 1:]), strict=True):
+            samples[f"{role}/{name}"] = part[:, 0] if part.shape[1] == 1 else part.mean(axis=1)
+    for i, objective in enumerate(result.objectives):
+        samples[f"{vehicle_name(0)}/{return_of(objective)}"] = result.returns[:, 0, i]
+    return {name: mean_or_rate(values) for name, values in samples.items()}
 
 
 # ------------------------------------------------------------------------------------------------------------- results
@@ -227,7 +287,7 @@ def play(options: Namespace) -> int:
             status.update(f"{done} of {pairs} pairs")
 
         how = {name: getattr(options, name) for name in ("split", "episodes", "greedy")}
-        encounters = cross_play(drivers, options.env, utility=utility, env_kwargs=arguments, progress=progress, **how)
+        encounters = cross_play(drivers, options.env, utility, progress, env_kwargs=arguments, **how)
     episodes = describe_episodes(options.episodes, SPLITS[options.split].start)
     name = OWN if isinstance(utility, dict) else utility
     note = f"{episodes} per pair, {'greedy' if options.greedy else 'sampled'} actions, utility {name}"

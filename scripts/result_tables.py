@@ -115,8 +115,8 @@ def fill(database: sqlite3.Connection, table: str, header: Sequence[str], rows: 
 
 def made_by(tables: set[str], database: sqlite3.Connection, folder: Path) -> str:
     """The line with the commits that made what is in ``tables``; empty if nothing there is a result."""
-    found = 'SELECT name, "commit" FROM result_files AS r JOIN provenance AS p ON r.file GLOB p.file ORDER BY date'
-    made = database.execute(found) if tables else ()
+    query = 'SELECT name, "commit" FROM result_files AS r JOIN provenance AS p ON r.file GLOB p.file ORDER BY date'
+    made = database.execute(query) if tables else ()
     commits = [commit for name, cell in made if name in tables for commit in cell.split()]
     if not commits:
         return ""

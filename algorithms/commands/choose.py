@@ -14,36 +14,91 @@ it was chosen: --policy scores one policy in others.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from algorithms.runs import cli
 from algorithms.runs.run_directory import Run
-from mo_deepdrive.evaluation.choice import (
-    ChoiceCriterion,
-    distance_to_target,
-    expected_utility,
-    rank_policies,
-    weighted_sum,
-)
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean, rate, resample
 from mo_deepdrive.support.yaml import read_value
 from mo_deepdrive.utilities import check_utility, make_utility
 from mo_deepdrive.world.config import UtilityChoice, parse
 
 if TYPE_CHECKING:
-    from argparse import Namespace
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
     from rich.table import Table
 
     from mo_deepdrive.evaluation.evaluation import Evaluation
     from mo_deepdrive.evaluation.front import Front
+    from mo_deepdrive.utilities import Utility
 
 RUNNERS_UP = 4
 
 
-def parse_criterion(options: Namespace, objectives: tuple[str, ...], scales: NDArray[Any]) -> ChoiceCriterion:
+@dataclass(frozen=True)
+class ChoiceCriterion:
+    """What to maximise over the policies of a front."""
+
+    name: str  #: of the value, for tables
+    #: From returns (K, E, d) of E episodes of each of K policies to the values (K,) of the policies.
+    values: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+    def estimate(self, returns: NDArray[np.float64]) -> Estimate:
+        """The value of one policy from returns (E, d) of its episodes, with its bootstrap interval."""
+        return resample(returns, lambda part: float(self.values(part[None])[0]))
+
+
+def weighted_sum(weights: Mapping[str, float], objectives: Sequence[str]) -> ChoiceCriterion:
+    """Prefer the greatest sum of mean returns, weighted by objective (0 where it is not named).
+
+    A ValueError if a weight is negative; ``objectives`` are the d names in the order of the returns.
+    """
+    if any(weight < 0.0 for weight in weights.values()):
+        raise ValueError(f"weights {dict(weights)}: returns are maximised, so weights must not be negative")
+    w = np.array([weights.get(name, 0.0) for name in objectives])
+    return ChoiceCriterion("weighted sum", lambda returns: (returns @ w).mean(axis=1))
+
+
+def expected_utility(utility: Utility) -> ChoiceCriterion:
+    """Prefer the greatest expected utility of the returns (the ESR criterion): the mean of the episodes' utilities."""
+    return ChoiceCriterion(f"expected {utility.name}", lambda returns: np.asarray(utility(returns)).mean(axis=1))
+
+
+def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], scales: NDArray[Any]) -> ChoiceCriterion:
+    """Prefer the smallest Euclidean distance, in ``scales`` (d,), by which the mean returns fall short of a target.
+
+    Objectives that it does not name, and returns above it, do not count.
+    """
+    wanted = np.array([target.get(name, -np.inf) for name in objectives])
+
+    def closeness(returns: NDArray[np.float64]) -> NDArray[np.float64]:
+        shortfall = np.maximum(wanted - returns.mean(axis=1), 0.0) / scales
+        return -np.asarray(np.linalg.norm(shortfall, axis=1))
+
+    return ChoiceCriterion("minus the distance to the target", closeness)
+
+
+def rank_policies(
+    values: NDArray[np.float64], mean_returns: NDArray[np.float64], scales: NDArray[Any]
+) -> NDArray[np.intp]:
+    """Indices (K,) of policies in the order of their ``values`` (K,), the greatest first.
+
+    Values that differ only by rounding errors are equal: then the greater sum of ``mean_returns`` (K, d), divided by
+    ``scales`` (d,), comes first. A value that is not finite is a ValueError.
+    """
+    if not np.isfinite(values).all():
+        (first, *_) = np.flatnonzero(~np.isfinite(values)).tolist()
+        raise ValueError(f"policy {first} is worth {values[first]}; every policy must be worth a finite number")
+    largest = float(np.abs(values).max())
+    rounded = np.round(values / largest, 9) if largest > 0.0 else values
+    return np.lexsort((-(mean_returns / scales).sum(axis=1), -rounded))
+
+
+def parse_criterion(options: cli.Options, objectives: tuple[str, ...], scales: NDArray[Any]) -> ChoiceCriterion:
     """What to choose by, from the command line."""
     if options.arguments != "{}" and options.utility is None:
         raise ValueError("--arguments can only be given with --utility")
@@ -68,37 +123,28 @@ def choice_table(
     names: dict[int, str],
 ) -> Table:
     """The best policy with intervals, and the next best; ``values`` are what the criterion gives the policies."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean, of_three, rate
+    from algorithms.reporting.fronts import episodes_note
+    from algorithms.reporting.tables import make_table
 
     episodes = len(evaluations[0].returns)
-    intervals = episodes >= MIN_SAMPLES
-    how = f"{episodes} episode{'' if episodes == 1 else 's'} each"
-    if intervals:
-        how += f", 95% intervals{of_three([episodes], 'episodes')}"
-    title = f"{len(front)} polic{'y' if len(front) == 1 else 'ies'} by {criterion.name}; {how}"
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    table.add_column("", overflow="fold")
-    for name in names.values():
-        table.add_column(name, justify="right", no_wrap=True)
+    title = f"{len(front)} polic{'y' if len(front) == 1 else 'ies'} by {criterion.name}; {episodes_note(episodes)}"
     shown = [evaluations[k] for k in names]
     # The value by which a policy was chosen is too high, whatever its interval.
     worth = [criterion.estimate(shown[0].joint_returns)] if len(front) == 1 else [Estimate(values[k]) for k in names]
-    rows = {criterion.name: worth}
+    estimates = {criterion.name: worth}
     for i, objective in enumerate(front.objectives):
-        rows[objective] = [mean(evaluation.joint_returns[:, i]) for evaluation in shown]
+        estimates[objective] = [mean(evaluation.joint_returns[:, i]) for evaluation in shown]
     if np.isfinite(front.success).all():
         arrivals = [rate(evaluation.joint_succeeded) for evaluation in shown]
-        rows["arrivals"] = arrivals if intervals else [Estimate(share.value) for share in arrivals]
-    rows["decisions"] = [mean(evaluation.joint_lengths.astype(np.float64)) for evaluation in shown]
-    for name, (first, *rest) in rows.items():
-        table.add_row(name, first.text().replace("[", r"\["), *(f"{estimate.value:.4g}" for estimate in rest))
-    return table
+        estimates["arrivals"] = arrivals if episodes >= MIN_SAMPLES else [Estimate(share.value) for share in arrivals]
+    estimates["decisions"] = [mean(evaluation.joint_lengths.astype(np.float64)) for evaluation in shown]
+    rows = [["", *names.values()]]
+    for name, (first, *rest) in estimates.items():
+        rows.append([name, first.text(), *(f"{estimate.value:.4g}" for estimate in rest)])
+    return make_table(rows, 1, unbroken=range(1, len(rows[0])), title=title)
 
 
-def choose(options: Namespace) -> int:
+def choose(options: cli.Options) -> int:
     """Evaluate the policies of a front, choose one, show it and film it if asked to."""
     from algorithms.runs.build import load_policy
     from algorithms.runs.console import make_console

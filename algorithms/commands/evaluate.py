@@ -8,16 +8,12 @@ The name of a policy of the zoo, which is trained already, may be given instead 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from algorithms.runs import cli
 from algorithms.runs.run_directory import Run
 
-if TYPE_CHECKING:
-    from argparse import Namespace
 
-
-def evaluate(options: Namespace) -> int:
+def evaluate(options: cli.Options) -> int:
     """Evaluate a run, print the numbers, and write files and a video if asked to."""
     from algorithms.runs.build import load_policy
     from algorithms.runs.console import make_console

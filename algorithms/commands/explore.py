@@ -18,14 +18,12 @@ from algorithms.runs import cli
 from algorithms.runs.run_directory import Run
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
     from algorithms.reporting.explorer.data import ExplorableFront
 
 UNSET = (cli.CHOICE_EPISODES, cli.CHOICE_SPLIT, None, False)  # episodes, split, seed and trust without options
 
 
-def explore(options: Namespace) -> int:
+def explore(options: cli.Options) -> int:
     """Write the page."""
     from algorithms.reporting.explorer.data import BEST_KNOWN
     from algorithms.reporting.explorer.page import write_page
@@ -52,7 +50,7 @@ def explore(options: Namespace) -> int:
     return 0
 
 
-def _explorable(name: str, options: Namespace) -> ExplorableFront:
+def _explorable(name: str, options: cli.Options) -> ExplorableFront:
     """The front of a run, with new episodes, or a best-known one."""
     from algorithms.reporting.explorer.data import BEST_KNOWN, explorable_best_known
     from algorithms.runs.build import load_policy

@@ -12,16 +12,12 @@ docs/onnx.md describes inputs and outputs. Where onnxruntime is installed the fi
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from algorithms.runs import cli
 from algorithms.runs.run_directory import Run
 
-if TYPE_CHECKING:
-    from argparse import Namespace
 
-
-def export(options: Namespace) -> int:
+def export(options: cli.Options) -> int:
     """Write the file, and check it."""
     from algorithms.runs.build import load_policy
     from algorithms.runs.onnx_export import CHECKED_STATES, export_onnx

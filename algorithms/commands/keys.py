@@ -30,8 +30,7 @@ from algorithms.studies.settings import Learner, Study, StudyTask, SweepSettings
 from mo_deepdrive.world.config import EnvConfig, is_ours
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
 _TYPES = {"integer": "int", "number": "float", "boolean": "bool", "string": "str", "object": "mapping"}
 _BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
@@ -50,11 +49,6 @@ class Key(NamedTuple):
     type: str  # as text, such as "float > 0"; "section" where the keys below it follow
     default: str  # in JSON; "required" if there is none, and empty for a section whose keys have defaults
     description: str  # a line; empty if the settings model has none
-
-    def text(self, remark: str = "") -> str:
-        """The key with a remark in a line and its description, if it has one, in another one."""
-        default = {"": "", "required": ", required"}.get(self.default, f", default {self.default}")
-        return f"{self.name}: {self.type}{default}{remark}" + (f"\n    {self.description}" if self.description else "")
 
 
 def experiment_keys(algorithm: str, env_id: str | None = None) -> list[Key]:
@@ -118,20 +112,14 @@ def _type_text(schema: Mapping[str, Any]) -> str:
     return f"{_TYPES.get(str(kind), str(kind or 'any'))} {', '.join(bounds)}".rstrip()
 
 
-def differing_values(values: Mapping[str, Any], keys: Sequence[Key]) -> dict[str, str]:
-    """The values in nested sections that differ from the defaults of their keys, in JSON, by dotted name."""
-    differing: dict[str, str] = {}
-    for key in keys:
-        value: Any = values
-        for part in key.name.split("."):
-            value = value.get(part, ...) if isinstance(value, dict) else ...
-        has_keys = any(other.name.startswith(f"{key.name}.") for other in keys)
-        if value is not ... and not has_keys and (text := json.dumps(value)) != key.default:
-            differing[key.name] = text
-    return differing
+def _setting(values: Any, name: str) -> Any:
+    """The value of a dotted key in nested sections; ``...`` where it is not set."""
+    for part in name.split("."):
+        values = values.get(part, ...) if isinstance(values, dict) else ...
+    return values
 
 
-def list_keys(options: Namespace) -> int:
+def list_keys(options: cli.Options) -> int:
     """Print the keys of one algorithm, of an experiment's, or of all, of sweeps and of studies."""
     from algorithms.runs.console import make_console, print_line
 
@@ -145,19 +133,23 @@ def list_keys(options: Namespace) -> int:
     sections: dict[str, list[Key]] = {}
     for algorithm in [name] if name else sorted(ALGORITHMS):
         keys = experiment_keys(algorithm, env_id)
-        own = [key for key in keys if key.name.startswith("algorithm.") and key.name != "algorithm.name"]
-        sections.setdefault("experiment", [key for key in keys if key not in own])
+        of_algorithm = [key for key in keys if key.name.startswith("algorithm.") and key.name != "algorithm.name"]
+        sections.setdefault("experiment", [key for key in keys if key not in of_algorithm])
         equations = "" if is_peer(algorithm) else f"; equations: help({agent_class(algorithm).__module__!r})"
-        sections[f"hyperparameters of {algorithm}{equations}"] = own
+        sections[f"hyperparameters of {algorithm}{equations}"] = of_algorithm
     if not name:
         sections |= {title: model_keys(model) for title, model in _OTHERS.items()}
     console = make_console()
     for title, keys in sections.items():
         console.print(f"{title}\n", style="bold", markup=False, highlight=False)
-        set_here = differing_values(values, keys)
         for key in keys:
-            here = f"; here {set_here[key.name]}" if key.name in set_here else ""
-            for text in key.text(here).splitlines():
+            default = {"": "", "required": ", required"}.get(key.default, f", default {key.default}")
+            value = _setting(values, key.name)
+            has_keys = any(other.name.startswith(f"{key.name}.") for other in keys)
+            set_here = value is not ... and not has_keys and json.dumps(value) != key.default
+            here = f"; here {json.dumps(value)}" if set_here else ""
+            lines = [f"{key.name}: {key.type}{default}{here}", *([f"    {key.description}"] if key.description else [])]
+            for text in lines:
                 wrapped = textwrap.fill(text, console.width, subsequent_indent="    ", break_on_hyphens=False)
                 print_line(console, wrapped)
         console.print()

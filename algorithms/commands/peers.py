@@ -17,8 +17,6 @@ from algorithms.runs.config import check_effects, check_loggers, load_experiment
 from mo_deepdrive.support.names import nearest
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
     from rich.table import Table
 
     from algorithms.runs.config import Experiment
@@ -50,28 +48,21 @@ def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
 
 def peers_table() -> Table:
     """What each peer learns, the actions and numbers of objectives it takes, whether it can run here, or why not."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-    from rich.text import Text
-
     from algorithms.peers import PEERS
+    from algorithms.reporting.tables import make_table
 
-    table = Table(box=SIMPLE_HEAD)
-    table.add_column("name", no_wrap=True)
-    for column in ("learns", "actions", "objectives", "runs here"):
-        table.add_column(column, overflow="fold")
+    rows = [["name", "learns", "actions", "objectives", "runs here"]]
     reasons = {name: peer.unavailable_reason() for name, peer in PEERS.items()}
     for name, peer in PEERS.items():
         learns = "a known utility" if peer.known_utility else "a front"
         objectives = "any" if peer.objectives is None else "{} to {}".format(*peer.objectives)
         runs_here = "yes" if reasons[name] is None else "no"
-        table.add_row(name, learns, ", ".join(peer.actions), objectives, runs_here)
+        rows.append([name, learns, ", ".join(peer.actions), objectives, runs_here])
     lines = [f"no: {reason}" for reason in dict.fromkeys(reasons.values()) if reason is not None]
-    table.caption, table.caption_justify = Text("\n".join(lines)), "left"
-    return table
+    return make_table(rows, 5, unbroken=(0,), caption="\n".join(lines))
 
 
-def train_peer(options: Namespace) -> int:
+def train_peer(options: cli.Options) -> int:
     """Train and evaluate a peer, or list those that there are."""
     from algorithms.peers.running import run_peer
     from algorithms.runs.console import make_console

@@ -28,7 +28,6 @@ from mo_deepdrive.world.config import is_ours
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
-    from argparse import Namespace
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
 ENVIRONMENT: dict[str, str] = {}  # SDL chooses the driver of the window
 
 
-def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
+def open_environment(options: cli.Options) -> tuple[DrivingVectorEnv, Policy | None, list[int]]:
     """The environment that the options ask for, what drives the other vehicles, if any, and the user's vehicles."""
     from mo_deepdrive.play import KEYBOARD, make_play_env
 
@@ -55,9 +54,9 @@ def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | Non
             raise ValueError(f"--env {options.env} has {env.vehicles} vehicles, and {room}")
         return env, None, list(range(env.vehicles))
     with needed_for("--against"):
-        from algorithms.driving.named_rules import is_rule
         from mo_deepdrive.evaluation.metrics import vehicle_name
-    policy, arguments, partners = _open_rivals(options, spec.id, scripted=is_rule(options.against))
+
+        policy, arguments, partners = _open_rivals(options, spec.id)
     vehicles = policy.env.vehicles
     if vehicles == 1:
         raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")
@@ -70,14 +69,13 @@ def open_environment(options: Namespace) -> tuple[DrivingVectorEnv, Policy | Non
     return make_play_env(spec.id, **arguments), policy, [seat]
 
 
-def _open_rivals(
-    options: Namespace, env_id: str, *, scripted: bool
-) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
+def _open_rivals(options: cli.Options, env_id: str) -> tuple[Policy, dict[str, Any], dict[str, list[str]]]:
     """What drives the other vehicles, the arguments of its environment, and the partners that it learnt with."""
+    from algorithms.driving.named_rules import is_rule
     from algorithms.runs.build import load_policy, open_driver
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 
-    if scripted:
+    if is_rule(options.against):
         seat = 1 - options.vehicle if options.vehicle in (0, 1) else 1
         env = EnvAdapter(make_env(env_id, 1))
         return open_driver(options.against, min(seat, env.vehicles - 1), env, "discrete"), {}, {}
@@ -102,7 +100,7 @@ def print_outcome(objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
         print("  ".join((name.ljust(widths[0]), end.ljust(widths[1]), *cells)).rstrip())
 
 
-def play(options: Namespace) -> int:
+def play(options: cli.Options) -> int:
     """Open the window, and drive until it is closed."""
     from mo_deepdrive.drawing.quiet_pygame import pygame
     from mo_deepdrive.play import HumanPlayEnv, describe_controls, open_display, play_in_window

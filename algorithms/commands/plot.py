@@ -5,9 +5,8 @@
 
 A folder stands for the runs in it. Of a sweep (a directory with a manifest, made by mo-deepdrive sweep) the best cells
 are drawn, ranked by the utility or the hypervolume of their final evaluations; these scores of all runs are drawn
-against each key that varies into FILE-cells.png. The collected scores and metrics of the runs are kept for other
-programs in SWEEP/collected/ as Parquet files, which are updated here; algorithms/studies/collection.py describes
-them.
+against each key that varies into FILE-cells.png. SWEEP/collected/ keeps the scores and metrics of the runs for other
+programs (docs/sweeps.md).
 
 A run whose files cannot be read is left out with a line on standard error; if nothing can be drawn, the exit code is 2.
 """
@@ -16,15 +15,11 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from algorithms.runs import cli
 
-if TYPE_CHECKING:
-    from argparse import Namespace
 
-
-def draw(options: Namespace) -> int:
+def draw(options: cli.Options) -> int:
     """Draw the curves, and say what each of them is."""
     from algorithms.runs.console import make_console, print_line
     from algorithms.runs.interrupts import never_fatal

@@ -12,13 +12,9 @@ Run the same command again to resume: finished runs are skipped, interrupted one
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from algorithms.runs.cli import Command, check_at_least, check_directory, flag, one_of, option
+from algorithms.runs.cli import Command, Options, check_at_least, check_directory, flag, one_of, option
 from algorithms.studies import CLAIM_NUMBERS, FIGURES
-
-if TYPE_CHECKING:
-    from argparse import Namespace
 
 OPTIONS = (
     one_of(
@@ -36,18 +32,18 @@ OPTIONS = (
 )
 
 
-def reproduce(options: Namespace) -> int:
+def run(options: Options) -> int:
     """Run the reproduction that the options ask for."""
     from algorithms.runs.console import make_console
-    from algorithms.studies.paper import Reproduction, load_paper
+    from algorithms.studies.paper import load_paper
+    from algorithms.studies.paper_report import reproduce
 
     check_at_least(options, 1, "seeds", "workers")
     for name in ("runs", "output"):
         check_directory(f"--{name}", getattr(options, name))
     if options.redraw and (options.quick or options.seeds is not None or options.workers is not None):
         raise ValueError("--redraw does not train; it cannot be combined with --quick, --seeds or --workers")
-    given = {name: value for name, value in vars(options).items() if name not in ("all", "plan", "overrides")}
-    return Reproduction(load_paper(options.plan), **given).run(make_console())
+    return reproduce(load_paper(options.plan), options, make_console())
 
 
-main = Command("reproduce", __doc__, OPTIONS, reproduce)
+main = Command("reproduce", __doc__, OPTIONS, run)

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import directory_of, run_command, run_options
-from algorithms.runs.cli import Command, flag, many, option
+from algorithms.runs.cli import Command, Options, flag, many, option
+from algorithms.runs.console import print_line
 
 if TYPE_CHECKING:
-    from argparse import Namespace
     from pathlib import Path
 
     from rich.console import Console
@@ -30,13 +30,12 @@ if TYPE_CHECKING:
     from algorithms.studies.execution import Runner
     from algorithms.studies.plan import StudyPlan
 
-STUDY_OPTIONS = run_options("study", flag("--tables", "write the tables of what has finished"))
+STUDY_OPTIONS = run_options("study", "studies", flag("--tables", "write the tables of what has finished"))
 
 
 def write_tables(plan: StudyPlan, runner: Runner, directory: Path, console: Console) -> None:
     """Write and print the tables: of the arms that were selected, and of others that were begun before."""
     from algorithms.reporting.tables import print_rows
-    from algorithms.runs.console import print_line
     from algorithms.runs.run_directory import is_run
     from algorithms.studies.manifest import is_sweep
     from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, write_results
@@ -55,7 +54,7 @@ def write_tables(plan: StudyPlan, runner: Runner, directory: Path, console: Cons
     print_line(console, f"written: {directory / RESULTS_FILE}, {directory / TABLES_FILE}")
 
 
-def train_study(options: Namespace) -> int:
+def train_study(options: Options) -> int:
     """Do what the options say; returns the exit code."""
 
     def make_plan() -> StudyPlan:

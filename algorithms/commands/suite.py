@@ -22,43 +22,38 @@ from typing import TYPE_CHECKING
 from algorithms.commands.study import STUDY_OPTIONS, write_tables
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.commands.sweep import run_command
-from algorithms.runs.cli import TRUST, Command, CommandGroup, check_at_least, check_file, flag, many, option
+from algorithms.runs.cli import TRUST, Command, CommandGroup, Options, check_at_least, check_file, flag, many, option
 from algorithms.runs.config import parse_overrides
+from algorithms.runs.console import make_console, print_line
 from algorithms.studies import ALL, CORE, REFERENCE
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
     from algorithms.studies.plan import StudyPlan
 
 
-def suite_list(_options: Namespace) -> int:
+def suite_list(_options: Options) -> int:
     """Print the tasks."""
-    from rich.table import Table
-
-    from algorithms.runs.console import make_console
+    from algorithms.reporting.tables import make_table
     from algorithms.studies.plan import PUBLISHED
     from algorithms.studies.suite_tables import minutes_per_run
     from mo_deepdrive import suite
 
     minutes = minutes_per_run(suite.read_rows(PUBLISHED)) if PUBLISHED.is_file() else {}
-    columns = ("task", "track", "title", "steps", "minutes", "floor", "ceiling", "", "what it tests")
-    table = Table(*columns, title="The suite")
+    rows = [["task", "track", "title", "steps", "minutes", "floor", "ceiling", "", "what it tests"]]
     for name, task in suite.load().tasks.items():
         track = task.track if task.counted else "(not counted)"
         about = f"{task.steps / 1e6:g} M", f"{minutes[name]:.1f}" if name in minutes else ""
         bounds = f"{task.floor.value:.4g}", f"{task.ceiling.value:.4g}", task.ceiling.kind
-        table.add_row(f"{name}{' *' if task.core else ''}", track, task.title, *about, *bounds, task.tests)
+        rows.append([f"{name}{' *' if task.core else ''}", track, task.title, *about, *bounds, task.tests])
     version = suite.load().version
-    table.caption = f"version {version}; * of the core subset; minutes of one core, the median of published runs"
-    make_console().print(table)
+    caption = f"version {version}; * of the core subset; minutes of one core, the median of published runs"
+    make_console().print(make_table(rows, 9, title="The suite", caption=caption))
     return 0
 
 
-def suite_score(options: Namespace) -> int:
+def suite_score(options: Options) -> int:
     """Score policies."""
     from algorithms.reporting.tables import print_rows
-    from algorithms.runs.console import make_console, print_line
     from algorithms.runs.progress import compilation_noted
     from algorithms.runs.suite_entries import open_entry
     from algorithms.studies.plan import selected_tasks
@@ -94,10 +89,9 @@ def suite_score(options: Namespace) -> int:
     return 0
 
 
-def suite_verify(options: Namespace) -> int:
+def suite_verify(options: Options) -> int:
     """Score an entry again, on the scenarios of the test split and on fresh ones; 0 if everything agrees, else 1."""
     from algorithms.reporting.tables import print_rows
-    from algorithms.runs.console import make_console
     from algorithms.runs.suite_entries import disagreement, fresh_seed, is_own_code, open_entry, recorded_rows
     from mo_deepdrive import suite
 
@@ -108,9 +102,9 @@ def suite_verify(options: Namespace) -> int:
     if not recorded:
         raise ValueError(f"{options.entry!r} has no scores of {', '.join(wanted)}")
     pairs = dict.fromkeys((row.source, row.task) for row in recorded)
-    own = [source for source, _ in pairs if is_own_code(source)]
-    if own and not options.trust:  # before anything of it is imported
-        raise ValueError(f"{options.entry!r} names code to run, {own[0]!r}; --trust runs it")
+    code = [source for source, _ in pairs if is_own_code(source)]
+    if code and not options.trust:  # before anything of it is imported
+        raise ValueError(f"{options.entry!r} names code to run, {code[0]!r}; --trust runs it")
     number = secrets.randbelow(10**8) if options.scenarios is None else options.scenarios
     opened = {source: open_entry(source, trust=options.trust) for source, _ in pairs}
     policies = {(source, task_id): opened[source].policy(task_id) for source, task_id in pairs}
@@ -123,9 +117,9 @@ def suite_verify(options: Namespace) -> int:
                 scored = opened[source].score(policy, task_id, first_episode=start)
             again = {(row.policy, row.column): row for row in scored}
             for claim in (row for row in recorded if (row.source, row.task) == (source, task_id)):
-                found = again.get((claim.policy, claim.column))
-                wrong = disagreement(claim, found, fresh=start is not None)
-                value = "" if found is None or found.value is None else f"{found.value:.4f}"
+                rescored = again.get((claim.policy, claim.column))
+                wrong = disagreement(claim, rescored, fresh=start is not None)
+                value = "" if rescored is None or rescored.value is None else f"{rescored.value:.4f}"
                 verdict = "differs" if wrong else "agrees" if start is not None else "reproduced"
                 column = f"{claim.column} ({claim.policy})"
                 table.append([source, task_id, column, scenarios, f"{claim.value:.4f}", value, verdict])
@@ -137,7 +131,7 @@ def suite_verify(options: Namespace) -> int:
     return 1 if faults else 0
 
 
-def suite_run(options: Namespace) -> int:
+def suite_run(options: Options) -> int:
     """Train learners on tasks of the suite, and score them."""
     from algorithms.studies.manifest import short_names
     from algorithms.studies.plan import plan_of
@@ -151,10 +145,9 @@ def suite_run(options: Namespace) -> int:
     return run_command(options, options.output or Path("runs") / "studies" / name, make_plan, write_tables)
 
 
-def suite_table(options: Namespace) -> int:
+def suite_table(options: Options) -> int:
     """Print the tables of the suite, and write them if asked to."""
     from algorithms.reporting.tables import FORMATS, markdown, print_rows, write_table
-    from algorithms.runs.console import make_console, print_line
     from algorithms.studies.plan import PUBLISHED
     from algorithms.studies.settings import load_study
     from algorithms.studies.suite_tables import MEANS_NOTE, NOTE, Scoreboard, read_results
@@ -165,16 +158,18 @@ def suite_table(options: Namespace) -> int:
     if options.published and options.results is None:
         raise ValueError("--published puts results of yours beside the reference results: name their CSV")
     results = read_results(options.results or PUBLISHED)
-    own = {row.learner for row in results} if options.published else set()
+    learners: set[str] = set()  # those of the user, beside the reference results
     if options.published:
-        reference, file = read_results(PUBLISHED), str(options.results)
-        if both := own & {row.learner for row in reference}:
-            raise ValueError(f"{file!r} has the learner {min(both)!r}, as the reference results; rename")
+        learners, reference = {row.learner for row in results}, read_results(PUBLISHED)
+        if both := learners & {row.learner for row in reference}:
+            raise ValueError(
+                f"{str(options.results)!r} has the learner {min(both)!r}, as the reference results; rename"
+            )
         results += reference
     console, board = make_console(), Scoreboard(results)
     tables = [*board.track_tables(options.against), ("Tasks", board.task_table())]
     tables.append(("Tasks, by the policy that is not ranked", board.task_table(ranked=False)))
-    scores, differences = board.comparison(options.baseline, own)
+    scores, differences = board.comparison(options.baseline, learners)
     tables += [("Scores", scores), ("Differences", differences)] if options.published or options.baseline else []
     for title, rows in tables:
         print_rows(console, rows, title, 1)

@@ -20,12 +20,23 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from algorithms.runs.cli import PROCESS_DEFAULTS, Command, Option, check_directory, flag, one_of, option, warn
+from algorithms.runs.cli import (
+    PROCESS_DEFAULTS,
+    Command,
+    Option,
+    Options,
+    check_at_least,
+    check_directory,
+    flag,
+    one_of,
+    option,
+    warn,
+)
+from algorithms.runs.console import make_console, print_line
 from algorithms.runs.interrupts import Stopped, no_space
 from algorithms.studies import BACKENDS
 
 if TYPE_CHECKING:
-    from argparse import Namespace
     from collections.abc import Callable
 
     from rich.console import Console
@@ -52,19 +63,18 @@ BACKENDS_OF_OPTIONS = {
 WHILE_TRAINING = {"on": "local", "workers": None, "address": None, "no_wait": False}  # options, with their defaults
 
 
-def run_options(what: str, *instead: Option) -> tuple[Option, ...]:
+def run_options(kind: str, folder: str, *instead: Option) -> tuple[Option, ...]:
     """The options of what trains many runs; ``instead`` are others of its own that do something else."""
-    folder = {"sweep": "sweeps", "study": "studies"}[what]
     checks = "compare the files of finished runs with their recorded hashes, name what is broken and exit"
     return (
         option("--on", None, "where to train the runs (default: local)", choices=BACKENDS, default="local"),
-        option("--output", "DIR", f"the {what}'s directory (default: runs/{folder}/NAME)", type=Path),
+        option("--output", "DIR", f"the {kind}'s directory (default: runs/{folder}/NAME)", type=Path),
         option("--workers", "N", "maximum number of concurrent runs (default: limited by the cores)", type=int),
         option("--address", "A", "address of a running Ray cluster, or auto (default: start Ray here)"),
         flag("--no-wait", "Slurm: submit the jobs and exit"),
         one_of(
             flag("--dry-run", "Slurm: print the batch script and write nothing"),
-            flag("--status", f"show the progress of the {what} and exit"),
+            flag("--status", f"show the progress of the {kind} and exit"),
             flag("--verify", checks),
             flag("--remake", "also make finished runs again whose files are broken, in their place"),
             *instead,
@@ -72,10 +82,9 @@ def run_options(what: str, *instead: Option) -> tuple[Option, ...]:
     )
 
 
-def check_options(options: Namespace) -> None:
+def check_options(options: Options) -> None:
     """Check the options before any work."""
-    if options.workers is not None and options.workers < 1:
-        raise ValueError(f"--workers {options.workers} must be at least 1")
+    check_at_least(options, 1, "workers")
     check_directory("--output", options.output)
     for given in (name for name in ("status", "verify", "tables") if getattr(options, name, False)):
         for name, default in WHILE_TRAINING.items():
@@ -89,7 +98,7 @@ def check_options(options: Namespace) -> None:
         raise ValueError(f"--on {options.on} needs {module}: pip install 'mo-deepdrive[sweep]'")
 
 
-def directory_of(options: Namespace, folder: str) -> Path:
+def directory_of(options: Options, folder: str) -> Path:
     """The directory of the runs: --output, or that of the name of --config in ``runs/FOLDER``."""
     if options.config is None and not ((options.status or options.verify) and options.output):
         raise ValueError("--config is required, except for --status and --verify with --output")
@@ -97,13 +106,12 @@ def directory_of(options: Namespace, folder: str) -> Path:
 
 
 def run_command(
-    options: Namespace,
+    options: Options,
     directory: Path,
     make_plan: Callable[[], P],
     finish: Callable[[P, Runner, Path, Console], None] | None = None,
 ) -> int:
     """Do what the options of :func:`run_options` say, then (with --tables alone) ``finish``; returns the exit code."""
-    from algorithms.runs.console import make_console, print_line
     from algorithms.studies.execution import Backend, Runner, progress, verify
 
     console = make_console()
@@ -133,7 +141,7 @@ def run_command(
         return 1
 
 
-def train_sweep(options: Namespace) -> int:
+def train_sweep(options: Options) -> int:
     """Do what the options say; returns the exit code."""
 
     def make_plan() -> SweepPlan:
@@ -146,4 +154,4 @@ def train_sweep(options: Namespace) -> int:
 
 
 CONFIG = option("--config", "FILE", "YAML file of the sweep, or the name of a shipped one")
-main = Command("sweep", __doc__, (CONFIG, *run_options("sweep")), train_sweep)
+main = Command("sweep", __doc__, (CONFIG, *run_options("sweep", "sweeps")), train_sweep)

@@ -14,8 +14,7 @@ A sweep (a directory with a manifest, made by mo-deepdrive sweep) has its cells,
 first; cells with another environment or utility are in separate tables. The terminal shows the best cells and as many
 columns as fit, and names the others; files have everything. With several vehicles the row of all together has the sum
 of their utilities. Cells that differ in the algorithm alone are compared; where their numbers of steps differ, too, the
-row has both. The collected scores and metrics of the runs are kept for other programs in SWEEP/collected/ as Parquet
-files, which are updated here; algorithms/studies/collection.py describes them.
+row has both. SWEEP/collected/ keeps the scores and metrics of the runs for other programs (docs/sweeps.md).
 
 The ending of FILE is the format: .csv (a row per metric with the columns mean, low, high and n, the number of seeds;
 also of the returns of every objective), .tex (booktabs) or .md, which have names as people write them. Comparisons are
@@ -26,13 +25,9 @@ shown, the exit code is 2.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from algorithms.runs import cli
 from algorithms.runs.run_directory import changed_files, diverged, read_status
-
-if TYPE_CHECKING:
-    from argparse import Namespace
 
 TOP = 20
 
@@ -54,7 +49,7 @@ def intact_runs(paths: list[Path]) -> list[Path]:
     return runs
 
 
-def print_tables(options: Namespace) -> int:
+def print_tables(options: cli.Options) -> int:
     """Print the tables of runs or of a sweep, and write them."""
     from algorithms.reporting.tables import FORMATS, print_runs, write_tables
     from algorithms.runs.console import make_console

@@ -17,16 +17,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms.runs import cli
-from algorithms.runs.config import check_loggers, load_experiment, parse_overrides
+from algorithms.runs.config import load_experiment, parse_overrides
 from algorithms.runs.run_directory import imported_paths, resume_options
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
     from algorithms.runs.run_directory import Run
 
 
-def open_runs(options: Namespace) -> tuple[list[Run], Any]:
+def open_runs(options: cli.Options) -> tuple[list[Run], Any]:
     """The new or resumed runs of the command line, one per seed, and what trains them."""
     from algorithms.runs.build import build_trainee
     from algorithms.runs.training import reopen
@@ -36,7 +34,6 @@ def open_runs(options: Namespace) -> tuple[list[Run], Any]:
         if options.trust:
             raise ValueError("--trust is for --resume; --config is a file of yours, which may name code to import")
         experiment = load_experiment(options.config, options.overrides)
-        check_loggers(experiment)
         experiments = experiment.of_seeds()
         side_by_side = experiment.is_resident or len(experiments) == 1
         trainee = build_trainee(experiments if side_by_side else experiments[:1])  # before a directory is created
@@ -65,7 +62,7 @@ def next_steps(run: Run) -> str:
     return f"next: {line}\n      tensorboard --logdir {path}"
 
 
-def train(options: Namespace) -> int:
+def train(options: cli.Options) -> int:
     """Train, and evaluate what was trained."""
     with cli.exit_on_error(ValueError, OSError):
         runs, trainee = open_runs(options)

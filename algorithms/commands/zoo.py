@@ -11,17 +11,17 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from algorithms.reporting.run_records import ExperimentRecord
+from algorithms.reporting.run_records import experiment_record
 from algorithms.runs import cli
 from algorithms.runs.config import find_environment
 from algorithms.zoo import ABOUT, CONFIG, find, names
 from mo_deepdrive.evaluation.metrics import CARDINALITY, FRONT, POLICIES, SUCCESS, TOTAL_UTILITY_ESR, UTILITY_ESR
 from mo_deepdrive.support.yaml import read_mapping
-from mo_deepdrive.world.config import parse
 
 if TYPE_CHECKING:
-    from argparse import Namespace
     from pathlib import Path
+
+    from algorithms.reporting.run_records import ExperimentRecord
 
 CAPTION = (
     "Arrivals (both vehicles, where there are two) and utility (their sum): greedy / stochastic policy, test split."
@@ -33,26 +33,19 @@ ENDINGS = {
 }
 
 
-def list_zoo(_options: Namespace) -> int:
+def list_zoo(_options: cli.Options) -> int:
     """Print one row per policy: its name, which has the algorithm, the task of its training, and its scores."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
+    from algorithms.reporting.tables import make_table
     from algorithms.runs.console import make_console
 
-    known = names()
-    endings = [f"in {end} {what}" for end, what in ENDINGS.items() if any(name.endswith(end) for name in known)]
-    table = Table(title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    table.caption = CAPTION + (f" Names end {', '.join(endings)}." if endings else "")
-    table.caption_justify = "left"
-    table.add_column("name", no_wrap=True)
-    for column in ("task", "arrivals (%)", "utility (ESR)"):
-        table.add_column(column, overflow="fold")
-    for name in known:
+    endings = [f"in {end} {meaning}" for end, meaning in ENDINGS.items() if any(name.endswith(end) for name in names())]
+    caption = CAPTION + (f" Names end {', '.join(endings)}." if endings else "")
+    rows = [["name", "task", "arrivals (%)", "utility (ESR)"]]
+    for name in names():
         config = find(name) / CONFIG
-        experiment = parse(ExperimentRecord, read_mapping(config), f"experiment {str(config)!r}")
-        table.add_row(name, _task(experiment), *_score_columns(find(name) / ABOUT))
-    make_console().print(table)
+        experiment = experiment_record(read_mapping(config), f"experiment {str(config)!r}")
+        rows.append([name, _task(experiment), *_score_columns(find(name) / ABOUT)])
+    make_console().print(make_table(rows, 4, unbroken=(0,), title="policies of the zoo", caption=caption))
     return 0
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -74,9 +73,10 @@ class RecordedEpisodes(VectorWrapper):  # not generic in Gymnasium 1.2
         """Take one step in every environment; a reward that is not finite is refused."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         check_vehicles("reward", rewards[:, None], self._adapter.name, self._adapter.objectives)
-        found = infos.pop("episode", None)
+        episodes = infos.pop("episode", None)
         for row in np.flatnonzero(infos.pop("_episode", ())):
-            self._recorder.episode(found["r"][row], int(found["l"][row]), bool(infos["final_info"]["success"][row]))
+            success = bool(infos["final_info"]["success"][row])
+            self._recorder.episode(episodes["r"][row], int(episodes["l"][row]), success)
         self._recorder.step(self.num_envs)
         return observations, rewards, terminated, truncated, infos
 
@@ -245,32 +245,22 @@ def as_array(actions: Any) -> NDArray[Any]:
     return torch.as_tensor(actions).cpu().numpy()
 
 
+@dataclass
 class PeerPolicies:
-    """K policies that a peer has learned, and some of them as a :class:`mo_deepdrive.evaluation.policy.Policy`.
+    """K policies that a peer has learned, and some of them as a :class:`mo_deepdrive.evaluation.policy.Policy`."""
 
-    Args:
-        task: what they have learned.
-        choose: from N indices of policies and their inputs to their actions (N,) or (N, k), an array or a tensor.
-        conditions: (K, m) what identifies each policy, such as weights or a desired return, in unscaled units; one
-            policy without any if None.
-        condition_names: of the m columns.
-        gamma: discount of the accrued rewards in their inputs.
-    """
+    task: PeerTask
+    choose: Callable[[NDArray[np.intp], PolicyInputs], Any]  # actions (N,) or (N, k) of N policies, by their indices
+    # (K, m) what identifies each policy, such as weights or a desired return, in unscaled units.
+    conditions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 0)))
+    condition_names: tuple[str, ...] = ()  # of the m columns
+    gamma: float = 1.0  # discount of the accrued rewards in their inputs
+    # (N,) the policy that acts in each environment, or (1,) in all.
+    rows: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, dtype=np.intp))
 
-    def __init__(
-        self,
-        task: PeerTask,
-        choose: Callable[[NDArray[np.intp], PolicyInputs], Any],
-        conditions: NDArray[np.float64] | None = None,
-        condition_names: tuple[str, ...] = (),
-        gamma: float = 1.0,
-    ):
-        self.task, self.choose, self.gamma = task, choose, gamma
-        self.conditions = np.zeros((1, 0)) if conditions is None else conditions
-        self.condition_names = condition_names
-        self.env, self.device = task.env, torch.device(task.device)
-        self.utilities = () if task.utility is None else (task.utility,)
-        self.rows = np.zeros(1, dtype=np.intp)  # (N,) the policy that acts in each environment, or (1,) in all
+    def __post_init__(self) -> None:
+        self.env, self.device = self.task.env, torch.device(self.task.device)
+        self.utilities = () if self.task.utility is None else (self.task.utility,)
 
     def __len__(self) -> int:
         return len(self.conditions)
@@ -282,15 +272,13 @@ class PeerPolicies:
 
     def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
         """The non-dominated policies in greedy episodes, as of :meth:`algorithms.agent.FrontAgent.front`."""
-        found = evaluate_each(self.at, len(self), env, episodes=episodes, seed=seed, gamma=gamma)
-        front = Front.of_evaluations(found, self.conditions, self.condition_names, gamma=gamma, seed=seed)
+        evaluations = evaluate_each(self.at, len(self), env, episodes=episodes, seed=seed, gamma=gamma)
+        front = Front.of_evaluations(evaluations, self.conditions, self.condition_names, gamma=gamma, seed=seed)
         return front.non_dominated()
 
     def at(self, rows: NDArray[np.intp]) -> PeerPolicies:
         """With the policies at these indices acting, of which there is one for each environment."""
-        policies = copy(self)
-        policies.rows = rows
-        return policies
+        return replace(self, rows=rows)
 
     def policy(self, condition: ArrayLike) -> PeerPolicies:
         """The policy whose condition is nearest to ``condition`` (m,)."""

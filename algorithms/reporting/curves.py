@@ -76,7 +76,7 @@ CUT_RATIO = 30.0  # how many times larger the whole range must be than the settl
 MARKS = 10  # markers per curve, where several curves share a colour
 # Of scores against what was varied:
 PANEL = (3.3, 3.2)  # in, width and height with its labels
-PANEL_LETTERS, PANEL_LINES = 46, 16  # letters side by side below a panel, more are slanted; slanted labels that fit
+MAX_WORDS = 16  # below a panel; of more, some are not written
 MAX_COLUMNS = 4
 MAX_VALUES = 12  # of a numeric key that get a mean each; with more, neighbours share one
 BINS = 8  # means of a numeric key with more values
@@ -122,16 +122,11 @@ def refuse(problem: str) -> None:
 
 
 def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] = refuse) -> list[CurveGroup]:
-    """Read runs and group those that differ in their seed alone.
+    """Read runs and group those that differ in their seed alone, in the order of their algorithms.
 
-    Groups are in the order of their algorithms, those of one algorithm in the order given. ``warn`` is called
-    with a line about every run that cannot be read or has no metrics yet; without it such runs are refused.
+    ``warn`` is told which runs cannot be read or have no metrics yet; without it such runs are refused.
     """
-    runs = read_runs(map(Path, directories), warn, metrics=True)
-    for run in runs:
-        if not len(run.metrics[STEP]):
-            warn(f"{LEFT_OUT}run {str(run.path)!r} has no metrics yet")
-    groups = group_by_experiment([run for run in runs if len(run.metrics[STEP])])
+    groups = group_by_experiment(read_runs(map(Path, directories), warn, metrics=True))
     if not groups:
         raise ValueError("there is no run whose metrics can be drawn")
     groups.sort(key=lambda members: algorithm_order(members[0].experiment.algorithm.name))
@@ -145,10 +140,9 @@ def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] =
 
 
 def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]] | None:
-    """The mean over runs of a metric, at the steps of the first run up to the last step that all of them have reached.
+    """The mean over the runs that have a metric, at the steps of the first one that all of them have reached.
 
-    Returns steps, mean, and the ends of the interval (NaN for fewer than three runs), each (points,); None if no run
-    has the metric. Runs without the metric are ignored, as are values above 1e100.
+    Returns steps, mean, and the ends of the interval (NaN for fewer than three runs), each (points,); None without any.
     """
     series = []
     for columns in (columns for columns in runs if name in columns):
@@ -223,10 +217,7 @@ def curve_panels(groups: Sequence[CurveGroup]) -> list[CurvePanel]:
 
 
 def _quantities(present: set[str], experiments: Sequence[ExperimentRecord]) -> list[tuple[str, tuple[str, ...], bool]]:
-    """Title and metric of each of KINDS of what is drawn of the metrics that are ``present``.
-
-    Each with whether it is a score, which is comparable only within the same environment and utility.
-    """
+    """Title, metric of each of KINDS, and whether it is a score, which is comparable only within a task."""
     ours = any("mo-deepdrive" in experiment.environment.id for experiment in experiments)
     parts = [split_name(name) for name in sorted(present)]
     vehicles = sorted({part.vehicle for part in parts if part.vehicle}) or [""]
@@ -257,10 +248,10 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
     styles = curve_styles([group.experiment.algorithm.name for group in groups])
     drawn: list[tuple[NDArray[Any], ...]] = []
     for g, (k, (kind, name)) in product(panel.groups, enumerate(zip(KINDS, panel.names, strict=True))):
-        found = curve(groups[g].runs, name) if alone or k > 0 else None  # several without training, to avoid clutter
-        if found is None:
+        points = curve(groups[g].runs, name) if alone or k > 0 else None  # several without training, to avoid clutter
+        if points is None:
             continue
-        steps, means, low, high = found
+        steps, means, low, high = points
         colour, marker = styles[g]
         marks: dict[str, Any] = {"marker": marker or ("o" if len(steps) < 4 else ""), "markersize": 3.5}
         marks["markevery"] = max(1, len(steps) // MARKS)
@@ -278,15 +269,14 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
     if panel.title.lower().endswith(title_of(SUCCESS)):
         axis.set_ylim(-0.03, 1.03)
         axis.yaxis.set_major_formatter(PercentFormatter(1.0))
-    if not drawn or panel.title.lower().endswith(title_of(SUCCESS)):
-        return
-    settled, means = (np.concatenate([parts[i] for parts in drawn]) for i in (0, 1))
-    limits = _limits(panel.names[-1], settled, 0.25)
-    if np.ptp(means) < CUT_RATIO * (limits[1] - limits[0]):
-        limits = _limits(panel.names[-1], np.concatenate([part for parts in drawn for part in parts[1:]]), 0.05)
-    else:
-        axis.set_title(f"{panel.title} (start cut off)")
-    axis.set_ylim(*limits)
+    elif drawn:
+        settled, means = (np.concatenate([parts[i] for parts in drawn]) for i in (0, 1))
+        limits = _limits(panel.names[-1], settled, 0.25)
+        if np.ptp(means) < CUT_RATIO * (limits[1] - limits[0]):
+            limits = _limits(panel.names[-1], np.concatenate([part for parts in drawn for part in parts[1:]]), 0.05)
+        else:
+            axis.set_title(f"{panel.title} (start cut off)")
+        axis.set_ylim(*limits)
 
 
 def _limits(name: str, values: NDArray[Any], pad: float) -> tuple[float, float]:
@@ -378,48 +368,37 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
 def _draw_effect(
     axis: Axes, values: NDArray[np.float64] | list[str], scores: NDArray[np.float64], colours: Sequence[str]
 ) -> None:
-    """Draw a dot per run, with its colour, and the mean per value, or per bin of many numbers."""
-    labels, positions, parts = parts_of_key(values)
+    """Draw scores (runs,) against the values of a key: words side by side, numbers where they are.
+
+    Each word has a mean, and each of a few numbers; of many numbers neighbours share one.
+    """
+    if isinstance(values, list):
+        words = list(dict.fromkeys(values))
+        positions = np.array([words.index(value) for value in values], dtype=np.float64)
+        shown = range(0, len(words), -(-len(words) // MAX_WORDS))
+        labels = [word if len(word) <= MAX_LETTERS else f"{word[: MAX_LETTERS - 1]}…" for word in words]
+        axis.set_xticks(shown, [labels[i] for i in shown], rotation=35, ha="right", rotation_mode="anchor")
+        axis.margins(x=0.2)
+    else:
+        positions = values
+        if positions.min() > 0.0 and positions.max() / positions.min() >= LOGARITHMIC_RATIO:
+            axis.set_xscale("log")
+            axis.xaxis.set_major_formatter("{x:.4g}")
+        else:
+            axis.xaxis.set_major_locator(MaxNLocator(5))
+    distinct = np.unique(positions)
+    parts = [np.flatnonzero(positions == position) for position in distinct]
+    if not isinstance(values, list) and len(distinct) > MAX_VALUES:
+        parts = np.array_split(np.argsort(positions, kind="stable"), BINS)
+    axis.scatter(positions, scores, s=12, c=list(colours), alpha=0.4, linewidths=0, zorder=2)
     means = [mean(scores[part]) for part in parts]
     heights = np.array([estimate.value for estimate in means])
     ends = np.array([[m.value if m.low is None else m.low, m.value if m.high is None else m.high] for m in means])
-    shifted = positions  # a little where runs share a place, or they would hide each other
-    if labels:
-        shifted = positions + np.random.default_rng(0).uniform(-0.02, 0.02, len(scores)) * max(len(labels) - 1, 1)
-        shown = range(0, len(labels), -(-len(labels) // PANEL_LINES))
-        slanted = len(labels) * (max(map(len, labels)) + 1) > PANEL_LETTERS
-        turned: dict[str, Any] = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if slanted else {}
-        axis.set_xticks(shown, [labels[i] for i in shown], **turned)
-        axis.margins(x=0.2)
-    elif positions.min() > 0.0 and positions.max() / positions.min() >= LOGARITHMIC_RATIO:
-        axis.set_xscale("log")
-        axis.xaxis.set_major_formatter("{x:.4g}")
-    else:
-        axis.xaxis.set_major_locator(MaxNLocator(5))
-    axis.scatter(shifted, scores, s=12, c=list(colours), alpha=0.4, linewidths=0, zorder=2)
     middles, errors = [np.median(positions[part]) for part in parts], np.abs(ends - heights[:, None]).T
     line = "o" if isinstance(values, list) else "o-"
     style: dict[str, Any] = {"color": INK, "markersize": 4.5, "linewidth": 1.2, "capsize": 3, "zorder": 3}
     axis.errorbar(middles, heights, errors, fmt=line, **style)
     axis.yaxis.set_major_locator(MaxNLocator(5))
-
-
-def parts_of_key(
-    values: NDArray[np.float64] | list[str],
-) -> tuple[list[str], NDArray[np.float64], list[NDArray[np.intp]]]:
-    """Labels of places on the axis of a key, the positions (runs,) of runs, and the indices of the runs of each mean.
-
-    Words, and a few numbers, have a place and a mean each, side by side; many numbers are where they are, without
-    labels, and neighbours share a mean.
-    """
-    distinct = list(dict.fromkeys(values)) if isinstance(values, list) else np.unique(values).tolist()
-    if not isinstance(values, list) and len(distinct) > MAX_VALUES:
-        return [], values, np.array_split(np.argsort(values, kind="stable"), BINS)
-    places = {value: place for place, value in enumerate(distinct)}
-    positions = np.array([places[value] for value in values], dtype=np.float64)
-    texts = [value if isinstance(value, str) else f"{value:.4g}" for value in distinct]
-    labels = [text if len(text) <= MAX_LETTERS else f"{text[: MAX_LETTERS - 1]}…" for text in texts]
-    return labels, positions, [np.flatnonzero(positions == place) for place in range(len(distinct))]
 
 
 def score_limits(scores: NDArray[np.float64]) -> tuple[float, float]:

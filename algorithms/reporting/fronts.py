@@ -9,7 +9,7 @@ from rich.console import Group
 from rich.text import Text
 
 from algorithms.reporting.tables import fitted_tables
-from algorithms.reporting.training_log import MetricsFile
+from algorithms.reporting.training_log import POLICY, MetricsFile
 from mo_deepdrive.evaluation.metrics import STEP, discounted_return_of, name_and_unit
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, of_three
@@ -33,7 +33,7 @@ class FrontsFile(MetricsFile):
         """Append a front."""
         names = [discounted_return_of(name) for name in front.objectives]
         returns = [dict(zip(names, map(repr, values), strict=True)) for values in front.discounted.tolist()]
-        self._append([{STEP: str(step), "policy": str(k), **cells} for k, cells in enumerate(returns)])
+        self._append([{STEP: str(step), POLICY: str(k), **cells} for k, cells in enumerate(returns)])
 
 
 def covering_policies(front: Front, count: int) -> NDArray[np.intp]:
@@ -60,13 +60,17 @@ def front_table(front: Front, measured: Mapping[str, float], title: str, width: 
             cells = [Estimate(*(float(values[i]) for values in ends)).text() for i in shown]
         share = [f"{front.success[k]:.0%}"] if arrivals else []
         rows.append([str(k), *cells, *share, f"{front.length[k]:.0f}"])
-    how = f"{front.episodes} episode{'' if front.episodes == 1 else 's'} each"
-    how += f", 95% intervals{of_three([front.episodes], 'episodes')}" if front.episodes >= MIN_SAMPLES else ""
     count = f"{len(front)} policies"
     if len(chosen) < len(front):
         count = f"{len(chosen)} of {count}, which cover the front" + (f" ({whole})" if whole else "")
-    heading = Text(f"{title}: {count}; undiscounted returns, {how}", style="bold")
+    heading = Text(f"{title}: {count}; undiscounted returns, {episodes_note(front.episodes)}", style="bold")
     return Group(heading, *fitted_tables(rows, 1, width), Text(", ".join(indicators)))
+
+
+def episodes_note(episodes: int) -> str:
+    """Of how many episodes of each policy the numbers of a table are."""
+    intervals = f", 95% intervals{of_three([episodes], 'episodes')}" if episodes >= MIN_SAMPLES else ""
+    return f"{episodes} episode{'' if episodes == 1 else 's'} each{intervals}"
 
 
 def caption(front: Front, k: int) -> str:

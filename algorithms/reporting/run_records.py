@@ -19,6 +19,7 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from algorithms.reporting.training_log import Columns, read_metrics
 from mo_deepdrive.evaluation.front import EVALUATION_FILE, LARGEST
+from mo_deepdrive.evaluation.metrics import STEP
 from mo_deepdrive.evaluation.statistics import Estimate
 from mo_deepdrive.support.yaml import read_mapping
 from mo_deepdrive.world.config import EnvConfig, Settings, is_ours, parse
@@ -49,7 +50,7 @@ class Recorded(Settings):
 
 
 class EnvironmentRecord(Recorded):
-    """The environment of a run: its id and its keyword arguments."""
+    """The environment of a run."""
 
     id: str
     arguments: dict[str, Any] = {}
@@ -109,23 +110,20 @@ class ExperimentRecord(Recorded):
     """What the config.yaml of a run says, of any algorithm and environment: neither has to be installed."""
 
     environment: EnvironmentRecord
-    utility: UtilityRecord | None = None
+    utility: UtilityRecord | None = None  # None where a front was learnt
     algorithm: AlgorithmRecord
     training: TrainingRecord
     evaluation: EvaluationRecord = EvaluationRecord()
 
     @property
     def task(self) -> dict[str, Any]:
-        """What runs must share for their scores to be comparable: environment, utility, and how scores are calculated.
-
-        Final scores are comparable if they are also of the same split; evaluations during training are all of one.
-        """
+        """What runs must share for their scores to be comparable; final ones must share the split, too."""
         shared: Any = {"environment": True, "utility": True, "evaluation": {"gamma", "reference_point"}}
         return self.model_dump(include=shared)
 
     @property
     def task_key(self) -> str:
-        """A text that is equal for runs with equal :attr:`task`."""
+        """Equal for runs with equal :attr:`task`."""
         return json.dumps(self.task, sort_keys=True, default=str)
 
     @property
@@ -157,7 +155,7 @@ class FinalEvaluation(Recorded):
 
     @property
     def scores(self) -> dict[str, Estimate]:
-        """The estimates by name, as ``greedy/utility_esr``."""
+        """The estimates, with intervals over the episodes, by name, as ``greedy/utility_esr``."""
         return {
             f"{policy}/{name}": Estimate(score.value, score.low, score.high)
             for policy, estimates in self.policies.items()
@@ -178,19 +176,16 @@ class RunRecord:
 def find_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
     """The run directories among and below ``paths``, each once; with a warning about folders without any."""
     runs: dict[Path, Path] = {}
-    without: list[str] = []
+    empty: list[str] = []
     for path in paths:
         below = sorted(_runs_below(path))
-        for run in below:
-            runs.setdefault(run.resolve(), run)
+        runs = {**{run.resolve(): run for run in below}, **runs}
         if not below:
             problem = "there is no config.yaml in it or below it; nor is it a sweep, which has a manifest.jsonl"
-            without.append(f"{str(path)!r} holds no run: {problem}")
-            if not path.is_dir():
-                raise ValueError(without[-1])
-    if without and not runs:
-        raise ValueError(without[0])
-    for problem in without:
+            empty.append(f"{str(path)!r} holds no run: {problem}")
+    if empty and (not runs or not all(path.is_dir() for path in paths)):
+        raise ValueError(empty[0])
+    for problem in empty:
         warn(f"{LEFT_OUT}{problem}")
     return list(runs.values())
 
@@ -211,7 +206,7 @@ def _runs_below(path: Path) -> Iterator[Path]:
 def read_runs(
     paths: Iterable[Path], warn: Callable[[str], None], *, scores: bool = False, metrics: bool = False
 ) -> list[RunRecord]:
-    """Read runs, with what is asked for; those that cannot be read are left out with a warning."""
+    """Read runs, with what is asked for; those that cannot be read, or do not have it, are left out with a warning."""
     records = []
     for path in paths:
         file = path / "config.yaml"
@@ -221,7 +216,12 @@ def read_runs(
                 raise ValueError(f"{str(path)!r} is not {other}")
             experiment = experiment_record(read_mapping(file), f"config file {str(file)!r}")
             columns = read_metrics(path / "metrics.csv") if metrics else {}
-            records.append(RunRecord(path, experiment, final_scores(path) if scores else {}, columns))
+            estimates = final_scores(path) if scores else {}
+            if scores and not estimates:
+                raise ValueError(f"{path} has no final evaluation")
+            if metrics and not len(columns[STEP]):
+                raise ValueError(f"run {str(path)!r} has no metrics yet")
+            records.append(RunRecord(path, experiment, estimates, columns))
         except ValueError as error:
             warn(f"{LEFT_OUT}{error}")
     return records
@@ -240,7 +240,7 @@ def read_evaluation(run: Path) -> FinalEvaluation | None:
 
 
 def final_scores(run: Path) -> dict[str, Estimate]:
-    """The final evaluation of a run by metric, with intervals over its episodes; empty if there is none yet."""
+    """The final evaluation of a run by metric; empty if there is none yet."""
     evaluation = read_evaluation(run)
     return {} if evaluation is None else evaluation.scores
 

@@ -6,7 +6,6 @@ import textwrap
 import zlib
 from io import BytesIO
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from mo_deepdrive.support.atomic_io import atomic_write
@@ -68,7 +67,7 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def figure_style(changes: Mapping[Any, Any] = MappingProxyType({})) -> AbstractContextManager[None]:
+def figure_style(changes: Mapping[Any, Any] = {}) -> AbstractContextManager[None]:
     """A context in which figures look like ours, but for some changes, whatever a user's matplotlibrc says."""
     from matplotlib import style  # not at the top: tables, which need the order of algorithms, go without Matplotlib
 
@@ -90,11 +89,10 @@ def algorithm_order(name: str) -> tuple[int, str]:
 
 def algorithm_label(name: str) -> str:
     """An algorithm as people write it: "MO-PPO", "PCN (morl_baselines)"; a name that is not known as it is."""
-    library, _, own = name.rpartition(".")
-    kind, known = ("conditioned ", own.removeprefix("conditioned_")) if own.startswith("conditioned_") else ("", own)
-    if name not in ALGORITHM_COLOURS and own not in ALGORITHM_COLOURS:
+    library, _, algorithm = name.rpartition(".")
+    if algorithm not in ALGORITHM_COLOURS:
         return name
-    label = kind + known.upper().replace("_", "-")
+    label = algorithm.upper().replace("_", "-").replace("CONDITIONED-", "conditioned ")
     return f"{label} ({library})" if library else label
 
 

@@ -19,7 +19,6 @@ from rich.table import Table
 from rich.text import Text
 
 from algorithms.reporting.run_records import (
-    LEFT_OUT,
     EvaluationRecord,
     distinct_labels,
     find_runs,
@@ -67,7 +66,7 @@ from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.support.names import nearest_few
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from rich.console import Console
@@ -136,7 +135,7 @@ class ScoreGroup:
         return str(self.wanted) if len(self.seeds) == self.wanted else f"{len(self.seeds)} of {self.wanted}"
 
     def labels(self, about: Sequence[str], policy: str, vehicle: str) -> list[str]:
-        """The first cells of a row: those named by ``about``, policy, vehicle and seeds."""
+        """The first cells of a row."""
         return [*(self.about.get(name, "") for name in about), policy, vehicle, self.seeds_text]
 
     def values(self, place: MetricName) -> list[float]:
@@ -166,11 +165,7 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything
 
     Of metrics those of tables and the returns are read, or ``everything``; ``warn`` is told which runs are left out.
     """
-    records = read_runs(find_runs(paths, warn), warn, scores=True)
-    for run in records:
-        if not run.scores:
-            warn(f"{LEFT_OUT}{run.path} has no final evaluation")
-    members = group_by_experiment([run for run in records if run.scores])
+    members = group_by_experiment(read_runs(find_runs(paths, warn), warn, scores=True))
     experiments = [runs[0].experiment for runs in members]
     environments, utilities = (
         distinct_labels(list(map(label_of, sections)), sections)
@@ -205,7 +200,7 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None], *, everything
 def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> list[ScoreEstimate]:
     """The means over seeds with their intervals, and the interquartile means of the utilities, which have none.
 
-    They are in the order of the groups and of the metrics, None for :data:`TABLE_METRICS` and all others of the groups.
+    Without ``metrics`` those are :data:`TABLE_METRICS` and all others of the groups.
     """
     wanted = metrics or [*TABLE_METRICS, UTILITY_IQM, *(place.metric for group in groups for place in group.scores)]
     places = [
@@ -225,19 +220,14 @@ def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None 
     return estimates
 
 
-def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Rows:
+def scores_table(groups: Sequence[ScoreGroup], columns: Sequence[str] = TABLE_COLUMNS) -> Rows:
     """One row per group, policy and vehicle, one column per metric: the means over seeds with their intervals.
 
-    The digits are also no more than one run's interval over evaluation episodes supports, where it is known. Where
-    two groups were measured alike, and no more, there are rows of their differences, second minus first. Without
-    ``metrics`` the columns are those of :func:`score_estimates`, the interquartile mean of the utility last.
+    Where two groups were measured alike, and no more, there are rows of their differences, second minus first.
     """
-    estimates = score_estimates(groups, metrics)
     about = _about(groups)
-    names = dict.fromkeys([*TABLE_METRICS, *(estimate.place.metric for estimate in estimates)])
-    columns = [*(name for name in names if name != UTILITY_IQM), UTILITY_IQM] if metrics is None else [*metrics]
     rows: dict[tuple[int, str, str], list[str]] = {}
-    for estimate in estimates:
+    for estimate in score_estimates(groups, columns):
         policy, vehicle, metric = estimate.place
         labels = estimate.group.labels(about, policy, vehicle)
         row = rows.setdefault((id(estimate.group), policy, vehicle), [*labels, *[""] * len(columns)])
@@ -277,9 +267,8 @@ def check_columns(groups: Sequence[ScoreGroup], columns: Sequence[str] | None) -
     """Refuse columns of which no group has a score."""
     known = {place.metric for group in groups for place in group.scores}
     known |= {UTILITY_IQM} if UTILITY_ESR in known else set()
-    for name in columns or ():
-        if name not in known:
-            raise ValueError(f"--columns {name}: no run has such a score; the nearest: {nearest_few(name, known)}")
+    for name in set(columns or ()) - known:
+        raise ValueError(f"--columns {name}: no run has such a score; the nearest: {nearest_few(name, known)}")
 
 
 def tidy_scores(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Cells:
@@ -297,9 +286,8 @@ def tidy_scores(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = No
 def tidy_comparisons(groups: Sequence[ScoreGroup]) -> Cells:
     """One row per policy and vehicle of two groups that differ in the algorithm: how their means differ.
 
-    Each has the difference of the means with its interval, n, the seeds of the first, n_other, those of the other, and
-    p of a two-sided Mann-Whitney test. If not all groups were trained for the same number of steps, rows have those of
-    the pair.
+    Columns are those of COMPARED, with p of a two-sided Mann-Whitney test, and the steps of both unless all have the
+    same.
     """
     shared = list(groups[0].task) if groups else []
     rows: Cells = [[*shared, "policy", "vehicle", "difference", "steps", "metric", *COMPARED]]
@@ -327,7 +315,7 @@ def tidy_comparisons(groups: Sequence[ScoreGroup]) -> Cells:
 
 
 def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
-    """The rows of :func:`tidy_comparisons` as text, without columns that are empty."""
+    """The rows of :func:`tidy_comparisons` as text."""
 
     def text(cell: str | float | None) -> str:
         return "" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell)
@@ -394,36 +382,44 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
     names = list(dict.fromkeys(name for estimates in columns.values() for name in estimates))
     ends = [name for name in names if split_name(name).metric.startswith(END)]
     happened = {name for name in ends for column in columns.values() if name in column and column[name].value > 0.0}
-    how = f"95% intervals{of_three((len(evaluation.returns) for evaluation in evaluations.values()), 'episodes')}"
-    table = Table(title=f"{title}; {how}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    table.add_column("", overflow="fold")
-    if ends:
-        table.caption = f"{SUCCESS}: the share of arrivals; other ends ({END}...) that no episode had are left out."
-        table.caption_justify = "left"
-    for policy in columns:
-        table.add_column(policy, justify="right", overflow="fold")
-    for name in names:
-        if name in ends and name not in happened:
-            continue
+    rows = [["", *columns]]
+    for name in (name for name in names if name not in ends or name in happened):
         cells = []
         for policy, estimates in columns.items():
             estimate = estimates.get(name)
             if estimate is None and name in ends and any(end in estimates for end in ends):  # this end never happened
                 estimate = rate(np.zeros(len(evaluations[policy].returns), dtype=np.bool_))
             cells.append("" if estimate is None else estimate.text())
-        table.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
-    return table
+        rows.append([name, *cells])
+    how = f"95% intervals{of_three((len(evaluation.returns) for evaluation in evaluations.values()), 'episodes')}"
+    caption = (
+        f"{SUCCESS}: the share of arrivals; other ends ({END}...) that no episode had are left out." if ends else ""
+    )
+    return make_table(rows, 1, title=f"{title}; {how}", caption=caption if ends else "")
 
 
 # --------------------------------------------------------------------------------------------------------- a terminal
 
 
+def make_table(
+    rows: Rows, labels: int, *, unbroken: Container[int] = (), title: str | None = None, caption: str | None = None
+) -> Table:
+    """A table for a terminal: ``labels`` columns to the left, others to the right; of some no line is broken."""
+    table = Table(title=title and Text(title, style="bold"), caption=caption and Text(caption), box=SIMPLE_HEAD)
+    table.title_justify = table.caption_justify = "left"
+    for i, name in enumerate(rows[0]):
+        justify: Any = "left" if i < labels else "right"
+        table.add_column(Text(name), justify=justify, overflow="fold", no_wrap=i in unbroken)
+    for row in rows[1:]:
+        table.add_row(*map(Text, row))
+    return table
+
+
 def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: str | None = None) -> None:
     """Print a table below its title, in parts that fit the console, so that nothing is cut off.
 
-    If it does not fit, first the labels that all rows share move to the title; then columns follow in further parts.
-    The first ``labels`` columns say what a row is. With ``rest``, how to see all columns, the first part alone is
-    printed, then the names of the columns that are not in it, and this.
+    If it does not fit, first the labels that all rows share move to the title. With ``rest``, how to see all columns,
+    the first part alone is printed, and then the names of the columns that are not in it.
     """
     if sum(_widths(rows)) + MARGIN > console.width and len(rows) > 1:
         shared, rows, labels = lift_labels(rows, labels)
@@ -439,10 +435,9 @@ def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: s
 
 
 def fitted_tables(rows: Rows, labels: int, width: int) -> list[Table]:
-    """A table in parts that fit a width, each of which begins with the labels.
+    """A table in parts that fit a width, each with the labels, and with those rows that have a value in it.
 
-    Labels are wrapped where they are too long; those that take too much of the width are joined in one column
-    ("name=value, name=value"). Rows without any value in a part are left out of it.
+    Labels that take too much of the width are joined in one column ("name=value, name=value").
     """
     most = int(LABEL_SHARE * width)
     if labels > 1 and sum(_widths(rows)) + MARGIN > width and sum(_widths(rows)[:labels]) > most:
@@ -460,14 +455,9 @@ def fitted_tables(rows: Rows, labels: int, width: int) -> list[Table]:
         parts[-1].append(i)
     tables = []
     for part in parts:
-        table = Table(box=SIMPLE_HEAD)
-        for i in (*range(labels), *part):
-            justify: Any = "left" if i < labels else "right"
-            table.add_column(Text(rows[0][i]), justify=justify, overflow="fold", no_wrap=i >= labels)
-        for row in rows[1:]:
-            if any(row[i] for i in part):
-                table.add_row(*(Text(row[i]) for i in (*range(labels), *part)))
-        tables.append(table)
+        body = [row for row in rows[1:] if any(row[i] for i in part)]
+        shown = [[row[i] for i in (*range(labels), *part)] for row in [rows[0], *body]]
+        tables.append(make_table(shown, labels, unbroken=range(labels, len(shown[0]))))
     return tables
 
 
@@ -492,8 +482,7 @@ def write_tables(
 ) -> list[Path]:
     """Write the scores and, if algorithms can be compared, their differences into ``NAME-differences``.
 
-    A CSV has one number per cell, and the returns of all objectives; LaTeX and Markdown have the table of the terminal,
-    with names as people write them.
+    A CSV is tidy; LaTeX and Markdown have the table of the terminal, with names as people write them.
     """
     note, tidy = interval_note(scores), path.suffix.lower() == ".csv"
     table = tidy_scores(scores, columns) if tidy else scores_table(scores, columns or TABLE_COLUMNS)

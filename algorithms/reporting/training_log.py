@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
+POLICY = "policy"  # its number, in files of fronts
 Columns = dict[str, NDArray[np.float64]]  # (rows,) each, by name
 
 
@@ -33,11 +34,12 @@ def read_rows(path: Path) -> pl.DataFrame:
     import polars as pl  # not earlier: no environment needs it
 
     try:
-        data = _complete_lines(path)
+        data = path.read_bytes() if path.exists() else b""
+        data = data[: data.rfind(b"\n") + 1]  # without a torn row, as a crash may leave it
         header = next(csv.reader(data.decode().splitlines()[:1]), [STEP])
         if header[:1] != [STEP] or len({*header}) < len(header):
             raise ValueError(f"its columns must be {STEP!r}, then different metrics")
-        types = {name: pl.Int64() if name == STEP else pl.Float64() for name in header}
+        types = {name: pl.Int64() if name in (STEP, POLICY) else pl.Float64() for name in header}
         frame = pl.read_csv(data, schema=types) if data else pl.DataFrame(schema=types)
         if frame[STEP].has_nulls():
             raise ValueError(f"a row has no {STEP}")
@@ -45,12 +47,6 @@ def read_rows(path: Path) -> pl.DataFrame:
         reason = str(error).partition("\n")[0]
         raise ValueError(f"metrics file {str(path)!r} cannot be read: {reason}") from None
     return frame
-
-
-def _complete_lines(path: Path) -> bytes:
-    """What is in a file but for a torn row, as a crash may leave it."""
-    data = path.read_bytes() if path.exists() else b""
-    return data[: data.rfind(b"\n") + 1]
 
 
 def rows_until(path: Path, step: int) -> pl.DataFrame:
@@ -73,9 +69,9 @@ class MetricsFile:
         self._columns: list[str] = [STEP]
         self._rows: list[list[str]] = []
         if after is not None:
-            self._columns = rows_until(path, after).columns
-            cells = list(csv.reader(_complete_lines(path).decode().splitlines()))
-            self._rows = [row for row in cells[1:] if int(row[0]) <= after]
+            frame = rows_until(path, after)
+            self._columns = frame.columns
+            self._rows = [["" if cell is None else repr(cell) for cell in row] for row in frame.iter_rows()]
         self._rewrite()
 
     def write(self, step: int, metrics: Mapping[str, float]) -> None:

@@ -55,10 +55,7 @@ def record(
     seed: int = SPLITS["test"].start,
     greedy: bool = True,
 ) -> int:
-    """Write an MP4 of a few episodes, one after the other; the file appears when it is complete.
-
-    What exceeds MAX_FRAMES is cut off, which the last frame says. Returns the number of frames.
-    """
+    """Write an MP4 of a few episodes, one after the other, up to MAX_FRAMES; returns the number of frames."""
     env = make_render_env(env_id, env_arguments)
     try:
         fps = int(env.unwrapped.metadata.get("render_fps") or DEFAULT_FPS)
@@ -149,12 +146,9 @@ def caption_strip(text: str, width: int) -> Frame:
 
 @contextmanager
 def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]]:
-    """A function that appends a frame to an MP4; the file appears when it is complete, unless empty.
-
-    A process that is killed leaves a file that is named as the temporary ones of :mod:`mo_deepdrive.support.atomic_io`.
-    """
+    """A function that appends a frame to an MP4; the file appears when it is complete, unless empty."""
     path = without_links(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    part = path.with_name(f".{path.name}.{os.getpid()}.tmp")  # as atomic_io names its own, if the process is killed
     count, encoder = 0, None
     # The temporary name does not tell the format; encoders need even sides.
     options = {"output_params": ["-f", "mp4", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"], "ffmpeg_log_level": "quiet"}
@@ -214,9 +208,8 @@ def video_seconds(path: str | Path) -> float:
 def write_video_grid(tracks: Sequence[Track], path: str | Path, fps: int, *, hold: float = HOLD) -> int:
     """Write an MP4, or a looping GIF, of all ``tracks`` at once, each below its caption.
 
-    Up to three tracks, and all of a GIF, are side by side, more in a grid that is as square as possible. A track that
-    ends early keeps its last frame. All frames (height, width, 3) have the same size, and the last one is shown for
-    ``hold`` seconds. The file, whose ending is the format, appears when it is complete. Returns the number of frames.
+    Up to three tracks, and all of a GIF, are side by side, more in a grid that is as square as possible. The last frame
+    is shown for ``hold`` seconds. The file appears when it is complete. Returns the number of frames.
     """
     gif = str(path).lower().endswith(".gif")
     columns = len(tracks) if gif or len(tracks) <= 3 else math.ceil(math.sqrt(len(tracks)))
@@ -260,9 +253,9 @@ def resized(frame: Frame, width: int, height: int) -> Frame:
 
 
 def video_as_gif(path: str | Path, *, max_width: int = 480, max_frames: int = 150) -> tuple[bytes, int, int]:
-    """A video file as a looping GIF of the same length, its height and its width.
+    """A video file as a looping GIF of the same length, of ``max_frames`` at equal distances, its height and its width.
 
-    At most ``max_frames`` are taken, at equal distances. A video that cannot be read is an OSError.
+    A video that cannot be read is an OSError.
     """
     reader: Any = imageio.get_reader(path, format="FFMPEG")
     with reader:

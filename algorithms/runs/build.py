@@ -15,7 +15,7 @@ from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.learning.guides import Guide
 from algorithms.learning.threads import set_threads
 from algorithms.reporting.run_records import flatten
-from algorithms.runs.config import Experiment, UtilitySettings, agent_class, find_environment
+from algorithms.runs.config import Experiment, UtilitySettings, agent_class, check_loggers, find_environment
 from algorithms.runs.run_directory import Run, imported_paths
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import check_reference_point
@@ -61,13 +61,13 @@ def build(
         check_reference_point(experiment.evaluation.reference_point, objectives)
     else:
         options["utility"] = make_utilities(experiment.utility, adapter)
-    for key, able, what in (
+    for key, able, ability in (
         ("partners", algorithm.trains_with_partners, "train with partners"),
         ("guides", algorithm.trains_with_guides or not guides, "train with guides"),
         ("share_policy", algorithm.shares_policies, "share a policy"),
     ):
         if getattr(training, key) and not able:
-            raise ValueError(f"training.{key}: algorithm {experiment.algorithm.name!r} cannot {what}")
+            raise ValueError(f"training.{key}: algorithm {experiment.algorithm.name!r} cannot {ability}")
     if training.partners:
         options["partners"] = _partners(experiment, adapter, idle_only=not partners)
     if training.guides and guides:
@@ -112,11 +112,7 @@ def load_policy(run: Run, *, partners: bool = True) -> Any:
 
 
 def open_driver(name: str, vehicle: int, env: EnvAdapter, action_type: str, **permissions: Any) -> Policy:
-    """What drives a vehicle in an environment with this type of actions.
-
-    It is named by the directory of a run, as a policy of the zoo, or as a scripted driver such as ``rule:gap_3``
-    (``algorithms/driving/named_rules.py``). The permissions are those of :meth:`Run.open`.
-    """
+    """What drives a vehicle: a run, a policy of the zoo, or a scripted driver, such as ``rule:gap_3``, by its name."""
     if is_rule(name):
         return scripted_policy(name, vehicle, env, action_type)
     run = Run.open(name, **permissions)
@@ -132,16 +128,19 @@ def open_driver(name: str, vehicle: int, env: EnvAdapter, action_type: str, **pe
     return agent  # type: ignore[no-any-return]  # an algorithm of any class
 
 
-def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, experiment: Experiment) -> Population:
+def _population(key: str, drivers: Sequence[str], v: int, env: EnvAdapter, experiment: Experiment) -> Population:
     """Drivers that take turns in driving a vehicle of an experiment, which may import what its config names."""
     action_type = str(experiment.environment.arguments.get("action_type", "discrete"))
     imports = imported_paths(experiment.to_dict()).values()
     members, digests = [], []  # what identifies a driver wherever its files are: a script's name, a checkpoint's hash
-    for name in names:
-        members.append(open_driver(name, vehicle, env, action_type, imports=imports))
+    for name in drivers:
+        try:
+            members.append(open_driver(name, v, env, action_type, imports=imports))
+        except ValueError as error:
+            raise ValueError(f"training.{key}: {error}") from None
         checkpoint = b"" if is_rule(name) else Run.open(name, trust=True).checkpoint.read_bytes()
         digests.append(name if is_rule(name) else hashlib.sha256(checkpoint).hexdigest()[:16])
-    return Population(members, vehicle, digests)
+    return Population(members, v, digests)
 
 
 def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
@@ -166,27 +165,15 @@ def _partners(experiment: Experiment, adapter: EnvAdapter, *, idle_only: bool) -
     named = _by_vehicle(partners, "training.partners", adapter)
     if len(partners) == adapter.vehicles:
         raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(partners)}: none is left to learn")
-    populations = {}
-    for v, name, drivers in named:
-        if not drivers:
-            raise ValueError(f"training.partners.{name} = [] must name at least one driver")
-        if len(drivers) > num_envs:
+    for _, name, drivers in named:
+        if not 1 <= len(drivers) <= num_envs:
             raise ValueError(
-                f"training.num_envs = {num_envs} is less than the {len(drivers)} drivers in training.partners"
+                f"training.partners.{name} must name at least one driver, and no more than training.num_envs = "
+                f"{num_envs}; it has {len(drivers)}"
             )
-        if idle_only:
-            populations[v] = Population([ScriptedPolicy(adapter)], v, [""])
-        else:
-            populations[v] = _population(f"partners.{name}", drivers, v, adapter, experiment)
-    return populations
-
-
-def _population(key: str, drivers: Sequence[str], v: int, adapter: EnvAdapter, experiment: Experiment) -> Population:
-    """The drivers of a vehicle; the error of one names its key."""
-    try:
-        return open_population(drivers, v, adapter, experiment)
-    except ValueError as error:
-        raise ValueError(f"training.{key}: {error}") from None
+    if idle_only:
+        return {v: Population([ScriptedPolicy(adapter)], v, [""]) for v, _, _ in named}
+    return {v: _population(f"partners.{name}", drivers, v, adapter, experiment) for v, name, drivers in named}
 
 
 def _by_vehicle(section: Mapping[str, T], key: str, adapter: EnvAdapter) -> list[tuple[int, str, T]]:
@@ -214,6 +201,7 @@ def make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utili
 def build_trainee(experiments: Sequence[Experiment]) -> Any:
     """The untrained agent of experiments that differ in their seeds alone."""
     first = experiments[0]
+    check_loggers(first)
     if len(seeds := first.training.seeds or []) > 1:
         raise ValueError(f"training.seeds = {seeds}: mo-deepdrive train alone trains several")
     if len(experiments) == 1 and not first.is_resident:

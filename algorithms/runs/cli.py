@@ -19,10 +19,10 @@ from algorithms.runs.run_directory import Run, default_directory
 from mo_deepdrive.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from mo_deepdrive.support.atomic_io import expand_home, without_links
 from mo_deepdrive.support.faults import Fault
-from mo_deepdrive.support.names import nearest, printable, shortened
+from mo_deepdrive.support.names import nearest, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from typing import NoReturn
 
     from algorithms.runs.config import Experiment
@@ -40,6 +40,7 @@ CHOICE_SPLIT: Split = "validation"
 # ----------------------------------------------------------------------------------------------- commands and options
 
 
+Options = argparse.Namespace  # of a command line
 Option = Callable[["argparse._ActionsContainer"], object]  # adds an option, an argument or several of them to a parser
 
 
@@ -109,13 +110,17 @@ class CommandGroup(NamedTuple):
     def __call__(self, arguments: Sequence[str]) -> int:
         """Run the action that is the first word of a command line."""
         actions = {action.name.split()[-1]: action for action in self.actions}
-        if arguments and arguments[0] in actions:
-            return actions[arguments[0]](arguments[1:])
-        described = [f"  {name:8}{str(action.description).splitlines()[0]}" for name, action in actions.items()]
-        parser = make_parser("\n".join([f"{self.description}\nactions:", *described]), self.name)
-        parser.add_argument("action", metavar="ACTION", choices=actions, help="ACTION --help: its options")
-        parser.parse_args(arguments[:1])
-        return INVALID_INPUT  # not reached: argparse has exited
+        texts = {name: str(action.description).splitlines()[0] for name, action in actions.items()}
+        name = first_word(make_parser(self.description, self.name), "action", texts, arguments)
+        return actions[name](arguments[1:])
+
+
+def first_word(parser: argparse.ArgumentParser, kind: str, texts: Mapping[str, str], arguments: Sequence[str]) -> str:
+    """The command or action with which a command line begins; the help has a line for each."""
+    lines = [f"  {name:12}{text}" for name, text in texts.items()]
+    parser.epilog = "\n".join([f"{kind}s:", *lines, "", f"{kind.upper()} --help: its options"])
+    parser.add_argument(kind, choices=texts, metavar=kind.upper(), help="one of those below")
+    return str(getattr(parser.parse_args(arguments[:1]), kind))
 
 
 CONFIG = option("--config", "FILE", "YAML file of the experiment, or the name of a shipped one")
@@ -139,31 +144,25 @@ def evaluation_options(episodes: int | None = None, split: Split | None = None) 
 
 
 class Parser(argparse.ArgumentParser):
-    """Prints its errors as :func:`warn` does, and replaces ``~`` at the beginning of a value by the home directory.
-
-    Shells do not replace it in ``--output=~/runs``. A ``~`` alone, which is null in YAML, stays the value of a key of
-    the experiment, whose option has a dot.
-    """
+    """Prints its errors as :func:`warn` does, and expands ``--output=~/runs``, which shells do not."""
 
     def parse_known_args(  # type: ignore[override]  # argparse's own types are overloads
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """As argparse does, after replacing each ``~``."""
-        given = list(sys.argv[1:] if args is None else args)  # noqa: TID251 (as argparse does)
-        return super().parse_known_args([*map(self._expanded, ["", *given], given)], namespace)
-
-    def _expanded(self, before: str, argument: str) -> str:
-        option, equals, value = argument.partition("=") if argument.startswith("-") else (before, "", argument)
-        if not value.startswith("~") or (value == "~" and option.startswith("--") and "." in option):
-            return argument
-        try:
-            return f"{option}{equals}{expand_home(value)}" if equals else str(expand_home(value))
-        except ValueError as error:
-            self.error(str(error))
+        """As argparse does, after replacing each ``~/`` at the beginning of a value."""
+        words = list(sys.argv[1:] if args is None else args)  # noqa: TID251 (as argparse does)
+        for number, word in enumerate(words):
+            option, equals, value = word.partition("=") if word.startswith("-") else ("", "", word)
+            if value.startswith("~/"):
+                try:
+                    words[number] = f"{option}{equals}{expand_home(value)}"
+                except ValueError as error:
+                    self.error(str(error))
+        return super().parse_known_args(words, namespace)
 
     def error(self, message: str) -> NoReturn:
         """End with the usage and ``message``."""
-        super().error(printable(shortened(message)))
+        super().error(printable(message))
 
 
 def make_parser(description: str | None, command: str = "") -> argparse.ArgumentParser:
@@ -279,7 +278,7 @@ def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> di
 
 def warn(message: str) -> None:
     """Print to standard error, without the control characters of names in the message, and with very long ones cut."""
-    print(printable(shortened(message)), file=sys.stderr)
+    print(printable(message), file=sys.stderr)
 
 
 @contextlib.contextmanager

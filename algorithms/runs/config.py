@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
     from gymnasium.envs.registration import EnvSpec
 
+    from mo_deepdrive.suite import Task
+
 SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
 T = TypeVar("T")
 
@@ -208,11 +210,10 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
     return make_experiment(values, f"experiment {str(path)!r}")
 
 
-def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here: bool = True) -> Experiment:
-    """Validate ``values`` and fill in every default, including those of the environment and the algorithm.
+def make_experiment(values: Mapping[str, Any], name: str = "experiment", *, here: bool = True) -> Experiment:
+    """Validate ``values``, which error messages call ``name``, and fill in every default.
 
-    ``what`` names them in error messages; ``here`` is whether the experiment will run on this machine, which must then
-    have its device.
+    ``here`` is whether the experiment will run on this machine, which must then have its device.
     """
     problems: list[str] = []
 
@@ -227,30 +228,30 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     if isinstance(given := values.get("algorithm"), dict):
         # If it is refused, the other sections are checked nevertheless.
         sections["algorithm"] = attempt(_algorithm, given) or AlgorithmSettings(name="", config=Settings())
-    experiment = parse(Experiment, sections, what)
+    experiment = parse(Experiment, sections, name)
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
-    worlds = attempt(_worlds, experiment.environment)
-    arguments, config = worlds or ({}, None)
+    environment, config = attempt(_with_every_argument, experiment.environment) or (None, None)
     attempt(check_device, "training.device", training.device, here)
     attempt(_check_seeds, training)
     attempt(check_episodes, "evaluation.episodes", evaluation.episodes, "validation")
     attempt(check_episodes, "evaluation.final_episodes", evaluation.final_episodes, evaluation.split)
-    if evaluation.task is not None and worlds is not None:
-        attempt(_check_task, experiment, evaluation.task, arguments)
+    if environment is not None:
+        experiment = experiment.model_copy(update={"environment": environment})
+        if evaluation.task is not None:
+            attempt(check_task, experiment, evaluation.task)
     front = None
     if experiment.algorithm.name:
         attempt(_check_utility, experiment)
         if config is not None and not experiment.known_utility:
             front = attempt(_front_evaluation, evaluation, config)
     if problems:
-        raise ValueError(f"invalid {what}: " + "; ".join(problems))
+        raise ValueError(f"invalid {name}: " + "; ".join(problems))
     default = a_twentieth(training.total_timesteps)
     if training.seeds is not None and training.seed not in training.seeds:
         training = training.model_copy(update={"seed": training.seeds[0]})
     return experiment.model_copy(
         update={
             "training": training,
-            "environment": experiment.environment.model_copy(update={"arguments": arguments}),
             "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **(front or {})}),
             "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or default}),
         }
@@ -291,16 +292,17 @@ def override(values: dict[str, Any], key: str, value: Any) -> None:
         values[last] = value
 
 
-def _worlds(settings: EnvironmentSettings) -> tuple[dict[str, Any], EnvConfig | None]:
-    """All arguments of an environment, and the configuration of one of this package's environments."""
+def _with_every_argument(settings: EnvironmentSettings) -> tuple[EnvironmentSettings, EnvConfig | None]:
+    """An environment with all of its arguments, and its configuration if it is one of this package's."""
     spec = find_environment(settings.id)
     if not is_ours(spec):
-        return dict(settings.arguments), None
-    what = f"environment.arguments of {settings.id}"
+        return settings, None
+    section = f"environment.arguments of {settings.id}"
     if "scenario" in settings.arguments:
-        raise ValueError(f"invalid {what}: 'scenario' is set by the id; choose another id instead")
-    config = parse(EnvConfig, {**spec.kwargs, **settings.arguments}, what)
-    return config.model_dump(mode="json", exclude={"scenario"}), config
+        raise ValueError(f"invalid {section}: 'scenario' is set by the id; choose another id instead")
+    config = parse(EnvConfig, {**spec.kwargs, **settings.arguments}, section)
+    arguments = config.model_dump(mode="json", exclude={"scenario"})
+    return settings.model_copy(update={"arguments": arguments}), config
 
 
 def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
@@ -325,10 +327,7 @@ def _check_utility(experiment: Experiment) -> None:
 
 
 def _front_evaluation(evaluation: EvaluationSettings, config: EnvConfig) -> dict[str, Any]:
-    """The discount and the reference point of a front of this package's environments, where none are given.
-
-    The front of two vehicles has no point by default: the hypervolume of 64 of its policies would take hours.
-    """
+    """The discount and the reference point of a front of this package's environments, where none are given."""
     if config.cost_sign != "maximise":
         raise ValueError(f"environment.arguments.cost_sign = {config.cost_sign!r}: a front needs 'maximise'")
     gamma, point = evaluation.gamma, evaluation.reference_point
@@ -338,6 +337,7 @@ def _front_evaluation(evaluation: EvaluationSettings, config: EnvConfig) -> dict
         from mo_deepdrive.world.params import chosen_objectives
 
         gamma = default_discount(chosen_objectives(config))
+    # Of two vehicles the hypervolume of 64 policies would take hours.
     if point is None and config.scenario_data.vehicles == 1:
         try:
             default = mo_deepdrive.reference_point(config.scenario, config.action_type, gamma, config.objectives)
@@ -355,20 +355,19 @@ def _check_seeds(settings: TrainingSettings) -> None:
         raise ValueError(f"training.seed = {settings.seed} must be one of training.seeds = {seeds}")
 
 
-def _check_task(experiment: Experiment, name: str, arguments: Mapping[str, Any]) -> None:
-    """Refuse to score as a task of the suite what is trained in another environment, whose arguments are all given."""
+def check_task(experiment: Experiment, task_id: str) -> Task:
+    """The task of the suite as which an experiment is scored, which was trained in its environment and no longer."""
     from mo_deepdrive import suite  # as late as this, because it imports the simulation
 
-    try:
-        task = suite.load().task(name)
-    except ValueError as error:
-        raise ValueError(f"evaluation.task: {error}") from None
-    for key, (given, needed) in task.differences(experiment.environment.id, arguments).items():
-        raise ValueError(f"environment.{key} = {given!r}: evaluation.task = {name!r} needs {needed!r}")
+    task, environment = suite.load().task(task_id), experiment.environment
+    differences = task.differences(environment.id, environment.arguments)
+    if texts := [f"environment.{key} = {given!r} (not {needed!r})" for key, (given, needed) in differences.items()]:
+        raise ValueError(f"task {task_id} needs another environment: {', '.join(texts)}")
     if (steps := experiment.training.total_timesteps) > task.steps:
         raise ValueError(
-            f"training.total_timesteps = {steps:,}: evaluation.task = {name!r} allows {task.steps:,} environment steps"
+            f"training.total_timesteps = {steps:,}: task {task_id} allows {task.steps:,} environment steps"
         )
+    return task
 
 
 def check_effects(experiment: Experiment, keys: Iterable[str], why: str) -> None:
@@ -401,10 +400,7 @@ def config_names() -> list[str]:
 
 
 def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
-    """The YAML file that a user names: a file, relative to the working directory or to what names it, ``beside``.
-
-    If there is none, it is a shipped one, by its name in :func:`config_names` or its path in a checkout.
-    """
+    """The YAML file that a user names: in the working directory or ``beside`` what names it, or else a shipped one."""
     path = expand_home(name)
     wanted, names = path.as_posix().removeprefix("configs/").removesuffix(".yaml"), config_names()
     candidates = [path] if beside is None else [path, Path(beside).parent / path]
@@ -424,10 +420,7 @@ def is_peer(name: str) -> bool:
 
 
 def find_algorithm(name: object, source: str = "algorithm.name") -> Any:
-    """What has an algorithm's ``known_utility`` and ``Config``: its class, or the entry of another library's.
-
-    ``source`` is the key of its name.
-    """
+    """An algorithm's class, or the entry of another library's, which has its ``known_utility`` and ``Config``, too."""
     if isinstance(name, str) and not is_peer(name):
         return agent_class(name)
     peers = resolve_name("algorithms.peers:PEERS")  # of a layer above this one

@@ -59,12 +59,8 @@ def open_log(path: Path) -> io.TextIOWrapper:
 
 
 def make_standard_streams_lenient() -> None:
-    """Replace standard output and error, unless somebody has replaced them already, by lenient ones.
-
-    Characters that their encoding lacks are written as escapes. Descriptors that are closed lead to the null device:
-    otherwise the next file that is opened would take their place, and what is printed would go there.
-    """
-    for descriptor in range(3):
+    """Replace standard output and error, unless somebody has replaced them already, by lenient ones."""
+    for descriptor in range(3):  # if one is closed, the next file that is opened would get what is printed
         try:
             os.fstat(descriptor)
         except OSError:

@@ -84,10 +84,9 @@ def never_fatal(failure: str) -> Iterator[None]:
 class Interrupts:
     """Records SIGINT and SIGTERM in its context, instead of acting on them; a second SIGINT acts at once.
 
-    A second SIGTERM does not, so that what the first one began can be saved: a batch system sends it to every process
-    of a job, and then a parent that stops its workers sends it to them again. Only the main thread receives signals; in
-    others nothing is recorded. ``patience`` is after how many seconds a signal acts nevertheless, as KeyboardInterrupt,
-    unless :meth:`settle` is called before.
+    A second SIGTERM does not: a batch system sends one to every process of a job, and then a parent to its workers.
+    Only the main thread receives signals. ``patience`` is after how many seconds a signal acts nevertheless, as
+    KeyboardInterrupt, unless :meth:`settle` is called before.
     """
 
     def __init__(self, patience: Mapping[signal.Signals, float] = {}) -> None:

@@ -21,14 +21,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from algorithms.reporting.run_records import INCIDENTAL, Recorded, flatten
-from algorithms.runs.config import Experiment, check_loggers, is_peer, make_experiment, peer_running
+from algorithms.runs.config import Experiment, is_peer, make_experiment, peer_running
 from algorithms.runs.console import make_console, make_standard_streams_lenient, open_log
 from algorithms.runs.interrupts import DiskFull, Interrupts, JobFailed, Stopped, describe, stopped_by
 from algorithms.runs.progress import ENDED, Dashboard
 from algorithms.runs.run_directory import CONFIG_FILE, InUse, Run, imported_paths, is_run, read_status
 from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.support.machine import available_cores
-from mo_deepdrive.support.yaml import read_mapping
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -61,13 +60,14 @@ class Job:
 
     def open(self) -> Run:
         """The run in the directory, which has this experiment, and may import what it names."""
-        wanted = self.experiment.to_dict()
-        theirs = imported_paths(read_mapping(self.path / CONFIG_FILE)) if is_run(self.path) else {}
-        mine = imported_paths(wanted).values()
-        changed = [f"{key} = {name!r} there" for key, name in theirs.items() if name not in mine]
-        if not changed:
-            run = Run.open(self.path, trust=True)
-            changed = differences(run.experiment.to_dict(), wanted)
+        values = self.experiment.to_dict()
+        run = Run.open(self.path, imports=imported_paths(values).values())
+        there, wanted = flatten(run.experiment.to_dict()), flatten(values)
+        changed = [
+            f"{key} = {there.get(key)!r} there, {wanted.get(key)!r} wanted"
+            for key in there | wanted
+            if not {key, key.partition(".")[0]} & {*INCIDENTAL} and there.get(key) != wanted.get(key)
+        ]
         if changed:
             raise ValueError(
                 f"run directory {str(self.path)!r} holds another experiment: {'; '.join(changed)}; "
@@ -91,16 +91,6 @@ class Job:
         return cls(values["name"], make_experiment(values["experiment"]), Path(values["path"]), values["id"])
 
 
-def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
-    """A line per key that differs between an experiment and the wanted one; INCIDENTAL keys are not compared."""
-    there, wanted = flatten(first), flatten(second)
-    return [
-        f"{key} = {there.get(key)!r} there, {wanted.get(key)!r} wanted"
-        for key in there | wanted
-        if not {key, key.partition(".")[0]} & {*INCIDENTAL} and there.get(key) != wanted.get(key)
-    ]
-
-
 def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | None = None) -> JobOutcome:
     """Train and evaluate a run; "stopped" if a signal or ``stop`` ended it early, after saving."""
     if job.done:
@@ -108,16 +98,13 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     # As late as this: the process that hands out jobs needs no torch, which takes seconds and much memory.
     from algorithms.runs.training import resume, train_and_finish
 
+    run: Run | None = None
     try:
         run, resumed = _lock(job)
-    except OSError as error:
-        raise stopped_by(error, f"the run cannot be written: {error}") from error
-    try:
         if job.done:  # finished by the process that held the lock until now
             return "already there"
         if resumed:
             _take_over_settings(run, job.experiment)
-        check_loggers(run.experiment)
         if job.id is not None and run.experiment.logging.wandb is not None:
             atomic_write(job.path / "wandb_id", f"{job.id}\n".encode())  # repeated attempts continue one W&B run
         with open_log(job.path / "train.log") as log:
@@ -130,10 +117,12 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     except OSError as error:
         raise stopped_by(error, f"the run cannot be written: {error}") from error
     except Exception as error:
-        run.end("failed", run.status.get("step", 0), describe(error))
+        if run is not None:
+            run.end("failed", run.status.get("step", 0), describe(error))
         raise
     finally:
-        run.unlock()
+        if run is not None:
+            run.unlock()
     return "trained"
 
 
@@ -151,10 +140,7 @@ def _lock(job: Job) -> tuple[Run, bool]:
 
 
 def _take_over_settings(run: Run, wanted: Experiment) -> None:
-    """Continue a run with the job's logging and, if possible, on its device; config.yaml says so.
-
-    The number of threads stays that of the run, because it changes last bits.
-    """
+    """Continue a run with the job's logging and, if possible, on its device; threads would change last bits."""
     before = run.experiment
     values = {**before.to_dict(), "logging": wanted.logging.model_dump(mode="json")}
     # Worlds that stay on a device draw other random numbers, so that their checkpoints are others.
@@ -208,10 +194,7 @@ def _perform(packed: dict[str, Any]) -> JobOutcome:
 
 
 def _begin_worker() -> None:
-    """Leave the handling of signals to the parent: a worker stops at SIGTERM and when the parent ends.
-
-    Batch systems send their signals to every process of a job. Output of the user's code must not stop a worker either.
-    """
+    """Stop at SIGTERM and when the parent ends alone: batch systems send their signals to every process of a job."""
     make_standard_streams_lenient()
     if os.name == "posix":
         os.setsid()

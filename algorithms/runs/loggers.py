@@ -13,7 +13,6 @@ from algorithms.reporting.training_log import MetricsFile
 from algorithms.runs.interrupts import Accessory
 from mo_deepdrive.evaluation.metrics import split_name
 from mo_deepdrive.support.atomic_io import atomic_write
-from mo_deepdrive.support.extras import needed_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -25,14 +24,10 @@ RESULTS_SUFFIX = ".results"  # of TensorBoard's file with the results at the end
 
 
 class WandbRun:
-    """A run in Weights & Biases, offline where it cannot be reached; a resumed one continues with the stored id.
-
-    The directory has offline data, the run's id and its project; its name and the config are shown with the run.
-    """
+    """A run in Weights & Biases, offline where it cannot be reached; a resumed one continues with the stored id."""
 
     def __init__(self, directory: Path, settings: WandbSettings, config: dict[str, Any], say: Callable[[str], None]):
-        with needed_for("logging.wandb"):
-            import wandb
+        import wandb
 
         id_file, project_file = directory / "wandb_id", directory / "wandb_project"
         stored = id_file.read_text().strip() if id_file.exists() else None
@@ -104,9 +99,8 @@ class TensorBoard:
 class Logger:
     """Writes each row of metrics to metrics.csv, TensorBoard and, if ``wandb`` is given, Weights & Biases.
 
-    Use it as a context manager. An error of TensorBoard or Weights & Biases is one message and ends their part alone.
-    ``after`` is the step of the checkpoint that a run resumes from: later rows are dropped, since they are written
-    again. W&B shows the config.
+    An error of TensorBoard or Weights & Biases is one message and ends their part alone. ``after`` is the step of the
+    checkpoint that a run resumes from: later rows are written again.
     """
 
     def __init__(

@@ -60,8 +60,7 @@ def export_onnx(
         import onnx
 
     graph = _graph(agent, condition)
-    observations, past, conditions, _ = next(_visited(agent, experiment, condition))
-    example = graph.inputs(observations, past, conditions)
+    example, _ = next(_visited(graph, experiment, condition))
     with warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
         warnings.simplefilter("ignore")  # that the exporter is the older one, and that shapes are traced
         file = Path(folder) / "policy.onnx"
@@ -82,10 +81,9 @@ def export_onnx(
         model = onnx.load(file)
     onnx.helper.set_model_props(model, _metadata(agent, experiment, graph, condition))
     model.producer_name, model.producer_version = "mo-deepdrive", mo_deepdrive.__version__
-    content = model.SerializeToString()
-    difference = None
+    content, difference = model.SerializeToString(), None
     if importlib.util.find_spec("onnxruntime") is not None:
-        difference = _check(content, graph, agent, experiment, condition)
+        difference = _largest_difference(content, graph, experiment, condition)
     atomic_write(path, content)
     with torch.no_grad():
         results = graph(*example.values())
@@ -238,10 +236,10 @@ def _graph(agent: Any, condition: NDArray[np.float32] | None) -> _Graph:
 
 
 def _visited(
-    agent: Any, experiment: Experiment, condition: NDArray[np.float32] | None
-) -> Iterator[tuple[NDArray[np.float32], AccruedReward, NDArray[np.float32] | None, NDArray[Any]]]:
-    """States on the way of the policy, and some random ones: observations, past, conditions and greedy actions."""
-    env = EnvAdapter(make_environment(experiment.environment, CHECKED_ENVS))
+    graph: _Graph, experiment: Experiment, condition: NDArray[np.float32] | None
+) -> Iterator[tuple[dict[str, Tensor], NDArray[Any]]]:
+    """The inputs in 1,000 states on the way of the policy, and its greedy actions there."""
+    env, agent = EnvAdapter(make_environment(experiment.environment, CHECKED_ENVS)), graph.agent
     conditions, policy = None, agent
     if isinstance(agent, FrontAgent):
         rows = agent.conditions() if condition is None else condition[None]
@@ -251,7 +249,7 @@ def _visited(
     observations = env.reset(0)
     for _ in range(CHECKED_STATES // CHECKED_ENVS):
         actions = policy.act(observations, past, None)
-        yield observations, past, conditions, actions
+        yield graph.inputs(observations, past, conditions), actions
         step = env.step(actions)
         past = past.take(np.arange(CHECKED_ENVS))
         past.add(step.rewards, policy.gamma)
@@ -260,20 +258,18 @@ def _visited(
     env.vector_env.close()
 
 
-def _check(
-    content: bytes, graph: _Graph, agent: Any, experiment: Experiment, condition: NDArray[np.float32] | None
+def _largest_difference(
+    content: bytes, graph: _Graph, experiment: Experiment, condition: NDArray[np.float32] | None
 ) -> float:
-    """Run the file in 1,000 states; the largest difference from PyTorch."""
+    """Of a file's outputs from PyTorch's, in 1,000 states."""
     import onnxruntime
 
-    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-    largest = 0.0
-    for observations, past, conditions, actions in _visited(agent, experiment, condition):
-        inputs = graph.inputs(observations, past, conditions)
+    session, largest = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"]), 0.0
+    for inputs, actions in _visited(graph, experiment, condition):
         exported = session.run(None, {name: tensor.numpy() for name, tensor in inputs.items()})
         with torch.no_grad():
             expected = [tensor.numpy() for tensor in graph(*inputs.values())]
-        expected[0] = agent.env.environment_actions(actions)
+        expected[0] = graph.env.environment_actions(actions)
         if graph.env.vehicles > 1:
             expected[0] = expected[0][:, graph.driven]
         if not graph.env.continuous:

@@ -6,6 +6,7 @@ import contextlib
 from abc import ABC, abstractmethod
 from collections import Counter
 from datetime import timedelta
+from statistics import fmean
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,6 @@ from mo_deepdrive.evaluation.metrics import (
     TRAIN,
     UTILITY,
     evaluation_prefix,
-    split_name,
 )
 
 if TYPE_CHECKING:
@@ -99,7 +99,6 @@ class Display(ABC):
 
 # -------------------------------------------------------------------------------------------------------------- one run
 
-SHOWN_METRICS = (STEPS_PER_SECOND, *(evaluation_prefix(FRONT) + name for name in (HYPERVOLUME, CARDINALITY)))
 FIRST_UPDATES = 2  # in which code may be compiled; the time left is known from later ones
 COMPILING = "compiling the simulator (once, about 20 s)"
 
@@ -125,27 +124,23 @@ def compilation_noted(say: Callable[[str], None]) -> Iterator[None]:
 
 
 class ProgressReporter(Display):
-    """Shows steps, speed, time left, arrivals, where they are reported, and the utility, or the hypervolume of a front.
-
-    ``total`` are the environment steps of the whole training, of which ``step`` have been taken.
-    """
+    """Shows steps, of ``total`` ones, speed, time left, arrivals where they are known, and the utility or the front."""
 
     def __init__(self, total: int, step: int, console: Console, arrivals: bool = True, front: bool = False):
         super().__init__(console, "the progress bar")
-        self._formats = {UTILITY: "utility {:.2f}"}
+        self._formats = {(TRAIN, UTILITY): "utility {:.2f}"}  # by the beginning and the end of a metric's name
         if front:
-            self._formats = {HYPERVOLUME: "hypervolume {:,.1f}", CARDINALITY: "{:.0f} policies"}
+            prefix = evaluation_prefix(FRONT)
+            self._formats = {(prefix, HYPERVOLUME): "hypervolume {:,.1f}", (prefix, CARDINALITY): "{:.0f} policies"}
         if arrivals:
-            self._formats[SUCCESS] = "arrivals {:.0%}"
+            self._formats[TRAIN, SUCCESS] = "arrivals {:.0%}"
         self._total, self._step, self._first, self._updates = total, step, step, 0
         self._start_time = perf_counter()
         self._metrics: dict[str, float] = {}
 
     def note(self, metrics: Mapping[str, float]) -> None:
-        """Keep the newest values of the metrics that are shown."""
-        for name, value in metrics.items():
-            if name in SHOWN_METRICS or (name.startswith(TRAIN) and split_name(name).metric in (UTILITY, SUCCESS)):
-                self._metrics[name] = value
+        """Keep the newest values."""
+        self._metrics |= metrics
 
     def update(self, step: int) -> None:
         """Show that ``step`` environment steps have been taken."""
@@ -157,9 +152,10 @@ class ProgressReporter(Display):
 
     def _line(self) -> str:
         parts = [f"step {self._step:,} of {self._total:,} ({self._step / self._total:.0%})"]
-        for suffix, unit in self._formats.items():
-            if values := [value for name, value in self._metrics.items() if name.endswith("/" + suffix)]:
-                parts.append(unit.format(sum(values) / len(values)))  # the mean of several vehicles
+        for (prefix, metric), text in self._formats.items():
+            names = [name for name in self._metrics if name.startswith(prefix) and name.endswith(f"/{metric}")]
+            if names:
+                parts.append(text.format(fmean(self._metrics[name] for name in names)))  # over several vehicles
         if STEPS_PER_SECOND in self._metrics:
             parts.append(f"{self._metrics[STEPS_PER_SECOND]:,.0f} steps/s")
         if self._updates > FIRST_UPDATES and self._step < self._total:
@@ -242,11 +238,11 @@ class Dashboard(Display):
         return min(total, int(self._status[job.path].get("step", 0)))
 
     def _steps_done(self) -> int:
-        """Steps up to the last checkpoints, over all runs."""
+        """Up to the last checkpoints, over all runs."""
         return sum(map(self._step, self._jobs))
 
     def _steps_left(self) -> int:
-        """Steps until all runs are done, without those that have ended or failed."""
+        """Of the runs that have neither ended nor failed."""
         left = [job for job in self._jobs if self._state(job) not in (*ENDED, "failed")]
         return sum(job.experiment.training.total_timesteps - self._step(job) for job in left)
 

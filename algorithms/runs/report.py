@@ -26,7 +26,7 @@ from algorithms.runs.loggers import log_results
 from algorithms.runs.run_directory import METRICS_FILE, imported_paths
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
-from mo_deepdrive.evaluation.episodes import OTHER_ENVS, OUR_ENVS, evaluate
+from mo_deepdrive.evaluation.episodes import evaluate, parallel_envs
 from mo_deepdrive.evaluation.evaluation import Evaluation, write_evaluation
 from mo_deepdrive.evaluation.front import FRONT_FILE, Front, best_known_front, indicators, measure_front
 from mo_deepdrive.evaluation.metrics import ARRIVED, FRONT, GREEDY, STOCHASTIC, SUCCESS, SUITE
@@ -58,8 +58,7 @@ FRONT_EPISODES = 256  # parallel environments for the episodes of all policies o
 
 def evaluation_env(experiment: Experiment, episodes: int) -> VectorEnv:
     """A raw environment for evaluations of ``episodes`` episodes; the caller closes it."""
-    ours = is_ours(find_environment(experiment.environment.id))
-    return make_environment(experiment.environment, min(episodes, OUR_ENVS if ours else OTHER_ENVS))
+    return make_environment(experiment.environment, parallel_envs(experiment.environment.id, episodes))
 
 
 def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
@@ -76,7 +75,7 @@ def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
         return 1 if all(np.array_equal(*batch.state[name]) for name in names) else episodes
 
 
-def final_metrics(experiment: Experiment) -> list[str]:
+def final_metric_names(experiment: Experiment) -> list[str]:
     """The names of the metrics that the final evaluation of an experiment may have, as ``stochastic/success``."""
     settings = experiment.evaluation
     with closing(evaluation_env(experiment, 1)) as env:
@@ -109,12 +108,6 @@ def evaluate_front_policies(
     agent: FrontAgent, front: Front, experiment: Experiment, *, episodes: int, seed: int
 ) -> list[Evaluation]:
     """New episodes of every policy of the front that an agent learnt, of which :func:`distinct_episodes` are driven."""
-    for kind, of_front, of_agent in (
-        ("objectives", front.objectives, agent.front_objectives),
-        ("conditions", front.condition_names, tuple(agent.condition_names)),
-    ):
-        if of_front != of_agent:
-            raise ValueError(f"the front has the {kind} {of_front}; those of the agent are {of_agent}")
     episodes, gamma = distinct_episodes(experiment.environment, episodes), experiment.evaluation.gamma
     with closing(evaluation_env(experiment, FRONT_EPISODES)) as env:
         return agent.evaluate_policies(front.conditions, env, episodes=episodes, seed=seed, gamma=gamma)
@@ -138,7 +131,7 @@ def report_agent(
 ) -> bool:
     """Evaluate an agent, print a table, and report it where a path is given; False if anything but the numbers failed.
 
-    ``about`` is for evaluation.json. Films show the first episodes; of a front, four greedy policies in the first one.
+    ``about`` is for evaluation.json. Videos show the first episodes; of a front, four greedy policies in the first one.
     """
     gamma, about = experiment.evaluation.gamma, {"step": agent.step, **about}
     if directory is not None:
@@ -207,8 +200,8 @@ def film_policies_of_front(
 ) -> bool:
     """Try to film policies of a front, by index, side by side in the same scenario; None films four that cover it."""
     chosen = covering_policies(front, FILMED_POLICIES).tolist() if policies is None else list(policies)
-    what = f"{'policy' if len(chosen) == 1 else 'policies'} {', '.join(map(str, chosen))} of the front, seed {seed}"
-    with _filming(path, what, console) as filming, ExitStack() as stack:
+    shown = f"{'policy' if len(chosen) == 1 else 'policies'} {', '.join(map(str, chosen))} of the front, seed {seed}"
+    with _filming(path, shown, console) as filming, ExitStack() as stack:
         from algorithms.reporting.videos import DEFAULT_FPS, cut_off, episode_frames, make_render_env, write_video_grid
 
         tracks = []
@@ -223,14 +216,14 @@ def film_policies_of_front(
 
 
 @contextmanager
-def _filming(path: str | Path, what: str, console: Console) -> Iterator[Accessory]:
+def _filming(path: str | Path, shown: str, console: Console) -> Iterator[Accessory]:
     """The context in which a video is written; then its length is printed, or why there is none."""
     with _beside(console, "no video") as accessory:
         yield accessory
         if Path(path).is_file():
             from algorithms.reporting.videos import video_seconds
 
-            print_line(console, f"video: {path}: {what}, {video_seconds(path):.1f} s")
+            print_line(console, f"video: {path}: {shown}, {video_seconds(path):.1f} s")
 
 
 def _beside(console: Console, failure: str) -> Accessory:

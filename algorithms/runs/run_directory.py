@@ -8,6 +8,7 @@ import itertools
 import platform
 import shlex
 import subprocess
+from collections.abc import Mapping
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
@@ -31,7 +32,7 @@ from mo_deepdrive.support.atomic_io import (
 from mo_deepdrive.support.yaml import dump, read_mapping
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from filelock import BaseFileLock
 
@@ -51,10 +52,7 @@ class InUse(ValueError):
 
 
 class Run:
-    """One training run and the directory ``path`` that holds it, made by :meth:`create` or :meth:`open`.
-
-    A process that trains in it holds its lock until the process ends.
-    """
+    """One training run and the directory ``path`` that holds it, made by :meth:`create` or :meth:`open`."""
 
     def __init__(self, path: Path, experiment: Experiment):
         self.path = path
@@ -69,7 +67,7 @@ class Run:
 
     @classmethod
     def create(cls, experiment: Experiment, path: str | Path) -> Run:
-        """Create and lock the directory of a new run, with its config.yaml; it may exist if it is empty."""
+        """Create and lock the directory of a new run; it may exist if it is empty."""
         run = cls(expand_home(path), experiment)
         run.path.mkdir(parents=True, exist_ok=True)
         _refuse_contents(run.path)
@@ -81,10 +79,10 @@ class Run:
 
     @classmethod
     def open(cls, path: str | Path, *, trust: bool = False, imports: Collection[str] | None = None) -> Run:
-        """The run in an existing directory; or a policy of the zoo, which consists of a run's config and policy.
+        """The run in an existing directory, or a policy of the zoo.
 
-        A config.yaml that names code to import (:func:`imported_paths`) needs ``trust``. A run that drives in another
-        one may import what the config of that one names, which are then ``imports``.
+        A config.yaml that names code to import needs ``trust``; a run that drives in another one may import what the
+        config of that one names, which are then ``imports``.
         """
         path = expand_home(path)
         if not path.is_dir():
@@ -98,7 +96,7 @@ class Run:
         values = read_mapping(config)
         advice = "add --trust if you trust whoever made the run"
         if imports is not None:
-            advice = "a run that drives in another may import only what that one's own config names"
+            advice = "only code that the experiment itself names may be imported"
         for key, name in imported_paths(values).items() if not trust else ():
             if name not in (imports or ()):
                 raise ValueError(f"{str(config)!r} has {key} = {name!r}, code that would be imported and run; {advice}")
@@ -110,7 +108,7 @@ class Run:
         atomic_write(self.path / CONFIG_FILE, dump(self.experiment.to_dict()).encode())
 
     def lock(self) -> None:
-        """Lock the directory until this process ends; temporary files of processes that were killed are removed."""
+        """Lock the directory until this process ends, to train in it; what killed processes left is removed."""
         for entry in self.path.iterdir():
             own_path(self.path, entry.name)
         try:
@@ -143,11 +141,9 @@ class Run:
             "seconds": round(before.get("seconds", 0.0) + self._clocks[0] - wall, 3),
             "cpu_seconds": before.get("cpu_seconds", used) if state == "finished" else used,
             "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
+            **({} if reason is None else {"reason": reason}),
+            **({"files": file_hashes(self.path)} if state == "finished" else {}),
         }
-        if reason is not None:
-            status["reason"] = reason
-        if state == "finished":
-            status["files"] = record_files(self.path)
         write_json(self.path / STATUS_FILE, status)
 
     def end(self, state: State, step: int, reason: str | None = None) -> None:
@@ -159,7 +155,7 @@ class Run:
         """Record the final evaluation of a finished run again, after it was written anew."""
         status = self.status
         if "files" in status:
-            status["files"] |= record_files(self.path, RESULTS)
+            status["files"] |= file_hashes(self.path, RESULTS)
             write_json(self.path / STATUS_FILE, status)
 
     @property
@@ -189,15 +185,12 @@ def read_status(path: Path) -> dict[str, Any]:
 
 def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
     """What an experiment, which need not be valid, names to be imported: "package.module:name" by its key."""
-    algorithm, utility = _section(values, "algorithm"), _section(values, "utility")
-    vehicles = _section(utility, "vehicles")
-    names = {
-        "environment.id": _section(values, "environment").get("id"),
-        "algorithm.name": algorithm.get("name"),
-        "algorithm.network": algorithm.get("network"),
-        "utility.name": utility.get("name"),
-        **{f"utility.vehicles.{name}.name": _section(vehicles, name).get("name") for name in vehicles},
-    }
+    vehicles = _entry(values, "utility", "vehicles")
+    places = (
+        *(("environment", "id"), ("algorithm", "name"), ("algorithm", "network"), ("utility", "name")),
+        *(("utility", "vehicles", vehicle, "name") for vehicle in (vehicles if isinstance(vehicles, dict) else ())),
+    )
+    names = {".".join(map(str, place)): _entry(values, *place) for place in places}
     paths = {key: name for key, name in names.items() if isinstance(name, str) and ":" in name}
     # These modules are imported in any case. Split as Gymnasium does: "gymnasium:evil:ID" is of "gymnasium:evil".
     if paths.get("environment.id", "").rpartition(":")[0] in ("gymnasium", "mo_deepdrive", "mo_gymnasium"):
@@ -205,9 +198,11 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
     return paths
 
 
-def _section(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    section = values.get(name)
-    return section if isinstance(section, dict) else {}
+def _entry(values: Any, *names: str) -> Any:
+    """What is in nested sections under these names; None where there is no such section."""
+    for name in names:
+        values = values.get(name) if isinstance(values, Mapping) else None
+    return values
 
 
 def resume_options(paths: Sequence[Path], values: Mapping[str, Any]) -> str:
@@ -266,10 +261,9 @@ def _git(*arguments: str) -> str | None:
 # ------------------------------------------------------------------------------------------- the files of finished runs
 
 
-def record_files(run: Path, names: Iterable[str] = RECORDED) -> dict[str, dict[str, Any]]:
-    """The size in bytes and the SHA-256 hash of files in a run's directory, so that what is changed is noticed."""
-    contents = {name: (run / name).read_bytes() for name in names if (run / name).is_file()}
-    return {name: {"size": len(data), "sha256": hashlib.sha256(data).hexdigest()} for name, data in contents.items()}
+def file_hashes(run: Path, names: Iterable[str] = RECORDED) -> dict[str, str]:
+    """The SHA-256 hashes of files in a run's directory, so that what is changed is noticed."""
+    return {name: hashlib.sha256((run / name).read_bytes()).hexdigest() for name in names if (run / name).is_file()}
 
 
 def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
@@ -278,20 +272,16 @@ def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
     if not status and (run / STATUS_FILE).exists():
         return [f"{STATUS_FILE}: cannot be read"]
     recorded = status.get("files", {}) if status.get("state") == "finished" else {}
-    compared = [name for name in recorded if names is None or name in names]
-    now, lines = record_files(run, compared), []
-    for name in compared:
-        if name not in now:
-            lines.append(f"{name}: missing")
-        elif now[name]["size"] != recorded[name]["size"]:
-            lines.append(f"{name}: {now[name]['size']} bytes, recorded {recorded[name]['size']}")
-        elif now[name] != recorded[name]:
-            lines.append(f"{name}: changed since the run finished")
-    return lines
+    now = file_hashes(run, recorded)
+    return [
+        f"{name}: {'changed since the run finished' if name in now else 'missing'}"
+        for name, sha256 in recorded.items()
+        if (names is None or name in names) and now.get(name) != sha256
+    ]
 
 
 def diverged(run: Path) -> list[str]:
-    """A line if a number in the checkpoint of a run is not finite: its scores are then those of no policy."""
+    """A line if a number in the checkpoint of a run is not finite."""
     from safetensors import SafetensorError  # an extra, which not every command needs
     from safetensors.numpy import load_file
 

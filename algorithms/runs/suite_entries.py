@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from algorithms.reporting.run_records import read_evaluation
+from algorithms.runs.config import check_task
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE
@@ -70,8 +71,7 @@ def open_entry(source: str, *, trust: bool = False) -> Entry:
     """The entry that a user names, which may name code to run only with ``trust`` where it is a run.
 
     It is a run's directory or a policy of the zoo; a file ``policy.py`` or ``policy.py:name``; or
-    ``package.module:name``. The object is a policy as of :func:`mo_deepdrive.suite.score`, or a class that is made of a
-    task's id and is one then.
+    ``package.module:name``: a policy as of :func:`mo_deepdrive.suite.score`, or a class that is made of a task's id.
     """
     if not is_own_code(source):
         return _of_run(source, trust=trust)
@@ -79,8 +79,8 @@ def open_entry(source: str, *, trust: bool = False) -> Entry:
     if path.endswith(".py"):
         if not Path(path).is_file():
             raise ValueError(f"policy file {path!r} does not exist")
-        what = f"policy {source!r}"
-        policy = first_of(what, import_file(what, Path(path)), *([name] if name else OWN_NAMES))
+        key = f"policy {source!r}"
+        policy = first_of(key, import_file(key, Path(path)), *([name] if name else OWN_NAMES))
     else:
         policy = import_named("policy", source)
 
@@ -126,12 +126,11 @@ def _of_run(source: str, *, trust: bool) -> Entry:
 
 def check_experiment(experiment: Experiment, task_id: str, source: str) -> None:
     """Refuse a run that cannot be an entry of a task, as far as its config says."""
-    task, training, environment = suite.load().task(task_id), experiment.training, experiment.environment
-    if differences := task.differences(environment.id, environment.arguments):
-        texts = [f"environment.{name} = {given!r} (not {needed!r})" for name, (given, needed) in differences.items()]
-        raise ValueError(f"{source!r} was not trained on task {task_id}: {', '.join(texts)}")
-    if (steps := training.total_timesteps) > task.steps:
-        raise ValueError(f"{source!r} trained for {steps:,} environment steps; task {task_id} allows {task.steps:,}")
+    training = experiment.training
+    try:
+        task = check_task(experiment, task_id)
+    except ValueError as error:
+        raise ValueError(f"{source!r} cannot be an entry: {error}") from None
     if training.seed in SPLITS["test"]:
         raise ValueError(
             f"{source!r} was trained on the test split: training.seed = {training.seed:,} is a seed of it; choose one "
@@ -196,34 +195,29 @@ def fresh_seed(number: int, episodes: int) -> int:
     return 2**30 + int(np.random.default_rng(number).integers(2**30 - episodes))
 
 
-def disagreement(recorded: Row, found: Row | None, *, fresh: bool) -> str:
-    """Why a recorded score does not hold beside the one that was found now; empty if it does.
+def disagreement(recorded: Row, scored: Row | None, *, fresh: bool) -> str:
+    """Why a recorded score does not hold beside the one that was scored now; empty if it does.
 
     On the same scenarios both must be equal, but for the last bits of another kind of processor, which may change a few
     episodes: by a twentieth of the interval's width. On ``fresh`` ones they are two samples, which differ by at most
     three standard errors of their difference; what has no interval has no standard error, and is not compared.
     """
-    if found is None or found.value is None:
+    if scored is None or scored.value is None:
         return "the task has no such number"
-    assert recorded.value is not None
-    if recorded.seed != found.seed and not is_own_code(recorded.source):  # a run says by which it was trained
-        return f"its seed = {recorded.seed}, found {found.seed}"
-    allowed = 1e-6 * max(1.0, abs(found.value))
+    if recorded.seed != scored.seed and not is_own_code(recorded.source):  # a run says by which it was trained
+        return f"its seed = {recorded.seed}, found {scored.seed}"
     claimed, error = (
-        0.0 if row.low is None or row.high is None else (row.high - row.low) / 3.92 for row in (recorded, found)
+        0.0 if row.low is None or row.high is None else (row.high - row.low) / 3.92 for row in (recorded, scored)
     )
     if fresh:
-        # The recorded interval is taken for no wider than twice the one that is found.
-        allowed += 3.0 * math.hypot(min(claimed, 2.0 * error), error)
-        difference = abs(recorded.value - found.value)
-        agrees = found.low is None or difference <= allowed
-        return "" if agrees else f"differs by {difference:.4g}, more than {allowed:.4g}"
-    allowed = max(allowed, 0.05 * 3.92 * error)
-    for name in ("value", "low", "high"):
-        before, now = getattr(recorded, name), getattr(found, name)
-        if before is now is None:
-            continue
-        if before is None or now is None or abs(before - now) > allowed:
+        # The recorded interval is taken for no wider than twice the one of now.
+        allowed = 3.0 * math.hypot(min(claimed, 2.0 * error), error) if scored.low is not None else math.inf
+    else:
+        allowed = 0.05 * 3.92 * error
+    for name in ("value",) if fresh else ("value", "low", "high"):
+        before, now = getattr(recorded, name), getattr(scored, name)
+        unequal = (before is None) != (now is None)
+        if unequal or (now is not None and abs(before - now) > max(allowed, 1e-6 * max(1.0, abs(scored.value)))):
             return f"its {name} = {before}, found {now}"
     return ""
 

@@ -11,7 +11,7 @@ from algorithms.learning.checkpoints import read_checkpoint
 from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.training_log import rows_until
 from algorithms.runs.build import build_trainee
-from algorithms.runs.config import Experiment, check_loggers, find_environment, make_experiment
+from algorithms.runs.config import Experiment, find_environment, make_experiment
 from algorithms.runs.console import print_line
 from algorithms.runs.interrupts import PATIENCE, Interrupts, describe, stopped_by
 from algorithms.runs.loggers import Logger
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 Watch = Callable[[int, Mapping[str, float]], None]
+Stop = Callable[[], bool]
 
 
 def resume(*runs: Run) -> Any:
@@ -55,9 +56,8 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
     Several may differ in their seeds alone. ``total_timesteps`` is a new, greater length of the training.
     """
     runs = [Run.open(path, trust=trust) for path in paths]
-    longer = [_longer(run.experiment, total_timesteps) for run in runs]
+    longer = [] if total_timesteps is None else [_longer(run.experiment, total_timesteps) for run in runs]
     for run in runs:
-        check_loggers(run.experiment)
         if run.checkpoint.exists():
             read_checkpoint(run.checkpoint, {}, whole=True)  # a policy of the zoo is refused before a lock is written
     for run in runs:
@@ -67,7 +67,7 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
         for name in (METRICS_FILE, FRONTS_FILE):
             rows_until(run.path / name, agent.step)
     trainee = trainees[0]
-    if total_timesteps is not None:
+    if longer:
         if trainee.schedules:
             raise ValueError(
                 f"training.total_timesteps = {longer[0].training.total_timesteps}: the run cannot be trained longer, "
@@ -82,9 +82,7 @@ def reopen(*paths: str, trust: bool = False, total_timesteps: Any = None) -> tup
 
 
 def _longer(experiment: Experiment, total_timesteps: Any) -> Experiment:
-    """An experiment with another length of the training; itself if that is None."""
-    if total_timesteps is None:
-        return experiment
+    """An experiment with a greater length of the training."""
     values = experiment.to_dict()
     values["training"]["total_timesteps"] = total_timesteps
     longer = make_experiment(values)
@@ -100,11 +98,22 @@ def train_and_finish(
     *,
     resumed: bool = False,
     watch: Watch | None = None,
-    stop: Callable[[], bool] | None = None,
+    stop: Stop | None = None,
 ) -> int | None:
-    """Call :func:`train` and, unless it was stopped, :func:`finish`; arguments, result and errors are theirs."""
+    """Train runs to their end and :func:`finish` them, or train until SIGINT or SIGTERM; save in either case.
+
+    After a signal the update, or the evaluation, goes on to its end and is saved if that takes no longer than PATIENCE
+    and there is no second SIGINT; else the runs resume from their last checkpoints.
+
+    Several runs are trained side by side by one ``trainee``, which is untrained or of :func:`resume`. ``watch`` is
+    called with the step and the metrics of every logged row; ``stop`` after every update: True saves and stops as a
+    signal does. After Stopped, where something could not be written, and Fault the last checkpoint is intact.
+
+    Returns:
+        The number of the signal that stopped training, 0 if ``stop`` did, or None if training is complete.
+    """
     runs = [runs] if isinstance(runs, Run) else runs
-    received = train(runs, trainee, console, resumed=resumed, watch=watch, stop=stop)
+    received = _train(runs, trainee, console, resumed, watch, stop)
     for seed, run in enumerate(runs) if received is None else ():
         if seed in trainee.failed:
             continue
@@ -155,28 +164,10 @@ class _Record:
         return f"the checkpoint of step {self.saved:,} is intact" if exists else "there is no checkpoint yet"
 
 
-def train(
-    runs: Sequence[Run],
-    trainee: Any,
-    console: Console,
-    *,
-    resumed: bool = False,
-    watch: Watch | None = None,
-    stop: Callable[[], bool] | None = None,
+def _train(
+    runs: Sequence[Run], trainee: Any, console: Console, resumed: bool, watch: Watch | None, stop: Stop | None
 ) -> int | None:
-    """Train to the end of the runs' experiment, or until SIGINT or SIGTERM, and save in either case.
-
-    Stopping and resuming do not affect what is learnt: checkpoints and evaluations depend on the step alone. After a
-    signal the update, or the evaluation, goes on to its end and is saved if that takes no longer than PATIENCE and
-    there is no second SIGINT; else the runs resume from their last checkpoints.
-
-    Several runs are trained side by side by one ``trainee``, which is untrained or of :func:`resume`. ``watch`` is
-    called with the step and the metrics of every logged row; ``stop`` after every update: True saves and stops as a
-    signal does. After Stopped, where something could not be written, and Fault the last checkpoint is intact.
-
-    Returns:
-        The number of the signal that stopped training, 0 if ``stop`` did, or None if training is complete.
-    """
+    """Train and save; arguments and result are those of :func:`train_and_finish`."""
     experiment = runs[0].experiment
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
     checkpoint_interval = logging.checkpoint_interval or training.total_timesteps
@@ -205,10 +196,8 @@ def train(
     def save(state: Any) -> None:
         for seed, record in enumerate(records):
             if seed not in trainee.failed:
-                try:
+                with trainee.alone(seed, f"in the checkpoint of step {trainee.step:,}"):
                     record.save(trainee.step, partial(trainee.save, seed=seed), state)
-                except Fault as error:
-                    trainee.fail(seed, error, f"in the checkpoint of step {trainee.step:,}")
         note_failures()
 
     def after_update(_: Any) -> bool:

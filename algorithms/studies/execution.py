@@ -89,18 +89,6 @@ class Backend:
         check_memory(f"--workers {workers} with training.num_envs = {num_envs}", workers * memory)
         return workers
 
-    def after_interrupt(self, directory: Path) -> str:
-        """What the user can do after an interrupt."""
-        if self.name != "slurm":
-            return "the runs in progress are saved: the same command resumes them"
-        from algorithms.studies.slurm import SlurmQueue
-
-        queue = SlurmQueue(directory)
-        queue.refresh()
-        if cancel := queue.cancel_command():
-            return f"the jobs stay in Slurm's queue: the same command watches them again, `{cancel}` cancels them"
-        return "no job is in Slurm's queue: the same command submits the runs that are not done"
-
 
 class Runner(Scores):
     """Trains the runs of a plan; it knows the scores of those in its directory, by which the plan chooses others."""
@@ -128,7 +116,12 @@ class Runner(Scores):
         for job, error in self._failed.items():
             self._say(f"FAILED {job.name}: {error}\n  {job.path}")
         if interrupts.received is not None:
-            print(f"interrupted; {self._backend.after_interrupt(self._directory)}", file=sys.stderr)
+            hint = "the runs in progress are saved: the same command resumes them"
+            if self._backend.name == "slurm":
+                from algorithms.studies.slurm import after_interrupt
+
+                hint = after_interrupt(self._directory)
+            print(f"interrupted; {hint}", file=sys.stderr)
             return 128 + interrupts.received
         return 1 if self._failed else 0
 

@@ -149,7 +149,7 @@ def cell_rows(
 def _check_buildable(experiment: Experiment, metric: str | None) -> None:
     """Raise now the error that the run would raise when it starts, or whoever needs the metric at its end."""
     from algorithms.runs.build import build, check_resident
-    from algorithms.runs.report import final_metrics
+    from algorithms.runs.report import final_metric_names
 
     check_loggers(experiment)
     if is_peer(experiment.algorithm.name):
@@ -160,7 +160,7 @@ def _check_buildable(experiment: Experiment, metric: str | None) -> None:
         if experiment.is_resident:
             check_resident(experiment)
         build(experiment, num_envs=1)
-    if metric is not None and metric not in (known := final_metrics(experiment)):
+    if metric is not None and metric not in (known := final_metric_names(experiment)):
         raise ValueError(f"metric {metric!r} is unknown; the nearest ones: {nearest_few(metric, known)}")
 
 
@@ -179,12 +179,6 @@ def short_names(paths: Sequence[str]) -> dict[str, str]:
     """Short names of config files and paths of classes: stems and classes, or all as given if two of them are equal."""
     stems = [Path(directory_name(path)).stem for path in paths]
     return dict(zip(paths, stems if len(set(stems)) == len(stems) else paths, strict=True))
-
-
-def first_of(texts: Sequence[str], count: int) -> list[str]:
-    """The first texts of a message, and the number of the others."""
-    more = len(texts) - count
-    return [*texts[:count], *([f"and {more} more"] if more > 0 else [])]
 
 
 def refuse_duplicates(rows: Sequence[ManifestRow]) -> None:

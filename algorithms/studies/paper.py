@@ -2,62 +2,75 @@
 
 The name of a task of this study is ``TASK/PROTOCOL``, its title "task: protocol". A protocol is how a task is trained
 and evaluated; the learners of a protocol are compared with each other.
+
+The claims, and the criteria that decide them, are in ``paper_claims.yaml``. They were fixed before the runs were
+trained; the one exception is the rule that learning curves must be flat, which was added afterwards
+(docs/reproduction.md).
+
+A criterion is decided by a 95% bootstrap interval over seeds: it passes, fails, or is inconclusive if the interval
+contains the limit. If training stopped before the learning curves were flat (:func:`is_settled`), it is inconclusive
+too, unless longer training could only confirm the answer. A claim is reproduced if all criteria pass, not reproduced if
+one fails, and inconclusive otherwise.
+Scores are interquartile means over seeds (Agarwal et al. 2021) of the final evaluation of the stochastic policy, which
+is the policy that actor-critics optimise.
 """
 
 from __future__ import annotations
 
-import sys
+import gzip
 from dataclasses import dataclass, replace
-from itertools import product
+from functools import cached_property
+from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
+import numpy as np
 import polars as pl
+import yaml
 
-from algorithms.runs.config import CONFIGS
-from algorithms.runs.interrupts import never_fatal
-from algorithms.studies import FIGURES
-from algorithms.studies.collection import collect
-from algorithms.studies.execution import Backend, Runner
-from algorithms.studies.manifest import overridden
-from algorithms.studies.paper_claims import CLAIMS, FRONT_LEARNER, FRONT_TASK, PaperResults
-from algorithms.studies.paper_report import QUICK, print_verdicts, write_report
+from algorithms.reporting import training_log
+from algorithms.runs.run_directory import METRICS_FILE
 from algorithms.studies.plan import StudyPlan
-from algorithms.studies.results import results_of
+from algorithms.studies.results import frame_of, results_of
 from algorithms.studies.settings import load_study
-from algorithms.zoo.exporting import export
+from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.front import Front
-from mo_deepdrive.evaluation.metrics import (
-    CARDINALITY,
-    COLLISION,
-    EVALUATION,
-    FRONT,
-    HIGHEST_DISTANCE,
-    HYPERVOLUME,
-    LOWEST_DISTANCE,
-    POLICIES,
-    STEP,
-    STOCHASTIC,
-    SUCCESS,
-    TOTAL_UTILITY_ESR,
-    end_by,
-    return_of,
-    vehicle_prefix,
+from mo_deepdrive.evaluation.metrics import FRONT, HYPERVOLUME, STEP, STOCHASTIC, SUCCESS, MetricName
+from mo_deepdrive.evaluation.statistics import (
+    Estimate,
+    iqm,
+    iqm_difference,
+    mean,
+    probability_of_improvement,
+    spread_ratio,
+    spread_ratio_power,
 )
+from mo_deepdrive.suite import read_rows, write_rows
+from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.support.names import nearest
+from mo_deepdrive.world.config import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-    from rich.console import Console
+    from numpy.typing import NDArray
 
-    from algorithms.studies.plan import Arm, ArmRuns
+    from algorithms.reporting.training_log import Columns
+    from algorithms.studies.plan import ArmRuns
     from algorithms.studies.settings import Study
+    from mo_deepdrive.suite import Row
 
-PUBLISHED = CONFIGS.parent / "docs" / "results"  # exists in a checkout alone
 # A quick reproduction: protocols, seeds, share of the steps, final episodes, and evaluations during training.
 QUICK_PROTOCOLS, QUICK_SEEDS, QUICK_SHARE, QUICK_EPISODES, QUICK_EVALUATIONS = ("printed", "best"), 3, 10, 200, 5
-SOLVED, LEARNED = 0.95, 0.5  # success rates of a run that solves its task, and of one that does not fail
+SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.gz"
+CURVE_KEYS = {"task": pl.String, "learner": pl.String, "seed": pl.Int64, STEP: pl.Int64}
+LABELS = {"a2c": "A2C", "mo_a2c": "MO-A2C"}  # of the two algorithms that are compared, by their keys in the study
+# The task with an unknown utility, and the learner of its front.
+FRONT_TASK, FRONT_LEARNER = "one_waypoint_front", "pcn"
+SIMILAR = 0.05  # relative to the baseline's utility
+FLAT = 0.05  # gain at the end of training, relative to the score that is reached
+RATIOS = (0.5, 0.25)  # true ratios of deviations, for which the power of the test is reported
+MIN_EVALUATIONS = 5  # of a learning curve, to tell whether it is flat
 
 
 # -------------------------------------------------------------------------------------------------------------- plan
@@ -69,11 +82,11 @@ def load_paper(path: str | Path) -> Study:
     for key, task in study.tasks.items():
         if "/" not in key or ": " not in (task.title or ""):
             raise ValueError(f"task {key!r} must be named TASK/PROTOCOL, with a title 'task: protocol'")
-        needed = {SUCCESS, end_by(COLLISION), return_of("distance")}
+        needed = {SUCCESS, metrics.end_by(metrics.COLLISION), metrics.return_of("distance")}
         if key.startswith("intersection"):
-            needed |= {TOTAL_UTILITY_ESR, vehicle_prefix(0, 2) + return_of("distance")}
+            needed |= {metrics.TOTAL_UTILITY_ESR, metrics.vehicle_prefix(0, 2) + metrics.return_of("distance")}
         elif key.startswith(FRONT_TASK):
-            needed = {CARDINALITY}
+            needed = {metrics.CARDINALITY}
         if missing := needed - {*study.columns}:
             raise ValueError(f"task {key!r}: the report needs the columns {', '.join(sorted(missing))}")
     return study
@@ -82,32 +95,138 @@ def load_paper(path: str | Path) -> Study:
 def paper_plan(study: Study, tasks: Sequence[str], *, seeds: int | None = None, quick: bool = False) -> StudyPlan:
     """The arms to train for some tasks, in all their protocols, or quick ones, with so many ``seeds`` at most."""
     known = {key.partition("/")[0] for key in study.tasks}
-    for task in tasks:
-        if task not in known:
-            raise ValueError(f"task {task!r} is unknown; {nearest(task, known)}")
+    for name in (name for name in tasks if name not in known):
+        raise ValueError(f"task {name!r} is unknown; {nearest(name, known)}")
     selected = [key for key in study.tasks if key.partition("/")[0] in tasks]
     if quick:
         selected = [key for key in selected if key.partition("/")[2] in QUICK_PROTOCOLS]
     if count := seeds or (min(QUICK_SEEDS, len(study.seeds)) if quick else None):
-        first, fewer = study.seeds[0], dict(study.tasks)
-        for key, changed in fewer.items():
-            fewer[key] = changed.model_copy(update={"seeds": changed.seeds and changed.seeds[:count]})
-        study = study.model_copy(update={"tasks": fewer, "seeds": list(range(first, first + count))})
+        first, tasks_of_fewer = study.seeds[0], {}
+        for key, task in study.tasks.items():
+            tasks_of_fewer[key] = task.model_copy(update={"seeds": task.seeds and task.seeds[:count]})
+        study = study.model_copy(update={"tasks": tasks_of_fewer, "seeds": list(range(first, first + count))})
     plan = StudyPlan(study, selected)
-    if quick:
-        plan.arms = tuple(map(_shortened, plan.arms))
+    for arm in plan.arms if quick else ():
+        steps = arm.values["training"]["total_timesteps"] // QUICK_SHARE
+        arm.values["training"]["total_timesteps"] = steps
+        shorter = {"interval": steps // QUICK_EVALUATIONS, "final_episodes": QUICK_EPISODES}
+        arm.values["evaluation"] = {**(arm.values.get("evaluation") or {}), **shorter}
     return plan
 
 
-def _shortened(arm: Arm) -> Arm:
-    """An arm of a quick reproduction."""
-    steps = arm.values["training"]["total_timesteps"] // QUICK_SHARE
-    changes = {"training.total_timesteps": steps, "evaluation.interval": steps // QUICK_EVALUATIONS}
-    changes["evaluation.final_episodes"] = QUICK_EPISODES
-    return replace(arm, values=overridden(arm.values, changes, {}))
+# ------------------------------------------------------------------------------------------------------------- results
 
 
-# ----------------------------------------------------------------------------------------------------------- results
+@dataclass(frozen=True)
+class TaskResults:
+    """The results of a task under one protocol; its scores and curves are those rows of :class:`PaperResults`."""
+
+    study: Study
+    key: str  # TASK/PROTOCOL
+    scores: pl.DataFrame
+    curves: pl.DataFrame
+
+    @property
+    def is_front(self) -> bool:
+        """Whether the utility is unknown."""
+        return self.key.startswith(FRONT_TASK)
+
+    @property
+    def vehicles(self) -> int:
+        """The number of learning vehicles."""
+        return 2 if self.key.startswith("intersection") else 1
+
+    @property
+    def score(self) -> MetricName:
+        """By what learners are compared: the utility, with two vehicles the sum of theirs, or the hypervolume."""
+        utility = metrics.TOTAL_UTILITY_ESR if self.vehicles > 1 else metrics.UTILITY_ESR
+        return MetricName(FRONT, "", HYPERVOLUME) if self.is_front else MetricName(STOCHASTIC, "", utility)
+
+    @property
+    def titles(self) -> tuple[str, str]:
+        """The titles of the task and of the protocol."""
+        title, _, conditions = (self.study.tasks[self.key].title or "").partition(": ")
+        return title, conditions
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """The labels of the learners with scores, by name."""
+        scored = {*self.scores["learner"]}
+        learners = self.study.learners_of(self.key)
+        return {name: learner.label or name for name, learner in learners.items() if name in scored}
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """The learners that are judged: A2C and MO-A2C, or PCN; none of an ablation."""
+        groups = (tuple(LABELS), (FRONT_LEARNER,))
+        return next((group for group in groups if {*group} == self.study.learners_of(self.key).keys()), ())
+
+    @property
+    def steps(self) -> int:
+        """The number of environment steps of a run."""
+        return self.scores["steps"].cast(pl.Int64).max() or 0  # type: ignore[return-value]
+
+    def by_seed(self, learner: str, metric: str, policy: str | None = None) -> dict[int, float]:
+        """The metric of every run of a learner, by its seed."""
+        chosen = self.scores.filter(learner=learner, column=metric, policy=policy or self.score.policy)
+        return dict(chosen.select("seed", "value").iter_rows())
+
+    def values(self, learner: str, metric: str) -> NDArray[np.float64]:
+        """Values (seeds,) of a metric, one per run, in the order of seeds; KeyError if there are none."""
+        by_seed = self.by_seed(learner, metric)
+        if not by_seed:
+            raise KeyError(f"no run of {self.key}/{learner} has {metric!r}")
+        return np.array([*by_seed.values()], dtype=np.float64)
+
+    def learning_curves(self, learner: str) -> list[Columns]:
+        """Learning curves of all runs of a learner, in the order of seeds."""
+        curves = self.curves.filter(learner=learner).drop("task", "learner").sort("seed", STEP)
+        runs = curves.partition_by("seed", maintain_order=True, include_key=False)
+        known = ([column for column in run if not column.is_null().all()] for run in runs)
+        return [{column.name: column.to_numpy().astype(np.float64) for column in columns} for columns in known]
+
+
+@dataclass(frozen=True)
+class PaperResults:
+    """Scores and learning curves of all runs of the paper's study."""
+
+    study: Study
+    rows: Sequence[Row]
+    # A row per run and evaluation during training: CURVE_KEYS, then metrics whose names start with the policy.
+    curves: pl.DataFrame
+
+    @cached_property
+    def scores(self) -> pl.DataFrame:
+        """The rows with a value, in the order of seeds."""
+        return frame_of(self.rows).filter(pl.col("value").is_not_null()).sort("seed", maintain_order=True)
+
+    @cached_property
+    def tasks(self) -> dict[str, dict[str, TaskResults]]:
+        """What has scores, by task and protocol, in the order of the study."""
+        scored = self.scores.partition_by("task", as_dict=True)
+        tasks: dict[str, dict[str, TaskResults]] = {}
+        for key in (key for key in self.study.tasks if (key,) in scored):
+            task, _, protocol = key.partition("/")
+            results = TaskResults(self.study, key, scored[key,], self.curves.filter(task=key))
+            tasks.setdefault(task, {})[protocol] = results
+        return tasks
+
+    def write(self, directory: Path) -> None:
+        """Write both tables."""
+        write_rows(directory / SCORES_FILE, self.rows)
+        # Without name and time in the header, equal curves give equal bytes.
+        atomic_write(directory / CURVES_FILE, gzip.compress(self.curves.write_csv().encode(), mtime=0))
+
+    @classmethod
+    def read(cls, study: Study, directory: Path) -> PaperResults:
+        """Read both tables from the directory that :meth:`write` wrote to."""
+        try:
+            table = gzip.decompress((directory / CURVES_FILE).read_bytes())
+            curves = pl.read_csv(table, infer_schema=False)
+            schema = pl.Schema({name: CURVE_KEYS.get(name, pl.Float64) for name in curves.columns})
+            return cls(study, read_rows(directory / SCORES_FILE), curves.cast(schema))
+        except (OSError, EOFError, ValueError, pl.exceptions.PolarsError) as error:
+            raise ValueError(f"no results of a reproduction in {str(directory)!r}: {error}") from None
 
 
 def gather(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> PaperResults:
@@ -117,146 +236,167 @@ def gather(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> PaperRe
         front = Front.read(directory / row.source)
         if "distance" in front.objectives:
             distances = front.returns[:, front.objectives.index("distance")]
-            for column, value in ((LOWEST_DISTANCE, distances.min()), (HIGHEST_DISTANCE, distances.max())):
+            for column, value in (
+                (metrics.LOWEST_DISTANCE, distances.min()),
+                (metrics.HIGHEST_DISTANCE, distances.max()),
+            ):
                 rows.append(replace(row, column=column, value=float(value), low=None, high=None))
-    collection = collect(directory, lambda line: print(line, file=sys.stderr))
-    keys = pl.DataFrame(
-        [(row.id, *arm.arm.key, row.seed) for arm in runs for row in arm.final],
-        {"run": pl.String, "task": pl.String, "learner": pl.String, "seed": pl.Int64},
-        orient="row",
-    )
-    logged = collection.metrics.lazy()
-    names = [name for name in logged.collect_schema().names() if name.startswith(EVALUATION)]
-    metrics = (pl.col(name).cast(pl.Float32).alias(name.removeprefix(EVALUATION)) for name in names)
-    evaluated = logged.filter(pl.any_horizontal(pl.col(names).is_not_null())).select("run", STEP, *metrics).collect()
-    curves = keys.join(evaluated, on="run", maintain_order="left_right").drop("run")
+    logs = [pl.DataFrame(schema=CURVE_KEYS)]
+    for (task, learner), run in [(arm_runs.arm.key, run) for arm_runs in runs for run in arm_runs.final]:
+        log = training_log.read_rows(directory / run.directory / METRICS_FILE).fill_nan(None)
+        names = [name for name in log.columns if name.startswith(metrics.EVALUATION)]
+        renamed = (pl.col(name).cast(pl.Float32).alias(name.removeprefix(metrics.EVALUATION)) for name in names)
+        evaluated = log.filter(pl.any_horizontal(pl.col(name).is_not_null() for name in names))
+        about = {"task": pl.lit(task), "learner": pl.lit(learner), "seed": pl.lit(run.seed, pl.Int64)}
+        logs.append(evaluated.select(STEP, *renamed).with_columns(**about))
+    curves = pl.concat(logs, how="diagonal")
+    curves = curves.select(*CURVE_KEYS, *sorted({*curves.columns} - {*CURVE_KEYS}))
     return PaperResults(plan.study, rows, curves)
 
 
-# ------------------------------------------------------------------------------------------------------ reproduction
+# -------------------------------------------------------------------------------------------------------------- claims
 
 
-@dataclass(frozen=True)
-class Reproduction:
-    """What to reproduce, and where to write it: the options of ``mo-deepdrive reproduce``, which describes them."""
+class Check(NamedTuple):
+    """A criterion applied to results."""
 
-    study: Study
-    figure: int | None = None
-    claim: int | None = None
-    seeds: int | None = None
-    quick: bool = False
-    redraw: bool = False
-    runs: Path | None = None
-    output: Path | None = None
-    workers: int | None = None
+    criterion: str
+    measured: str
+    passed: bool | None  # None if it is inconclusive
+    stopped_at: int | None = None  # the step at which training stopped too early for an answer, if that is the reason
 
-    @property
-    def run_folder(self) -> Path:
-        """The folder of the run directories."""
-        return self.runs or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
+
+class Verdict(NamedTuple):
+    """Whether a claim is reproduced under a protocol, and the checks that decide it."""
+
+    conclusion: Literal["reproduced", "not reproduced", "inconclusive"]
+    checks: tuple[Check, ...]
 
     @property
-    def output_folder(self) -> Path:
-        """The folder of the report: one of everything with all steps is published where there is a checkout."""
-        part = self.figure or self.claim or self.quick
-        return self.output or (self.run_folder / "results" if part or not PUBLISHED.is_dir() else PUBLISHED)
+    def text(self) -> str:
+        """The conclusion, and the step at which training stopped if that was too early for another one."""
+        steps = [check.stopped_at for check in self.checks if check.stopped_at is not None]
+        early = self.conclusion == "inconclusive" and steps
+        return f"{self.conclusion}: stopped at {max(steps):,} steps" if early else self.conclusion
+
+
+class Criterion(Settings):
+    """That what is measured of a task lies between two limits."""
+
+    text: str
+    task: str  # without the protocol
+    measure: str  # a metric of one learner, or what is compared between A2C and MO-A2C
+    of: str = ""  # the learner
+    above: float = -inf
+    below: float = inf
+    lasting: bool | None = None  # the answer that longer training could only confirm; None if it could change both
+
+    def check(self, results: TaskResults) -> Check:
+        """Apply it to results of its task; KeyError if some are missing."""
+        estimate, measured, unit = self.measured(results)
+        passed = is_between(estimate, unit * self.above, unit * self.below)
+        if passed is None or passed is self.lasting or is_settled(results):
+            return Check(self.text, measured, passed)
+        return Check(self.text, measured, None, results.steps)
+
+    def measured(self, results: TaskResults) -> tuple[Estimate, str, float]:
+        """What is measured, its text, and the unit of the limits that it is compared with."""
+        if self.of:
+            score = iqm(results.values(self.of, self.measure))
+            text = percent(score) if self.measure == SUCCESS else shown(score)
+            return score, text if self.measure in (SUCCESS, metrics.CARDINALITY) else f"{text} m", 1.0
+        if self.measure == "deviations":
+            second, first = (results.values(learner, results.score.metric) for learner in LABELS)
+            ratio, runs = spread_ratio(first, second), min(len(first), len(second))
+            powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
+            return ratio, f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}", 1.0
+        baseline, _, difference, _ = compare(results)
+        text, unit = f"difference {shown(difference)}", abs(baseline.value)
+        if self.measure == "difference":
+            return difference, text, 1.0
+        return difference, f"{text}, {SIMILAR:.0%} is {SIMILAR * unit:.2g}", unit
+
+
+class Claim(Settings):
+    """A claim of the paper, the figures that show it, and what decides it."""
+
+    number: int
+    statement: str
+    figures: list[int]
+    criteria: list[Criterion]
 
     @property
-    def command(self) -> str:
-        """The command that creates the same report."""
-        given = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(self, name))]
-        whole = ["--quick"] if self.quick else [] if self.figure or self.claim else ["--all"]
-        return " ".join(["mo-deepdrive reproduce", *whole, *given])
+    def tasks(self) -> list[str]:
+        """The tasks, without the protocol, that it is about."""
+        return list(dict.fromkeys(criterion.task for criterion in self.criteria))
 
-    def selection(self) -> tuple[list[str], list[int]]:
-        """The tasks, without their protocols, and the numbers of the figures to reproduce."""
-        if self.figure is None and self.claim is None:
-            return list(dict.fromkeys(key.partition("/")[0] for key in self.study.tasks)), list(FIGURES)
-        claims = [claim for claim in CLAIMS if self.figure in claim.figures or self.claim == claim.number]
-        tasks = list(dict.fromkeys(task for claim in claims for task in claim.tasks))
-        return tasks, [self.figure] if self.figure else [*claims[0].figures]
+    def judge(self, results: PaperResults, protocol: str) -> Verdict | None:
+        """The verdict under a protocol; None if results are missing."""
+        try:
+            checks = tuple(criterion.check(results.tasks[criterion.task][protocol]) for criterion in self.criteria)
+        except KeyError:
+            return None
+        passed = {check.passed for check in checks}
+        if False in passed:
+            return Verdict("not reproduced", checks)
+        return Verdict("inconclusive" if None in passed else "reproduced", checks)
 
-    def run(self, console: Console) -> int:
-        """Train the missing runs, write report and figures, update the zoo of a checkout; the code of Runner.run."""
-        tasks, figures = self.selection()
-        if self.redraw:
-            self._write(PaperResults.read(self.study, self.output_folder), figures, console)
-            return 0
-        plan = paper_plan(self.study, tasks, seeds=self.seeds, quick=self.quick)
-        runner = Runner(plan, self.run_folder, Backend(workers=self.workers), console)
-        code = runner.run()
-        if code > 1:  # it was interrupted
-            return code
-        runs = [arm for arm in plan.runs(runner) if arm.arm.key in plan.selected]
-        results = gather(plan, runs, self.run_folder)
-        if not results.tasks:
-            raise ValueError("no run has finished")
-        self.output_folder.mkdir(parents=True, exist_ok=True)
-        _keep_fronts(runs, results, self.run_folder, self.output_folder)
-        self._write(results, figures, console)
-        if self.output_folder == PUBLISHED and self.output is None and self.seeds is None and code == 0:
-            names = export_policies(runs, results, self.run_folder)
-            console.print(f"updated the policies {', '.join(names)} in the zoo")
-        return code
-
-    def _write(self, results: PaperResults, figures: Sequence[int], console: Console) -> None:
-        """Write the report, and print the verdicts."""
-        with never_fatal("the report could not be written"):
-            paths = write_report(results, self.output_folder, figures, how=self.command, quick=self.quick)
-        print_verdicts(results, console, quick=self.quick)
-        if self.quick:
-            console.print(QUICK)
-        console.print(f"written: {', '.join(str(path) for path in paths)}", soft_wrap=True)
+    def verdicts(self, results: PaperResults) -> dict[str, Verdict]:
+        """The verdicts by protocol; only protocols with results for all tasks."""
+        judged = {protocol: self.judge(results, protocol) for protocol in results.tasks.get(self.tasks[0], {})}
+        return {protocol: verdict for protocol, verdict in judged.items() if verdict is not None}
 
 
-def _median_seed(scores: Mapping[int, float]) -> int | None:
-    """The seed with the median of the scores by seed, the lower of two; None if there are none."""
-    ordered = sorted(scores, key=lambda seed: (scores[seed], seed))
-    return ordered[(len(ordered) - 1) // 2] if ordered else None
+CLAIMS_FILE = Path(__file__).with_name("paper_claims.yaml")
+CLAIMS = [Claim(**claim) for claim in yaml.safe_load(CLAIMS_FILE.read_text("utf-8"))]
 
 
-def _keep_fronts(runs: Sequence[ArmRuns], results: PaperResults, directory: Path, output: Path) -> None:
-    """Save the front of the run with the median hypervolume of every protocol; figures are drawn from it."""
-    rows = {(arm.arm.task, row.seed): row for arm in runs for row in arm.final}
-    for protocol, reached in results.tasks.get(FRONT_TASK, {}).items():
-        seed = _median_seed(reached.by_seed(FRONT_LEARNER, HYPERVOLUME, FRONT))
-        if seed is not None:
-            folder = output / f"front_{protocol}"
-            folder.mkdir(exist_ok=True)
-            Front.read(directory / rows[reached.key, seed].directory).write(folder, {"seed_of_the_run": seed})
+def compare(results: TaskResults) -> tuple[Estimate, Estimate, Estimate, Estimate]:
+    """Utilities of A2C and MO-A2C: interquartile means over seeds, their difference, P(a run of MO-A2C is higher)."""
+    first, second = (results.values(learner, results.score.metric) for learner in LABELS)
+    return (
+        iqm(first),
+        iqm(second),
+        iqm_difference(second, first),
+        probability_of_improvement(second, first),
+    )
 
 
-def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: Path) -> list[str]:
-    """Export the run with the median score of every compared learner; the names in the zoo.
+def is_settled(results: TaskResults) -> bool:
+    """Whether the learning curves were flat at the end of training.
 
-    If it fails while others solve the task, the median one of those is exported, too, as "NAME-solved".
+    They are if, for every compared algorithm, the upper end of the interval over seeds of the gain (the mean of the
+    last fifth of the evaluations minus that of the fifth before) is below FLAT times the mean of the last fifth. The
+    score is the utility of the stochastic policy, for a front its hypervolume. Curves that are too short are not.
     """
-    exported: list[str] = []
-    for arm in runs:
-        task, _, protocol = arm.arm.task.partition("/")
-        reached, learner = results.tasks.get(task, {}).get(protocol), arm.arm.learner
-        if reached is None or reached.is_ablation:
-            continue
-        metric, policy = (HYPERVOLUME, FRONT) if reached.is_front else (reached.utility, STOCHASTIC)
-        scores = reached.by_seed(learner, metric, policy)
-        chosen = _median_seed(scores)
-        if chosen is None:
-            continue
-        rows = {row.seed: row for row in arm.final}
-        name = f"{task}-{rows[chosen].config['algorithm']['name']}" + ("" if protocol == "best" else f"-{protocol}")
-        wanted = [(name, chosen, f"median {metric} of {len(arm.arm.seeds)} seeds")]
-        arrivals = {} if reached.is_front else reached.by_seed(learner, SUCCESS)
-        solved = {seed: scores[seed] for seed, rate in arrivals.items() if rate > SOLVED}
-        success = _median_seed(solved)
-        if success is not None and arrivals[chosen] < LEARNED:
-            seeds = f"{len(solved)} of {len(arm.arm.seeds)} seeds that arrive in over {SOLVED:.0%} of the episodes"
-            wanted.append((f"{name}-solved", success, f"median {metric} of the {seeds}"))
-        shown = (HYPERVOLUME, CARDINALITY) if reached.is_front else (SUCCESS, metric)
-        for zoo_name, seed, why in wanted:
-            main_scores: dict[str, dict[str, float]] = {}
-            for kind, metric in product(POLICIES, shown):
-                if (score := reached.by_seed(learner, metric, kind).get(seed)) is not None:
-                    main_scores.setdefault(kind, {})[metric] = score
-            export(rows[seed].job(directory).open(), zoo_name, about={"chosen": why, "scores": main_scores})
-            exported.append(zoo_name)
-    return exported
+    name = f"{results.score.policy}/{results.score.metric}"
+    for learner in results.compared:
+        curves = [curve[name] for curve in results.learning_curves(learner) if name in curve]
+        known = [curve[np.isfinite(curve)] for curve in curves]
+        if not known or min(map(len, known)) < MIN_EVALUATIONS:
+            return False
+        fifths = [(curve[-2 * (n := len(curve) // 5) : -n].mean(), curve[-n:].mean()) for curve in known]
+        before, last = np.array(fifths).T
+        if not is_between(mean(last - before), -inf, FLAT * abs(float(last.mean()))):
+            return False
+    return True
+
+
+def is_between(estimate: Estimate, above: float, below: float) -> bool | None:
+    """Whether an interval lies between two limits; None if it contains one, or is not known."""
+    if estimate.low is None or estimate.high is None:  # of too few runs
+        return None
+    if above < estimate.low and estimate.high < below:
+        return True
+    return False if estimate.high < above or estimate.low > below else None
+
+
+def shown(estimate: Estimate) -> str:
+    """A score with its interval, to hundredths at most: the episodes of an evaluation do not tell more."""
+    return estimate.text(other_width=0.1)
+
+
+def percent(estimate: Estimate) -> str:
+    """A fraction in percent, with its interval."""
+    bounds = [None if bound is None else 100.0 * bound for bound in (estimate.low, estimate.high)]
+    return f"{shown(Estimate(100.0 * estimate.value, *bounds))}%"

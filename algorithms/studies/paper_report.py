@@ -1,9 +1,9 @@
-"""The report of the reproduction: verdicts, tables and figures 4 to 10 of the paper."""
+"""The reproduction of the paper, and its report: verdicts, tables and figures 4 to 10 of the paper."""
 
 from __future__ import annotations
 
 import tempfile
-from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,40 +16,46 @@ from algorithms.reporting.curves import curve
 from algorithms.reporting.explorer.plots import draw_front
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
 from algorithms.reporting.tables import markdown, print_rows
-from algorithms.studies.paper_claims import CLAIMS, FRONT_LEARNER, LABELS, Claim, compare, percent, shown
-from mo_deepdrive.evaluation.front import Front
-from mo_deepdrive.evaluation.metrics import (
-    CARDINALITY,
-    COLLISION,
-    FRONT,
-    HIGHEST_DISTANCE,
-    HYPERVOLUME,
-    LOWEST_DISTANCE,
-    STEP,
-    STOCHASTIC,
-    SUCCESS,
-    TOTAL_UTILITY_ESR,
-    UTILITY_ESR,
-    end_by,
-    return_of,
-    title_of,
-    vehicle_prefix,
+from algorithms.runs.config import CONFIGS
+from algorithms.runs.interrupts import never_fatal
+from algorithms.studies import FIGURES
+from algorithms.studies.execution import Backend, Runner
+from algorithms.studies.paper import (
+    CLAIMS,
+    FRONT_LEARNER,
+    FRONT_TASK,
+    LABELS,
+    PaperResults,
+    gather,
+    paper_plan,
+    percent,
+    shown,
 )
+from algorithms.zoo.exporting import export
+from mo_deepdrive.evaluation import metrics
+from mo_deepdrive.evaluation.front import Front
+from mo_deepdrive.evaluation.metrics import HYPERVOLUME, STEP, STOCHASTIC, SUCCESS, UTILITY_ESR
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, iqm, iqm_difference, probability_of_improvement
 from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
+    from numpy.typing import NDArray
     from rich.console import Console
 
     from algorithms.reporting.tables import Rows
-    from algorithms.studies.paper_claims import PaperResults, TaskResults
+    from algorithms.studies.paper import Claim, TaskResults
+    from algorithms.studies.plan import ArmRuns
+    from algorithms.studies.settings import Study
 
+PUBLISHED = CONFIGS.parent / "docs" / "results"  # exists in a checkout alone
+SOLVED, LEARNED = 0.95, 0.5  # success rates of a run that solves its task, and of one that does not fail
 REPORT_FILE = "reproduction.md"
 QUICK = "A quick reproduction checks the pipeline. It trains too little for verdicts."
-VERDICT_COLUMNS = ("protocol", "A2C", "MO-A2C", "difference", "P(MO-A2C higher)", "verdict")
+EFFECT = ("difference from the first", "P(higher)")
 COLLAPSED = 0.5  # a run of PCN has collapsed if its hypervolume is below this part of the median
 
 # Figures of learning curves, a column per task (with a linear and a non-linear utility) and a row per protocol: their
@@ -57,7 +63,7 @@ COLLAPSED = 0.5  # a run of PCN has collapsed if its hypervolume is below this p
 CURVE_FIGURES = {
     4: ("OneWaypoint", "one_waypoint", UTILITY_ESR),
     5: ("StaticObstacle", "static_obstacle", UTILITY_ESR),
-    6: ("Intersection, both vehicles together", "intersection", TOTAL_UTILITY_ESR),
+    6: ("Intersection, both vehicles together", "intersection", metrics.TOTAL_UTILITY_ESR),
     8: ("Intersection, the vehicle that turns left (vehicle 0)", "intersection", f"vehicle_0/{UTILITY_ESR}"),
     9: ("Intersection, the vehicle that goes straight (vehicle 1)", "intersection", f"vehicle_1/{UTILITY_ESR}"),
 }
@@ -107,7 +113,7 @@ def _draw_curves(number: int, results: PaperResults, path: Path) -> list[Path]:
         for axis in axes[-1]:
             axis.set_xlabel("environment steps")
         for axis in axes[:, 0]:
-            axis.set_ylabel(title_of(UTILITY_ESR))
+            axis.set_ylabel(metrics.title_of(UTILITY_ESR))
         seeds = sorted({len(panel.learning_curves(name)) for panel in panels.values() for name in LABELS})
         count = " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
         note = f"{STOCHASTIC} policy on unseen scenarios; thin: each of {count} seeds; thick: mean"
@@ -145,7 +151,7 @@ def _draw_panel(axis: Axes, results: TaskResults, metric: str) -> None:
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(6))
     axis.margins(x=0.015)
-    axis.set_title(f"{results.utility_kind.capitalize()} utility\n{results.titles[1]}", fontsize=9.5)
+    axis.set_title(f"{results.titles[0].rpartition(', ')[2].capitalize()}\n{results.titles[1]}", fontsize=9.5)
 
 
 def _draw_fronts(number: int, path: Path) -> list[Path]:
@@ -159,16 +165,27 @@ def _draw_fronts(number: int, path: Path) -> list[Path]:
     return paths
 
 
-# ---------------------------------------------------------------------------------------------------------- verdicts
+# ----------------------------------------------------------------------------------------------------------- tables
+
+
+def claim_table(claim: Claim, results: PaperResults, *, quick: bool = False) -> Rows:
+    """What decides a claim, and the verdicts: a row per criterion, a column per protocol."""
+    answers = {True: "yes", False: "no", None: "inconclusive"}
+    judged = claim.verdicts(results)
+    rows = [["criterion", *(results.tasks[claim.tasks[0]][protocol].titles[1] for protocol in judged)]]
+    for checks in zip(*(verdict.checks for verdict in judged.values()), strict=True):
+        rows.append([checks[0].criterion, *(f"{answers[check.passed]}: {check.measured}" for check in checks)])
+    return [*rows, ["verdict", *("not judged" if quick else verdict.text for verdict in judged.values())]]
 
 
 def verdict_table(results: PaperResults, *, quick: bool = False) -> str:
-    """The verdicts as Markdown: a row per claim, protocol and task, with scores and effect size."""
-    rows = [["claim", *VERDICT_COLUMNS]]
+    """The verdicts as Markdown: a row per claim and protocol."""
+    rows = [["claim", "protocol", "verdict"]]
     for claim in CLAIMS:
         name = f"{claim.number}. {claim.statement}"
-        for *row, conclusion in _verdict_rows(claim, results, quick=quick):
-            rows.append([name, *row, f"**{conclusion}**" if conclusion and not quick else conclusion])
+        protocols, *_, verdicts = claim_table(claim, results, quick=quick)
+        for protocol, verdict in zip(protocols[1:], verdicts[1:], strict=True):
+            rows.append([name, protocol, f"**{verdict}**"])
             name = ""
     return _table(rows, 2)
 
@@ -176,105 +193,54 @@ def verdict_table(results: PaperResults, *, quick: bool = False) -> str:
 def print_verdicts(results: PaperResults, console: Console, *, quick: bool = False) -> None:
     """Print the verdicts: a table per claim."""
     for claim in CLAIMS:
-        if rows := _verdict_rows(claim, results, quick=quick):
-            print_rows(console, [[*VERDICT_COLUMNS], *rows], f"{claim.number}. {claim.statement}", 1)
+        if claim.verdicts(results):
+            print_rows(console, claim_table(claim, results, quick=quick), f"{claim.number}. {claim.statement}", 1)
 
 
-def _verdict_rows(claim: Claim, results: PaperResults, *, quick: bool) -> Rows:
-    """The rows of a claim in :data:`VERDICT_COLUMNS`; of the tasks of a protocol, only the first has the verdict."""
-    rows = []
-    for protocol, verdict in claim.verdicts(results).items():
-        conclusion = "not judged" if quick else verdict.text
-        for task in claim.tasks:
-            of_task = results.tasks[task][protocol]
-            which = f" ({of_task.utility_kind})" if len(claim.tasks) > 1 else ""
-            if of_task.is_front:
-                count = iqm(of_task.values(FRONT_LEARNER, CARDINALITY, FRONT))
-                effect = ["", "", f"PCN: {count.text()} non-dominated policies", ""]
-            else:
-                *utilities, improvement = compare(of_task)
-                effect = [*map(shown, utilities), improvement.text()]
-            rows.append([of_task.titles[1] + which, *effect, conclusion])
-            conclusion = ""
-    return rows
+def _task_section(protocols: Mapping[str, TaskResults]) -> str:
+    """The title of a task, and its scores: a row per protocol and learner, the others compared with the first one."""
+    rows: list[dict[str, str]] = []
+    for results in protocols.values():
+        scores = {learner: results.values(learner, results.score.metric) for learner in results.labels}
+        first, *_ = scores.values()
+        for learner, values in scores.items():
+            protocol = results.titles[1] if values is first else ""
+            row = {"protocol": protocol, "algorithm": results.labels[learner], "seeds": str(len(values))}
+            row["steps"] = f"{results.steps:,}"
+            if results.is_front:
+                rows.append(row | _front_scores(results, values))
+                continue
+            effect = shown(iqm_difference(values, first)), probability_of_improvement(values, first).text()
+            row |= _driving_scores(results, learner, values)
+            rows.append(row | dict(zip(EFFECT, ("", "") if values is first else effect, strict=True)))
+    table = _table([[*rows[0]], *([*row.values()] for row in rows)], 2)
+    return f"{next(iter(protocols.values())).titles[0]}\n\n{table}"
 
 
-def _check_table(claim: Claim, results: PaperResults) -> str:
-    """The checks of a claim: a row per criterion, a column per protocol."""
-    answers = {True: "yes", False: "no", None: "inconclusive"}
-    judged = claim.verdicts(results)
-    rows = [["criterion", *(results.tasks[claim.tasks[0]][protocol].titles[1] for protocol in judged)]]
-    texts: dict[str, list[str]] = {}
-    for verdict in judged.values():
-        for check in verdict.checks:
-            texts.setdefault(check.criterion, []).append(f"**{answers[check.passed]}**: {check.measured}")
-    return _table([*rows, *([criterion, *cells] for criterion, cells in texts.items())], 1)
+def _driving_scores(results: TaskResults, learner: str, utilities: NDArray[np.float64]) -> dict[str, str]:
+    distance = metrics.vehicle_prefix(0, results.vehicles) + metrics.return_of("distance")
+    return {
+        "utility (ESR)": shown(iqm(utilities)),
+        "success rate": percent(iqm(results.values(learner, SUCCESS))),
+        "collisions": percent(iqm(results.values(learner, metrics.end_by(metrics.COLLISION)))),
+        "progress (m)": shown(iqm(results.values(learner, distance))),
+    }
 
 
-# ------------------------------------------------------------------------------------------------------------ scores
-
-
-def _comparison_table(protocols: Sequence[TaskResults]) -> str:
-    """The scores of a task: a row per protocol and learner, of the policy that samples its actions."""
-    measures = ["utility (ESR)", "success rate", "collisions", "progress (m)"]
-    rows = [["protocol", "algorithm", "seeds", "steps", *measures]]
-    for results in protocols:
-        title, distance = results.titles[1], vehicle_prefix(0, results.vehicles) + return_of("distance")
-        for learner, label in results.labels.items():
-            values = partial(results.values, learner)
-            utility, progress = (shown(iqm(values(metric))) for metric in (results.utility, distance))
-            rates = [percent(iqm(values(metric))) for metric in (SUCCESS, end_by(COLLISION))]
-            about = [title, label, str(len(values(SUCCESS))), f"{results.steps:,}"]
-            rows.append([*about, utility, *rates, progress])
-            title = ""
-    return _table(rows, 2)
-
-
-def _front_table(protocols: Sequence[TaskResults]) -> str:
-    """The scores of PCN's fronts: a row per protocol."""
-    measures = ["hypervolume", "collapsed runs", "non-dominated policies", "progress of the policies (m)"]
-    rows = [["protocol", "seeds", "steps", *measures]]
-    for results in protocols:
-        volumes, cardinalities, nearest, farthest = (
-            results.values(FRONT_LEARNER, metric, FRONT)
-            for metric in (HYPERVOLUME, CARDINALITY, LOWEST_DISTANCE, HIGHEST_DISTANCE)
-        )
-        collapsed = f"{(volumes < COLLAPSED * np.median(volumes)).sum()} of {len(volumes)}"
-        progress = f"{iqm(nearest).value:.2g} to {iqm(farthest).value:.3g}"
-        about = [results.titles[1], str(len(volumes)), f"{results.steps:,}"]
-        rows.append([*about, iqm(volumes).text(), collapsed, iqm(cardinalities).text(), progress])
-    return _table(rows, 1)
-
-
-def _ablation_table(results: TaskResults) -> str:
-    """The scores of an ablation: a row per learner, with its difference from the first one."""
-    rows = [["change", "utility (ESR)", "success rate", "difference from the first", "P(higher than the first)"]]
-    scores = {learner: results.values(learner, results.utility) for learner in results.labels}
-    first, *_ = scores.values()
-    for learner, values in scores.items():
-        effect = ["", ""]
-        if values is not first:
-            effect = [shown(iqm_difference(values, first)), probability_of_improvement(values, first).text()]
-        success = percent(iqm(results.values(learner, SUCCESS)))
-        rows.append([results.labels[learner], shown(iqm(values)), success, *effect])
-    return _table(rows, 1)
+def _front_scores(results: TaskResults, volumes: NDArray[np.float64]) -> dict[str, str]:
+    names = metrics.CARDINALITY, metrics.LOWEST_DISTANCE, metrics.HIGHEST_DISTANCE
+    count, lowest, highest = (iqm(results.values(FRONT_LEARNER, name)) for name in names)
+    return {
+        "hypervolume": iqm(volumes).text(),
+        "collapsed runs": f"{(volumes < COLLAPSED * np.median(volumes)).sum()} of {len(volumes)}",
+        "non-dominated policies": count.text(),
+        "progress of the policies (m)": f"{lowest.value:.2g} to {highest.value:.3g}",
+    }
 
 
 def _table(rows: Rows, labels: int) -> str:
     """A table of Markdown; in one of a single row, all labels would be what the rows share."""
     return markdown(rows, labels if len(rows) > 2 else 0, "").strip()
-
-
-def _scores_of_task(protocols: Mapping[str, TaskResults], level: str) -> list[str]:
-    """The section of a task: its scores, and those of its ablations."""
-    ablations = [results for results in protocols.values() if results.is_ablation]
-    compared = [results for results in protocols.values() if not results.is_ablation]
-    parts = [f"{level} {next(iter(protocols.values())).titles[0]}"]
-    if compared:
-        parts.append(_front_table(compared) if compared[0].is_front else _comparison_table(compared))
-    for results in ablations:
-        parts += [f"**{results.titles[1]}**", _ablation_table(results)]
-    return parts
 
 
 def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how: str, quick: bool) -> str:
@@ -287,9 +253,8 @@ def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how
         "Scores are interquartile means over seeds of the utility (ESR) of the policy that samples its actions; at the "
         "intersection, of the sum of both vehicles' utilities. The scores of every run, also of greedy policies, are "
         "in reproduction_scores.csv.",
-        "Intervals (95%, bootstrap) are over seeds. P(MO-A2C higher) is the probability that a run of MO-A2C scores "
-        "higher than one of A2C. A run of PCN has collapsed if its hypervolume is below "
-        f"{COLLAPSED:.0%} of the median.",
+        "Intervals (95%, bootstrap) are over seeds. P(higher) is the probability that a run scores higher than one of "
+        f"the first algorithm. A run of PCN has collapsed if its hypervolume is below {COLLAPSED:.0%} of the median.",
         *([f"**{QUICK}**"] if quick else []),
         "## Verdicts",
         verdict_table(results, quick=quick),
@@ -299,13 +264,111 @@ def _document(results: PaperResults, pictures: Mapping[int, Sequence[Path]], how
         unclaimed = {task: protocols for task, protocols in unclaimed.items() if task not in claim.tasks}
         if not claim.verdicts(results):
             continue
-        parts += [f"## Claim {claim.number}", _check_table(claim, results)]
-        for task in claim.tasks:
-            parts += _scores_of_task(results.tasks[task], "###")
+        parts += [f"## Claim {claim.number}", _table(claim_table(claim, results, quick=quick), 1)]
+        parts += [f"### {_task_section(results.tasks[task])}" for task in claim.tasks]
         for number in claim.figures:
             new = [path for path in pictures.get(number, []) if path not in drawn]  # claims share figures
             parts += [f"![Figure {number}]({path.name})" for path in new]
             drawn |= {*new}
-    for protocols in unclaimed.values():
-        parts += _scores_of_task(protocols, "##")
+    parts += [f"## {_task_section(protocols)}" for protocols in unclaimed.values()]
     return "\n\n".join(parts) + "\n"
+
+
+# ------------------------------------------------------------------------------------------------------ reproduction
+
+
+def reproduce(study: Study, options: Namespace, console: Console) -> int:
+    """Train the missing runs, write report and figures, update the zoo of a checkout; the code of Runner.run.
+
+    The options are those of ``mo-deepdrive reproduce``, which describes them.
+    """
+    figure, claim, seeds, quick = options.figure, options.claim, options.seeds, options.quick
+    tasks, figures = list(dict.fromkeys(key.partition("/")[0] for key in study.tasks)), list(FIGURES)
+    if figure or claim:
+        claims = [known for known in CLAIMS if figure in known.figures or known.number == claim]
+        tasks = list(dict.fromkeys(task for known in claims for task in known.tasks))
+        figures = [figure] if figure else claims[0].figures
+    runs = options.runs or Path("runs") / ("reproduce-quick" if quick else "reproduce")
+    part = figure or claim or quick
+    # A report of everything with all steps is published where there is a checkout.
+    output = options.output or (runs / "results" if part or not PUBLISHED.is_dir() else PUBLISHED)
+    chosen = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(options, name))]
+    command = " ".join(["mo-deepdrive reproduce", *(["--quick"] if quick else [] if part else ["--all"]), *chosen])
+    code, arms, results = 0, [], None
+    if options.redraw:
+        results = PaperResults.read(study, output)
+    else:
+        plan = paper_plan(study, tasks, seeds=seeds, quick=quick)
+        runner = Runner(plan, runs, Backend(workers=options.workers), console)
+        code = runner.run()
+        if code > 1:  # it was interrupted
+            return code
+        arms = [arm for arm in plan.runs(runner) if arm.arm.key in plan.selected]
+        results = gather(plan, arms, runs)
+        if not results.tasks:
+            raise ValueError("no run has finished")
+        output.mkdir(parents=True, exist_ok=True)
+        _keep_fronts(arms, results, runs, output)
+    paths: list[Path] = []
+    with never_fatal("the report could not be written"):
+        paths = write_report(results, output, figures, how=command, quick=quick)
+    print_verdicts(results, console, quick=quick)
+    if quick:
+        console.print(QUICK)
+    console.print(f"written: {', '.join(map(str, paths))}", soft_wrap=True)
+    if arms and output == PUBLISHED and not options.output and not seeds and code == 0:
+        console.print(f"updated the policies {', '.join(export_policies(arms, results, runs))} in the zoo")
+    return code
+
+
+def _median_seed(scores: Mapping[int, float]) -> int | None:
+    """The seed with the median of the scores by seed, the lower of two; None if there are none."""
+    ordered = sorted(scores, key=lambda seed: (scores[seed], seed))
+    return ordered[(len(ordered) - 1) // 2] if ordered else None
+
+
+def _keep_fronts(runs: Sequence[ArmRuns], results: PaperResults, directory: Path, output: Path) -> None:
+    """Save the front of the run with the median hypervolume of every protocol; figures are drawn from it."""
+    rows = {(arm.arm.task, row.seed): row for arm in runs for row in arm.final}
+    for protocol, of_protocol in results.tasks.get(FRONT_TASK, {}).items():
+        seed = _median_seed(of_protocol.by_seed(FRONT_LEARNER, HYPERVOLUME))
+        if seed is not None:
+            folder = output / f"front_{protocol}"
+            folder.mkdir(exist_ok=True)
+            Front.read(directory / rows[of_protocol.key, seed].directory).write(folder, {"seed_of_the_run": seed})
+
+
+def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: Path) -> list[str]:
+    """Export the run with the median score of every compared learner; the names in the zoo.
+
+    If it fails while others solve the task, the median one of those is exported, too, as "NAME-solved".
+    """
+    exported: list[str] = []
+    for arm in runs:
+        task, _, protocol = arm.arm.task.partition("/")
+        of_task, learner = results.tasks.get(task, {}).get(protocol), arm.arm.learner
+        if of_task is None or learner not in of_task.compared:
+            continue
+        metric = of_task.score.metric
+        scores = of_task.by_seed(learner, metric)
+        chosen = _median_seed(scores)
+        if chosen is None:
+            continue
+        rows = {row.seed: row for row in arm.final}
+        name = f"{task}-{rows[chosen].config['algorithm']['name']}" + ("" if protocol == "best" else f"-{protocol}")
+        wanted = [(name, chosen, f"median {metric} of {len(arm.arm.seeds)} seeds")]
+        arrivals = {} if of_task.is_front else of_task.by_seed(learner, SUCCESS)
+        solved = {seed: scores[seed] for seed, rate in arrivals.items() if rate > SOLVED}
+        success = _median_seed(solved)
+        if success is not None and arrivals[chosen] < LEARNED:
+            seeds = f"{len(solved)} of {len(arm.arm.seeds)} seeds that arrive in over {SOLVED:.0%} of the episodes"
+            wanted.append((f"{name}-solved", success, f"median {metric} of the {seeds}"))
+        shown = (HYPERVOLUME, metrics.CARDINALITY) if of_task.is_front else (SUCCESS, metric)
+        for zoo_name, seed, why in wanted:
+            main_scores: dict[str, dict[str, float]] = {}
+            for policy, metric in product(metrics.POLICIES, shown):
+                if (score := of_task.by_seed(learner, metric, policy).get(seed)) is not None:
+                    main_scores.setdefault(policy, {})[metric] = score
+            export(rows[seed].job(directory).open(), zoo_name, about={"chosen": why, "scores": main_scores})
+            exported.append(zoo_name)
+    return exported

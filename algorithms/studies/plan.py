@@ -21,7 +21,6 @@ from algorithms.studies.manifest import (
     ManifestRow,
     Scores,
     cell_rows,
-    first_of,
     overridden,
     refuse_duplicates,
     short_names,
@@ -52,7 +51,6 @@ if TYPE_CHECKING:
     from algorithms.studies.settings import PlanSettings, SearchRange, SearchSettings, Study, SweepSettings
 
 TASK, LEARNER = "task", "learner"  # keys of every cell of a study
-MAX_PROBLEMS = 5  # invalid cells that an error message lists
 
 
 class Plan(ABC):
@@ -100,27 +98,19 @@ class SweepPlan(Plan):
     settings: SweepSettings
 
     def rows(self, scores: Scores) -> list[ManifestRow]:
-        """As of the base class; all invalid cells are refused together."""
+        """As of the base class."""
         settings = self.settings
         bases, names = {path: read_mapping(find_config(path)) for path in settings.config}, short_names(settings.config)
         metric = settings.ray.asha and settings.ray.asha.metric
         rows: list[ManifestRow] = []
-        problems: list[str] = []
-        combinations = list(product(bases, *settings.grid.values()))
-        for path, *values in combinations:
+        for path, *values in product(bases, *settings.grid.values()):
             grid = dict(zip(settings.grid, values, strict=True))
             cell = {"config": names[path], **grid} if len(bases) > 1 else grid
-            try:
-                sections = overridden(bases[path], {**settings.overrides, **grid}, cell)
-                if settings.search is None:
-                    rows += self._cell(cell, None, values=sections, seeds=settings.seeds, metric=metric)
-                else:
-                    rows += self._search_rows(settings.search, cell, sections, scores)
-            except ValueError as error:
-                problems.append(str(error))
-        if problems:
-            shown = "\n  ".join(first_of(problems, MAX_PROBLEMS))
-            raise ValueError(f"{len(problems)} of {len(combinations)} cells are invalid:\n  {shown}")
+            sections = overridden(bases[path], {**settings.overrides, **grid}, cell)
+            if settings.search is None:
+                rows += self._cell(cell, None, values=sections, seeds=settings.seeds, metric=metric)
+            else:
+                rows += self._search_rows(settings.search, cell, sections, scores)
         refuse_duplicates(rows)
         return rows
 
@@ -297,13 +287,13 @@ class StudyPlan(Plan):
 
     def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
         """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
-        from algorithms.runs.report import final_metrics
+        from algorithms.runs.report import final_metric_names
 
         known: set[str] = set()
         for row in rows:
             if known.issuperset(self.study.columns):
                 return
-            known |= {name.partition("/")[2] for name in final_metrics(row.experiment)}
+            known |= {name.partition("/")[2] for name in final_metric_names(row.experiment)}
         for column in self.study.columns:
             if column not in known:
                 near = nearest_few(column, known)

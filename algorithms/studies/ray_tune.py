@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import ray
 from ray import tune
 from ray.exceptions import RayError
@@ -21,7 +20,7 @@ from ray.tune.error import TuneError
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.reporting.run_records import final_metrics
-from algorithms.reporting.training_log import read_metrics
+from algorithms.reporting.training_log import rows_until
 from algorithms.runs.interrupts import DiskFull, JobFailed, Stopped, describe
 from algorithms.runs.jobs import BUSY, DIED, Job, WorkerDied, perform, record, verdict
 from algorithms.runs.run_directory import METRICS_FILE, read_status
@@ -68,8 +67,8 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
         report = self._reports.get()
         if isinstance(report, BaseException):
             raise report
-        self._last = {**self._last, **report}
-        return self._last
+        self._last |= report
+        return {**self._last}
 
     def cleanup(self) -> None:
         """Stop training, which saves a checkpoint."""
@@ -85,8 +84,10 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
 
         try:
             job = Job.unpack(packed)
-            for logged in _logged_evaluations(job):
-                watch(*logged)
+            # What a resumed run logged up to its last checkpoint, which early stopping needs.
+            logged = rows_until(job.path / METRICS_FILE, read_status(job.path).get("step", 0)).fill_nan(None)
+            for row in logged.to_dicts():
+                watch(row.pop(STEP), {name: value for name, value in row.items() if value is not None})
             while not stop.is_set():
                 try:
                     if perform(job, watch=watch, stop=stop.is_set) == "stopped":
@@ -105,20 +106,6 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
                 reports.put(RuntimeError(describe(error)))
             else:
                 reports.put({"done": True, "error": describe(error), "disk_full": outcome == "stop"})
-
-
-def _logged_evaluations(job: Job) -> list[tuple[int, dict[str, float]]]:
-    """The evaluations that a resumed run logged up to its last checkpoint, which early stopping needs."""
-    path = job.path / METRICS_FILE
-    if not path.is_file():
-        return []
-    columns = read_metrics(path)
-    steps = columns.pop(STEP)
-    until = np.flatnonzero(steps <= read_status(job.path).get("step", 0))
-    return [
-        (int(steps[i]), {name: float(column[i]) for name, column in columns.items() if not np.isnan(column[i])})
-        for i in until
-    ]
 
 
 class _RecordingAsha(ASHAScheduler):  # type: ignore[misc]  # Ray's types are not checked
@@ -148,8 +135,7 @@ class _Driver(tune.Callback, tune.Stopper):  # type: ignore[misc]  # Ray's types
 
     def __init__(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]):
         self._jobs = {job.id: job for job in jobs}
-        self._monitor = monitor
-        self._stop = stop
+        self._monitor, self._stop = monitor, stop
         self.failed: dict[Job, str] = {}
         self.disk_full: str | None = None
 
@@ -203,7 +189,7 @@ def run_on_ray(
     driver = _Driver(wanted, monitor, stop)
     _connect(address, sweep)
     try:
-        tuner = tune.Tuner(
+        tune.Tuner(
             tune.with_resources(RunTrainable, {name: amount for name, amount in resources.items() if amount}),
             param_space={
                 "folder": str(Path.cwd()),
@@ -225,13 +211,11 @@ def run_on_ray(
                 stop=driver,
                 verbose=0,
             ),
-        )
-        tuner.fit()
+        ).fit()
     except (RayError, TuneError, ConnectionError) as error:  # those of runs are in their reports
         last = " ".join(str(error).strip().splitlines()[-1:])
-        raise Stopped(
-            f"Ray cannot continue, perhaps because its head has died: {type(error).__name__}: {last}"
-        ) from None
+        hint = "Ray cannot continue, perhaps because its head has died"
+        raise Stopped(f"{hint}: {type(error).__name__}: {last}") from None
     finally:
         ray.shutdown()
     if driver.disk_full is not None:

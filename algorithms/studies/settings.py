@@ -215,7 +215,7 @@ class SweepSettings(PlanSettings):
     @model_validator(mode="after")
     def _check(self) -> SweepSettings:
         space = self.search.space if self.search else {}
-        places = {"overrides": keys_in(self.overrides), "grid": tried_keys(self.grid), "search.space": [*space]}
+        places = {"overrides": keys_in(self.overrides), "grid": keys_in(self.grid), "search.space": [*space]}
         problems = key_problems(places, SEED_KEYS)
         for key in dict.fromkeys(key for keys in places.values() for key in keys):
             having = [place for place, keys in places.items() if key in keys]
@@ -342,9 +342,8 @@ def learners_in(study: Study) -> Iterator[tuple[str, Learner]]:
 def problems_of(study: Study) -> list[str]:
     """What is invalid in a study by itself, one line each."""
     problems = []
-    tuning, tasks = [] if study.tuning is None else study.tuning.seeds, study.tasks.values()
-    keys = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
-    keys["tuning.values"] = tried_keys(study.tuning.values if study.tuning else {})
+    tuning = study.tuning or Tuning(seeds=[0])
+    keys = {"overrides": keys_in(study.overrides), "help": keys_in(study.help), "tuning.values": keys_in(tuning.values)}
     counted = {"seeds": study.seeds}
     for name, task in study.tasks.items():
         place = f"tasks.{name}"
@@ -352,23 +351,7 @@ def problems_of(study: Study) -> list[str]:
         counted[f"{place}.seeds"] = task.seeds or []
         if task.task is not None and task.environment is not None:
             problems.append(f"{place}.environment: the suite's task {task.task!r} has an environment of its own")
-    for place, learner in learners_in(study):
-        keys |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": tried_keys(learner.tuning or {})}
-        for name in ("tuning", "tuning_share") if study.tuning is None else ():
-            if getattr(learner, name) is not None:
-                problems.append(f"{place}.{name} has no effect in a study without tuning")
-    problems += key_problems(keys, ELSEWHERE)
-    for place, seeds in counted.items():
-        if both := set(seeds) & set(tuning):
-            problems.append(f"{place} has {min(both)}, a seed of the tuning; take others")
-    if study.metric is not None and all(task.task or task.metric for task in tasks):
-        problems.append("metric has no effect: every task has its own")
-    if "seeds" in study.model_fields_set and all(task.seeds for task in tasks):
-        problems.append("seeds has no effect: every task has its own")
-    if study.ray.asha is not None:
-        problems.append("ray.asha would prune runs that count")
-    for name in study.tasks:
-        runs = {key: len(study.points(learner)) * len(tuning) for key, learner in study.learners_of(name).items()}
+        runs = {key: len(study.points(learner)) * len(tuning.seeds) for key, learner in study.learners_of(name).items()}
         if not runs:
             problems.append(f"task {name!r} has no learners")
         elif len(set(runs.values())) > 1:
@@ -378,6 +361,21 @@ def problems_of(study: Study) -> list[str]:
             problems.append(f"task {name!r}: tuning without values; give tuning.values, or those of the learners")
         if (most := max(runs.values(), default=0)) > MAX_TUNING_RUNS:
             problems.append(f"task {name!r}: {most} tuning runs of a learner; at most {MAX_TUNING_RUNS} are allowed")
+    for place, learner in learners_in(study):
+        keys |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": keys_in(learner.tuning or {})}
+        if study.tuning is None and {"tuning", "tuning_share"} & learner.model_fields_set:
+            problems.append(f"{place} has a tuning of its own, which has no effect in a study without tuning")
+    problems += key_problems(keys, ELSEWHERE)
+    for place, seeds in counted.items() if study.tuning else ():
+        if both := set(seeds) & set(tuning.seeds):
+            problems.append(f"{place} has {min(both)}, a seed of the tuning; take others")
+    tasks = study.tasks.values()
+    if study.metric is not None and all(task.task or task.metric for task in tasks):
+        problems.append("metric has no effect: every task has its own")
+    if "seeds" in study.model_fields_set and all(task.seeds for task in tasks):
+        problems.append("seeds has no effect: every task has its own")
+    if study.ray.asha is not None:
+        problems.append("ray.asha would prune runs that count")
     return problems
 
 
@@ -421,21 +419,12 @@ def _with_paths(value: Any, file: Path, key: str = "") -> Any:
 
 
 def keys_in(values: Mapping[str, Any]) -> list[str]:
-    """The dotted experiment keys that a mapping sets, those in its mappings included."""
-    return [
-        f"{key}.{inner}" if inner else key
-        for key, value in values.items()
-        for inner in (keys_in(value) if isinstance(value, dict) and value else [""])
-    ]
-
-
-def tried_keys(values: Mapping[str, list[Any]]) -> list[str]:
-    """The same of a mapping from keys to the values that are tried for them."""
-    return [
-        key
-        for name, choices in values.items()
-        for key in dict.fromkeys(key for choice in choices for key in keys_in({name: choice}))
-    ]
+    """The dotted experiment keys that a mapping sets or tries, those in its mappings included."""
+    keys = []
+    for key, value in values.items():
+        sections = [section for section in (value if isinstance(value, list) else [value]) if isinstance(section, dict)]
+        keys += list(dict.fromkeys(f"{key}.{inner}" for section in sections for inner in keys_in(section))) or [key]
+    return keys
 
 
 def key_problems(places: Mapping[str, list[str]], elsewhere: Mapping[str, str]) -> list[str]:

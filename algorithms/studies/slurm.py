@@ -127,8 +127,9 @@ class ArrayTask:
         stop = self._stop = threading.Event()
         # The main thread only handles signals, so that a handler can wait until the other thread has saved.
         signal.signal(signal.SIGTERM, lambda _number, _frame: stop.set())
-        with futures.ThreadPoolExecutor(1) as pool:
-            self._training = pool.submit(self._train, stop)
+        with futures.ThreadPoolExecutor(1) as pool, Dashboard(self.jobs, Console(width=WIDTH), "this job") as monitor:
+            options: dict[str, Any] = {"retries": self.retries, "stop": stop.is_set}
+            self._training = pool.submit(perform_all, self.jobs, self.side_by_side, monitor, **options)
             while futures.wait([self._training], timeout=1.0).not_done:
                 pass
         failed = self._training.result()
@@ -137,10 +138,6 @@ class ArrayTask:
             if _query_states([job_id]) == {job_id: "RUNNING"}:  # it has not been cancelled
                 subprocess.run(["scontrol", "requeue", job_id], check=True)
         return [f"{job.name}: {error}" for job, error in failed.items()]
-
-    def _train(self, stop: threading.Event) -> dict[Job, str]:
-        with Dashboard(self.jobs, Console(width=WIDTH), "this job") as monitor:
-            return perform_all(self.jobs, self.side_by_side, monitor, retries=self.retries, stop=stop.is_set)
 
     def checkpoint(self) -> submitit.helpers.DelayedSubmission:
         """Save the runs, and ask to be submitted again; called by submitit's signal handler."""
@@ -169,7 +166,7 @@ class SlurmQueue:
         self._sweep = sweep
         self._file = own_path(sweep.resolve(), "slurm") / "jobs.json"
         self.jobs: dict[str, list[str]] = json.loads(self._file.read_text()) if self._file.is_file() else {}
-        self.states: dict[str, str] = {}
+        self._states: dict[str, str] = {}
 
     def submit(self, jobs: Sequence[Job], settings: PlanSettings) -> None:
         """Submit runs to Slurm, in as few job arrays as possible."""
@@ -194,30 +191,34 @@ class SlurmQueue:
         """Query the states of the jobs; returns whether Slurm answered."""
         arrays = {job.partition("_")[0] for job in self.jobs}
         states = _query_states(arrays) if arrays else {}
-        self.states = self.states if states is None else states
+        self._states = self._states if states is None else states
         return states is not None
 
     def active_jobs(self) -> list[str]:
         """The jobs that are queued or running."""
-        return [job for job in self.jobs if self.states.get(job, "COMPLETED") not in FINAL_STATES]
+        return [job for job in self.jobs if self._states.get(job, "COMPLETED") not in FINAL_STATES]
 
-    def last_state(self, run: str) -> tuple[str, str]:
-        """The last job to which a run was assigned, and its state.
+    def lost(self, job: Job, attempts: int, retries: int) -> str | None:
+        """Why a run whose Slurm job ended before it did has failed; None to retry it."""
+        slurm_job = [slurm_job for slurm_job, runs in self.jobs.items() if job.id in runs][-1]
+        log = self._file.with_name(f"{slurm_job}_0_log.out")
+        # Slurm forgets jobs some minutes after their end, and tasks that are cancelled before they start at once.
+        state = self._states.get(slurm_job, "LOST" if log.exists() else "CANCELLED")
+        hint = f"; see {log}" if log.exists() else ""
+        error = WorkerDied(f"Slurm job {slurm_job} ended ({state}) before the run did{hint}")
+        retried = state != "CANCELLED" and verdict(error, attempts, retries) == "retry"
+        return None if retried else record(job, error)
 
-        Slurm forgets jobs some minutes after their end, and tasks of an array that are cancelled before they start at
-        once: a job that it does not know is "LOST" if it has started, and else "CANCELLED".
-        """
-        job = [job for job, runs in self.jobs.items() if run in runs][-1]
-        return job, self.states.get(job, "LOST" if self.log_file(job).exists() else "CANCELLED")
 
-    def log_file(self, job: str) -> Path:
-        """The file with the output of a job."""
-        return self._file.with_name(f"{job}_0_log.out")
-
-    def cancel_command(self) -> str | None:
-        """The command that cancels all queued and running jobs; None if there are none."""
-        arrays = {job.partition("_")[0] for job in self.active_jobs()}
-        return f"scancel {' '.join(sorted(arrays, key=int))}" if arrays else None
+def after_interrupt(sweep: Path) -> str:
+    """What the user can do after an interrupt."""
+    queue = SlurmQueue(sweep)
+    queue.refresh()
+    arrays = sorted({job.partition("_")[0] for job in queue.active_jobs()}, key=int)
+    if not arrays:
+        return "no job is in Slurm's queue: the same command submits the runs that are not done"
+    cancel = f"`scancel {' '.join(arrays)}` cancels them"
+    return f"the jobs stay in Slurm's queue: the same command watches them again, {cancel}"
 
 
 def run_on_slurm(
@@ -239,11 +240,13 @@ def run_on_slurm(
 
     def reason_of(job: Job) -> str | None:
         """Why a run that no job has has failed; None to submit it (again)."""
+        status = read_status(job.path)
+        reported = status.get("reason") if status.get("state") == "failed" else None
         if missing_before is None:
             # Without waiting, nobody sees a run fail: submitted at every call, it would keep a search in its batch.
-            return _reported_failure(job) if settings.adaptive and not wait else None
+            return reported if settings.adaptive and not wait else None
         # The job has already retried what the run reported.
-        return _reported_failure(job) or _lost(job, queue, attempts[job.id], settings.retries)
+        return reported or queue.lost(job, attempts[job.id], settings.retries)
 
     while True:
         if queue.refresh():
@@ -252,13 +255,15 @@ def run_on_slurm(
             if not open_jobs:
                 return failed
             missing = [job for job in open_jobs if job.id not in active]
+            to_submit = []
             # The result of a run may become visible after the end of its job: a run is lost if it is missing twice.
-            lost = {job: reason_of(job) for job in missing if missing_before is None or job in missing_before}
-            for job, reason in lost.items():
-                if reason is not None:
-                    failed[job] = reason
-                    monitor.failed(job, reason)
-            to_submit = [job for job, reason in lost.items() if reason is None]
+            for job in (job for job in missing if missing_before is None or job in missing_before):
+                reason = reason_of(job)
+                if reason is None:
+                    to_submit.append(job)
+                    continue
+                failed[job] = reason
+                monitor.failed(job, reason)
             if to_submit:
                 attempts.update(job.id for job in to_submit)
                 queue.submit(to_submit, settings)
@@ -271,19 +276,3 @@ def run_on_slurm(
             if stop():
                 return failed
             time.sleep(0.2)
-
-
-def _reported_failure(job: Job) -> str | None:
-    """The reason in the directory of a run that failed; None if there is none."""
-    status = read_status(job.path)
-    return str(status["reason"]) if status.get("state") == "failed" and "reason" in status else None
-
-
-def _lost(job: Job, queue: SlurmQueue, attempts: int, retries: int) -> str | None:
-    """Why a run whose Slurm job ended before it did has failed; None to retry it."""
-    slurm_job, state = queue.last_state(str(job.id))
-    log = queue.log_file(slurm_job)
-    hint = f"; see {log}" if log.exists() else ""
-    error = WorkerDied(f"Slurm job {slurm_job} ended ({state}) before the run did{hint}")
-    retried = state != "CANCELLED" and verdict(error, attempts, retries) == "retry"
-    return None if retried else record(job, error)

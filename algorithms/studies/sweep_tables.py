@@ -1,16 +1,37 @@
-"""The tables and figures of a sweep: its cells, the best first, and comparisons where nothing else differs."""
+"""The results of a sweep or study: data frames, tables and figures of its cells, the best first, and comparisons.
+
+The data frames are also Parquet files for other programs.
+
+``SWEEP/collected/`` is for anything that reads Parquet: ``pl.scan_parquet("SWEEP/collected/metrics.parquet")``,
+``pandas.read_parquet("SWEEP/collected/scores.parquet")``. In every file the column "run" has the run's id:
+
+``runs.parquet``, one row per run of the manifest:
+    run, directory (relative to SWEEP), cell (its keys and values as text), trial (of a search, else null), seed,
+    state ("finished", "pruned", "failed", "running", "interrupted", "trained"; "waiting" before it starts),
+    step (environment steps so far), rows (of its metrics); then a column per key of the cell: numbers, booleans and
+    strings as they are, other values as JSON.
+``scores.parquet``, one row per metric in the final evaluation of each finished run:
+    run, policy ("greedy", "stochastic" or "front"), vehicle ("" for one vehicle, or all together), metric, value,
+    low and high (95% interval over the episodes, null if there is none); then the columns of ``runs.parquet``
+    without directory, step and rows.
+``metrics.parquet``, one row per row of each run's metrics.csv, unfinished runs included:
+    run, step; then every metric of any run, null where a run or a row does not have it.
+"""
 
 from __future__ import annotations
 
+import io
+import json
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
-from algorithms.reporting.run_records import distinct_labels
+from algorithms.reporting.run_records import ExperimentRecord, distinct_labels, experiment_record, final_scores
 from algorithms.reporting.tables import (
     TABLE_COLUMNS,
     TABLE_METRICS,
@@ -22,24 +43,13 @@ from algorithms.reporting.tables import (
     print_rows,
     scores_table,
 )
-from algorithms.studies.collection import SCORE_KEYS, Cell, Collection, as_json, collect
-from algorithms.studies.manifest import value_text
-from mo_deepdrive.evaluation.metrics import (
-    EVALUATION,
-    EXPECTED_UTILITY,
-    FRONT,
-    GREEDY,
-    HYPERVOLUME,
-    POLICIES,
-    RETURN,
-    STEP,
-    STOCHASTIC,
-    UTILITY_ESR,
-    MetricName,
-    known_metric,
-    lower_is_better,
-    split_name,
-)
+from algorithms.reporting.training_log import read_rows
+from algorithms.runs.run_directory import METRICS_FILE, changed_files, read_status
+from algorithms.studies.manifest import ManifestRow, label, read_manifest, value_text
+from mo_deepdrive.evaluation import metrics
+from mo_deepdrive.evaluation.front import EVALUATION_FILE
+from mo_deepdrive.evaluation.metrics import EVALUATION, FRONT, POLICIES, STEP, UTILITY_ESR, MetricName, split_name
+from mo_deepdrive.support.atomic_io import atomic_write, own_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,17 +59,160 @@ if TYPE_CHECKING:
 
     from algorithms.reporting.curves import CurveGroup, VariedScores
 
+FOLDER = "collected"
+MAX_NAMED = 3  # runs that a message lists by name
+SCORE_KEYS = MetricName._fields  # columns that identify a score of a run
+SCORE_TYPES = dict.fromkeys(("run", *SCORE_KEYS), pl.String) | dict.fromkeys(("value", "low", "high"), pl.Float64)
+RUN_TYPES = dict.fromkeys(("run", "directory", "cell"), pl.String) | {"trial": pl.Int64, "seed": pl.Int64}
+RUN_TYPES |= {"state": pl.String, "step": pl.Int64, "rows": pl.Int64}
 REST = "--output FILE.csv writes every metric"
 ALGORITHM_KEYS = ("config", "algorithm", "algorithm.name")  # keys of cells that choose the algorithm
 # Cells are ranked by the first of these metrics that the runs have.
 DEFAULT_METRICS = (
-    MetricName(GREEDY, "", UTILITY_ESR),
-    MetricName(FRONT, "", HYPERVOLUME),
-    MetricName(FRONT, "", EXPECTED_UTILITY),
-    MetricName(STOCHASTIC, "", UTILITY_ESR),
+    MetricName(metrics.GREEDY, "", UTILITY_ESR),
+    MetricName(FRONT, "", metrics.HYPERVOLUME),
+    MetricName(FRONT, "", metrics.EXPECTED_UTILITY),
+    MetricName(metrics.STOCHASTIC, "", UTILITY_ESR),
 )
 MAX_CURVES = 8  # cells, as many as there are markers
 TOTAL = "total"  # instead of a vehicle: the sum over all vehicles
+
+
+# ------------------------------------------------------------------------------------------------------- data frames
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Runs that differ in their seed alone: the varied values and the number of the trial, as in the manifest."""
+
+    keys: dict[str, Any]
+    trial: int | None
+    rows: tuple[ManifestRow, ...]
+
+    @cached_property
+    def experiment(self) -> ExperimentRecord:
+        """The resolved experiment of the first run."""
+        return experiment_record(self.rows[0].config, f"config of run {self.rows[0].id} in the manifest")
+
+
+@dataclass(frozen=True)
+class Collection:
+    """The manifest of a sweep, its runs, their final evaluations and what they logged, as in the module's docstring."""
+
+    rows: tuple[ManifestRow, ...]
+    runs: pl.DataFrame
+    scores: pl.DataFrame
+    metrics: pl.DataFrame
+
+    @cached_property
+    def cells(self) -> tuple[Cell, ...]:
+        """The cells, in the order of the manifest."""
+        rows_by_cell: dict[tuple[int | None, str], list[ManifestRow]] = {}
+        for row in self.rows:
+            rows_by_cell.setdefault((row.trial, as_json(row.cell)), []).append(row)
+        return tuple(Cell(rows[0].cell, rows[0].trial, tuple(rows)) for rows in rows_by_cell.values())
+
+    def latest_scores(self) -> tuple[str, pl.DataFrame]:
+        """The best scores that are known, "final" ones or, if there are none, the "last" ones during training."""
+        final = self.scores.select("run", *SCORE_KEYS, "value")
+        names = [name for name in self.metrics.columns if name.startswith(EVALUATION)]
+        if len(final) or not names:
+            return "final" if len(final) else "last", final
+        last = (
+            self.metrics.select("run", STEP, *names)
+            .unpivot(names, index=["run", STEP], variable_name="name")
+            .filter(pl.col("value").is_finite())
+            .group_by("run", "name")
+            .agg(pl.col("value").sort_by(STEP).last())
+        )
+        rows = [(run, *split_name(name), value) for run, name, value in last.select("run", "name", "value").rows()]
+        return "last", pl.DataFrame(rows, final.schema, orient="row")
+
+
+def collect(sweep: Path, warn: Callable[[str], None]) -> Collection:
+    """Collect the results of all runs, and write ``SWEEP/collected/``; ``warn`` is told what is left out."""
+    rows = tuple(read_manifest(sweep))
+    if not rows:
+        hint = "its manifest has no runs; mo-deepdrive sweep writes the manifest"
+        raise ValueError(f"sweep {str(sweep)!r} is empty: {hint}")
+    about: list[tuple[Any, ...]] = []
+    scores: list[tuple[Any, ...]] = []
+    logged = [pl.DataFrame(schema={"run": pl.String, STEP: pl.Int64})]
+    without: dict[str, str] = {}  # directories of runs without a final evaluation, with their states
+    unreadable: list[str] = []
+    for row in rows:
+        directory, length = sweep / row.directory, 0
+        status = read_status(directory)
+        state = str(status.get("state", "waiting"))
+        try:
+            logged.append(
+                read_rows(directory / METRICS_FILE).fill_nan(None).insert_column(0, pl.lit(row.id).alias("run"))
+            )
+            length = len(logged[-1])
+        except ValueError as error:
+            unreadable.append(str(error))
+        about.append(
+            (row.id, row.directory, label(row.cell), row.trial, row.seed, state, status.get("step", 0), length)
+        )
+        try:
+            if state == "finished" and (changed := changed_files(directory, [EVALUATION_FILE])):
+                raise ValueError(f"{row.directory}: {changed[0]}; mo-deepdrive sweep --remake makes it again")
+            known = final_scores(directory) if state == "finished" else {}
+        except ValueError as error:
+            unreadable.append(str(error))
+            continue
+        scores += [(row.id, *split_name(name), score.value, score.low, score.high) for name, score in known.items()]
+        if not known:
+            without[row.directory] = state
+    if without:
+        states = ", ".join(f"{number} {state}" for state, number in Counter(without.values()).most_common())
+        warn(
+            f"left out: {len(without)} of {len(rows)} runs have no final evaluation ({states}): {_first_of([*without])}"
+        )
+    if unreadable:
+        warn(f"left out: {len(unreadable)} files cannot be read: {_first_of(unreadable)}")
+    keys = dict.fromkeys(key for row in rows for key in row.cell)
+    columns = (_key_column(key, [row.cell.get(key) for row in rows]) for key in keys)
+    runs = pl.DataFrame(about, RUN_TYPES, orient="row").with_columns(columns)
+    of_scores = pl.DataFrame(scores, SCORE_TYPES, orient="row").join(
+        runs.drop("directory", "step", "rows"), on="run", how="left"
+    )
+    logs = pl.concat(logged, how="diagonal")
+    logs = logs.select("run", STEP, *sorted({*logs.columns} - {"run", STEP}))
+    try:
+        for name, frame in (("metrics", logs), ("runs", runs), ("scores", of_scores)):
+            buffer = io.BytesIO()
+            # A reader skips row groups without the runs that it needs.
+            frame.write_parquet(buffer, compression_level=1, row_group_size=10_000)
+            file = own_path(sweep, f"{FOLDER}/{name}.parquet")
+            file.parent.mkdir(exist_ok=True)
+            atomic_write(file, buffer.getvalue())
+    except OSError as error:
+        warn(f"the collected results are not stored: {error}")
+    return Collection(rows, runs, of_scores, logs)
+
+
+def _key_column(key: str, values: Sequence[Any]) -> pl.Series:
+    """A column of values of a varied key, in the narrowest type that holds them all; else as JSON."""
+    types = {type(value) for value in values if value is not None}
+    for allowed, kind in (({bool}, pl.Boolean), ({int}, pl.Int64), ({int, float}, pl.Float64), ({str}, pl.String)):
+        if types <= allowed:
+            return pl.Series(key, values, kind, strict=False)
+    return pl.Series(key, [as_json(value) for value in values], pl.String)
+
+
+def _first_of(names: Sequence[str]) -> str:
+    """The first names, and the number of the others."""
+    more = len(names) - MAX_NAMED
+    return ", ".join([*names[:MAX_NAMED], *([f"and {more} more"] if more > 0 else [])])
+
+
+def as_json(value: Any) -> str:
+    """JSON with sorted keys: equal values have equal texts."""
+    return json.dumps(value, sort_keys=True)
+
+
+# ------------------------------------------------------------------------------------------------------------- tables
 
 
 def print_sweep(
@@ -76,14 +229,16 @@ def print_sweep(
     if collection.scores.is_empty():
         hint = "mo-deepdrive plot draws what runs have logged"
         raise ValueError(f"no run of sweep {str(sweep)!r} has a final evaluation yet; {hint}")
-    rankings = rank(collection.cells, collection.scores, metric)
-    groups_of_rankings = [group_cells(collection, ranking, columns) for ranking in rankings]
-    all_groups = [group for groups in groups_of_rankings for group in groups]
+    groups_by_ranking = [
+        (ranking, group_cells(collection, ranking, columns))
+        for ranking in rank(collection.cells, collection.scores, metric)
+    ]
+    all_groups = [group for _, groups in groups_by_ranking for group in groups]
     check_columns(all_groups, columns)
     to_compare: list[ScoreGroup] = []
-    for ranking, groups in zip(rankings, groups_of_rankings, strict=True):
+    for ranking, groups in groups_by_ranking:
         # Those of one vehicle alone, that by which the ranking is sorted.
-        vehicle = "" if ranking.vehicle == TOTAL else ranking.vehicle
+        vehicle = "" if ranking.place.vehicle == TOTAL else ranking.place.vehicle
         of_vehicle = [
             replace(group, scores={name: values for name, values in group.scores.items() if name.vehicle == vehicle})
             for group in groups
@@ -92,8 +247,8 @@ def print_sweep(
         if ranking.ranked:
             shown = min(top, len(ranking.ranked))
             title = f"{ranking.title}: {shown} of {len(ranking.cells)} cells, by {ranking.score_name}"
-            rows = best_cells(ranking, of_vehicle[:shown], columns or TABLE_COLUMNS)
-            print_rows(console, rows, title, rows[0].index(ranking.metric), rest=REST)
+            rows = best_cells(ranking, of_vehicle[:shown], columns)
+            print_rows(console, rows, title, rows[0].index(ranking.place.metric), rest=REST)
         elif groups:
             warn(f"left out: no run has {metric or 'a utility or an indicator of a front'} in {ranking.title}")
     compared = comparison_table(to_compare)
@@ -107,15 +262,14 @@ def print_sweep(
 
 def group_cells(collection: Collection, ranking: Ranking, columns: Sequence[str] | None = None) -> list[ScoreGroup]:
     """The cells of a ranking that have final evaluations, in its order; with all metrics if columns are chosen."""
+    ranked_by, column = ranking.place.metric, pl.col("metric")
     known = collection.scores.select("run", *SCORE_KEYS, "value")
     if columns is None:
-        column = pl.col("metric")
-        known = known.filter(column.is_in([*TABLE_METRICS, ranking.metric]) | column.str.starts_with(RETURN))
+        known = known.filter(column.is_in([*TABLE_METRICS, ranked_by]) | column.str.starts_with(metrics.RETURN))
     scores: dict[str, dict[MetricName, float]] = defaultdict(dict)
-    for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranking.metric))]).rows():
+    for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranked_by))]).rows():
         # A total is in the row of all vehicles together if that has no such score itself.
         scores[run].setdefault(MetricName(policy, "" if vehicle == TOTAL else vehicle, metric), value)
-    scored = {*collection.scores["run"]}
     groups = []
     for cell in ranking.cells:
         texts = {key: value_text(value) for key, value in cell.keys.items()}
@@ -124,26 +278,22 @@ def group_cells(collection: Collection, ranking: Ranking, columns: Sequence[str]
         algorithm = cell.experiment.algorithm.name
         group = ScoreGroup({**trial, **texts}, task, algorithm, ranking.title, wanted=len(cell.rows))
         group.evaluation = cell.experiment.evaluation
-        for row in cell.rows:
-            if row.id in scored:
-                group.seeds.append(row.seed)
-                for place, value in scores[row.id].items():
-                    group.scores[place].append(value)
+        for row in (row for row in cell.rows if row.id in scores):
+            group.seeds.append(row.seed)
+            for place, value in scores[row.id].items():
+                group.scores[place].append(value)
         groups += [group] if group.seeds else []
     return groups
 
 
-def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], metrics: Sequence[str] = TABLE_COLUMNS) -> Rows:
+def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], columns: Sequence[str] | None) -> Rows:
     """The first cells of a ranking for the terminal: short names of their keys, and the scores of one vehicle."""
+    rows = scores_table(groups, list(dict.fromkeys([ranking.place.metric, *(columns or TABLE_COLUMNS)])))
     keys = short_names(varying_keys([cell.keys for cell in ranking.cells]))
-    columns = [value_labels([cell.keys.get(key) for cell in ranking.cells[: len(groups)]]) for key in keys]
-    brief = []
-    for i, group in enumerate(groups):
-        trial = {name: text for name, text in group.about.items() if name == "trial"}
-        about = {name: texts[i] for name, texts in zip(keys.values(), columns, strict=True)}
-        brief.append(replace(group, about={**trial, **about}))
-    rows = scores_table(brief, [ranking.metric, *(name for name in metrics if name != ranking.metric)])
-    return [[cell for name, cell in zip(rows[0], row, strict=True) if name != "vehicle"] for row in rows]
+    hidden = {"vehicle", *(key for cell in ranking.cells for key in cell.keys if key not in keys)}
+    shown = [i for i, name in enumerate(rows[0]) if name not in hidden]
+    body = [[row[i] for i in shown] for row in rows[1:]]
+    return [[keys.get(rows[0][i], rows[0][i]) for i in shown], *body]
 
 
 # ------------------------------------------------------------------------------------------------------------- ranking
@@ -153,9 +303,7 @@ class Ranking(NamedTuple):
     """Cells whose scores are comparable, ranked: same environment, utility, discount and reference point."""
 
     title: str
-    policy: str  # of the score that the cells are ranked by; this and the next two are "" if no run has a score
-    vehicle: str  # "" for one vehicle, or all together, and TOTAL for the sum over vehicles
-    metric: str
+    place: MetricName  # by which they are ranked, all "" if no run has a score; the vehicle may be TOTAL
     cells: tuple[Cell, ...]  # best first, then those without a score
     ranked: tuple[float, ...]  # the means of the former
     scores: dict[str, float]  # by run id
@@ -163,8 +311,7 @@ class Ranking(NamedTuple):
     @property
     def score_name(self) -> str:
         """The score as text, such as "greedy total utility"."""
-        words = [self.policy, self.vehicle, self.metric.removesuffix("_esr")]
-        return " ".join(filter(None, words)).replace("_", " ")
+        return " ".join(filter(None, self.place)).removesuffix("_esr").replace("_", " ")
 
 
 def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None) -> list[Ranking]:
@@ -176,7 +323,7 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
     if metric is not None:
         places = sorted(finite.select(SCORE_KEYS).unique().rows())
         forms = (form for place in places for form in (place, place[1:], (place[0], place[2]), place[2:]))
-        known_metric(metric, dict.fromkeys("/".join(filter(None, form)) for form in forms))
+        metrics.known_metric(metric, dict.fromkeys("/".join(filter(None, form)) for form in forms))
     candidates = [
         MetricName(policy, vehicle, given.metric)
         for given in (DEFAULT_METRICS if metric is None else (split_name(metric),))
@@ -196,15 +343,15 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
     for title, members in zip(titles, comparable.values(), strict=True):
         of_members = known.filter(pl.col("cell").is_in(members))
         by_name = of_members.partition_by(SCORE_KEYS, as_dict=True)
-        name = next((name for name in candidates if name in by_name), MetricName("", "", ""))
-        chosen = by_name.get(name, of_members.clear())
-        descending = not lower_is_better(name.metric)
+        place = next((place for place in candidates if place in by_name), MetricName("", "", ""))
+        chosen = by_name.get(place, of_members.clear())
+        descending = not metrics.lower_is_better(place.metric)
         means = chosen.group_by("cell").agg(pl.col("value").mean())
         means = means.sort("value", "cell", descending=[descending, False])
         best = means["cell"].to_list()
         ordered = [cells[i] for i in [*best, *(i for i in members if i not in best)]]
         by_run = dict(chosen.select("run", "value").rows())
-        rankings.append(Ranking(title, *name, tuple(ordered), tuple(means["value"]), by_run))
+        rankings.append(Ranking(title, place, tuple(ordered), tuple(means["value"]), by_run))
     return rankings
 
 
@@ -212,9 +359,6 @@ def totals(scores: pl.DataFrame) -> pl.DataFrame:
     """Sums over vehicles, per run, policy and metric; their vehicle is TOTAL. The columns are those of ``scores``."""
     of_vehicles = scores.filter(pl.col("vehicle") != "").with_columns(vehicle=pl.lit(TOTAL))
     return of_vehicles.group_by("run", *SCORE_KEYS).agg(pl.col("value").sum())
-
-
-# -------------------------------------------------------------------------------------------------------------- labels
 
 
 def varying_keys(cells: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -255,11 +399,17 @@ def cell_labels(cells: Sequence[Cell], keys: Sequence[str]) -> list[str]:
     return labels
 
 
+# ------------------------------------------------------------------------------------------------------------ figures
+
+
 def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], warn: Callable[[str], None]) -> None:
     """Draw the best cells of a sweep, and into ``OUTPUT-cells`` the scores of all runs against each key that varies."""
     from algorithms.reporting.curves import describe, plot, plot_effects  # not earlier: tables need no matplotlib
 
     collection = collect(sweep, warn)
+    if collection.metrics.is_empty():
+        hint = f"mo-deepdrive sweep with --output {sweep} trains the runs"
+        raise ValueError(f"no run of sweep {str(sweep)!r} has any metrics yet: {hint}")
     when, scores = collection.latest_scores()
     rankings = rank(collection.cells, scores)
     score = f"{when} {' or '.join(dict.fromkeys(ranking.score_name for ranking in rankings if ranking.scores))}"
@@ -282,15 +432,16 @@ def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[Cur
 
     places = sorted((place, r) for r, ranking in enumerate(rankings) for place in range(len(ranking.ranked)))
     cells = [rankings[r].cells[place] for r, place in sorted((r, place) for place, r in places[:MAX_CURVES])]
-    names = [name for name in collection.metrics.columns if name not in ("run", STEP)]
-    wanted = names if len(cells) == 1 else [name for name in names if name.startswith(EVALUATION)]
+    names = [name for name in collection.metrics.columns if name.startswith(EVALUATION) or len(cells) == 1]
+    shown = collection.metrics.select("run", STEP, *sorted({*names} - {"run", STEP}))
+    metrics_by_run = shown.partition_by("run", as_dict=True, include_key=False)
     runs = {run for ranking in rankings for run in ranking.scores}
     labels = cell_labels(cells, varying_keys([cell.keys for cell in collection.cells]))
     groups = []
-    for label, cell in zip(labels, cells, strict=True):
-        columns = (collection.columns_of(row.id, sorted(wanted)) for row in cell.rows if row.id in runs)
-        if logged := tuple(of_run for of_run in columns if len(of_run[STEP])):
-            groups.append(CurveGroup(label, cell.experiment, logged))
+    for name, cell in zip(labels, cells, strict=True):
+        logged = [metrics_by_run[row.id,] for row in cell.rows if row.id in runs and (row.id,) in metrics_by_run]
+        columns = ({column.name: column.to_numpy().astype(np.float64) for column in frame} for frame in logged)
+        groups += [CurveGroup(name, cell.experiment, tuple(columns))] if logged else []
     return groups
 
 

@@ -19,8 +19,6 @@ from mo_deepdrive.world.batch import MODES, Transition, WorldBatch
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-END_NAMES = np.array(ENDS, dtype=object)
-
 
 class DrivingVectorEnv(VectorBase):
     """N independent worlds of one scenario, stepped together in compiled code.
@@ -68,6 +66,8 @@ class DrivingVectorEnv(VectorBase):
         TypeError: for unknown arguments.
         ValueError: for invalid values.
     """
+
+    end_names = np.array(ENDS, dtype=object)  #: why episodes end, by code
 
     def __init__(
         self,
@@ -218,7 +218,7 @@ class DrivingVectorEnv(VectorBase):
         """Why the episodes that are over ended, in the form of Gymnasium's vector infos."""
         over, codes = taken.over, self._shaped(taken.ends)
         end, success = np.full(codes.shape, None, dtype=object), np.zeros(codes.shape, dtype=np.bool_)
-        end[over], success[over] = END_NAMES[codes[over]], codes[over] == ARRIVED
+        end[over], success[over] = self.end_names[codes[over]], codes[over] == ARRIVED
         return {"end": end, "_end": over.copy(), "success": success, "_success": over.copy()}
 
     def _states(self) -> NDArray[Any]:

@@ -18,22 +18,21 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
-from mo_deepdrive.envs.vector import END_NAMES, DrivingVectorEnv
 from mo_deepdrive.simulation.state import ARRIVED
 from mo_deepdrive.support.faults import EndlessEpisode, check_vehicles
-from mo_deepdrive.support.machine import check_memory, peak_memory
 from mo_deepdrive.world.config import is_ours
 from mo_deepdrive.world.objectives import scales as objective_scales
 from mo_deepdrive.world.objectives import signs as objective_signs
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from gymnasium.envs.registration import EnvSpec
     from numpy.typing import NDArray
 
+    from mo_deepdrive.envs.vector import DrivingVectorEnv
+
 LONGEST_EPISODE = 10_000  # decisions of other libraries' environments whose id has no max_episode_steps
-COPIES_MEASURED = 1000  # after which the memory that the rest will take is estimated
 FORBIDDEN = set(" \t\n/:=")  # in names of objectives, which are parts of metrics' names and of command lines
 
 
@@ -62,22 +61,13 @@ def make_env(
         keep_ended: leave worlds of this package as they are in the step in which an episode ends.
 
     Raises:
-        ValueError: if they cannot fit into memory.
+        ValueError: if worlds of this package cannot fit into memory.
     """
     arguments = arguments or {}
     if is_drivable(env_id):
         mode = AutoresetMode.NEXT_STEP if keep_ended else AutoresetMode.SAME_STEP
         return gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=mode, **arguments)
-    return MOSyncVectorEnv(_constructors(env_id, num_envs, arguments))
-
-
-def _constructors(env_id: str, num_envs: int, arguments: dict[str, Any]) -> Iterator[Callable[[], Any]]:
-    """What makes the copies one by one; stops where the first ones show that the rest cannot fit into memory."""
-    before = peak_memory()
-    for made in range(num_envs):
-        if made and made % COPIES_MEASURED == 0:
-            check_memory(f"num_envs = {num_envs}", (peak_memory() - before) / made * (num_envs - made))
-        yield lambda: mo_gymnasium.make(env_id, **arguments)
+    return MOSyncVectorEnv(iter([lambda: mo_gymnasium.make(env_id, **arguments)] * num_envs))
 
 
 class Step(NamedTuple):
@@ -124,6 +114,8 @@ class EnvAdapter:
     """
 
     def __init__(self, env: VectorEnv, *, keep_ended: bool = False):
+        from mo_deepdrive.envs.vector import DrivingVectorEnv  # late, as the worlds are compiled
+
         if not isinstance(env, VectorEnv):
             raise TypeError(
                 f"env = {env!r} must be a vector environment: mo_deepdrive.evaluation.env_adapter.make_env makes one"
@@ -253,7 +245,7 @@ class EnvAdapter:
         # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
         terminated, truncated = taken.terminated & taken.acted, taken.truncated & taken.acted
         flags, succeeded = (terminated, truncated, taken.acted), (terminated | truncated) & (taken.ends == ARRIVED)
-        return Step(taken.observations, taken.rewards, *flags, taken.final, succeeded, END_NAMES[taken.ends])
+        return Step(taken.observations, taken.rewards, *flags, taken.final, succeeded, env.end_names[taken.ends])
 
     def environment_actions(self, actions: NDArray[Any]) -> NDArray[Any]:
         """The policy's actions (n, V) or (n, V, k) as the environment takes them, without the axis of one vehicle."""
@@ -266,8 +258,8 @@ class EnvAdapter:
 
     def policy_actions(self, actions: NDArray[Any]) -> NDArray[Any]:
         """The inverse of :meth:`environment_actions`."""
-        own = (actions - self._centre) / self._reach if self.continuous else actions - self._first_action
-        return np.asarray(own[:, None] if self.vehicles == 1 else own)
+        centred = (actions - self._centre) / self._reach if self.continuous else actions - self._first_action
+        return np.asarray(centred[:, None] if self.vehicles == 1 else centred)
 
     def _native_step(self, actions: NDArray[Any]) -> Step:
         observations, rewards, terminated, truncated, infos = self.vector_env.step(actions)
@@ -305,13 +297,14 @@ class EnvAdapter:
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """The exact state of the environments as arrays; empty where they cannot be saved."""
-        inner = self.vector_env.unwrapped
-        return inner.get_state() if isinstance(inner, DrivingVectorEnv) else {}
+        inner: Any = self.vector_env.unwrapped
+        state: dict[str, NDArray[Any]] = inner.get_state() if self.native else {}
+        return state
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from :meth:`get_state`."""
-        inner = self.vector_env.unwrapped
-        if isinstance(inner, DrivingVectorEnv):
+        inner: Any = self.vector_env.unwrapped
+        if self.native:
             inner.set_state(state)
 
 

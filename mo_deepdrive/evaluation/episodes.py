@@ -89,13 +89,17 @@ def evaluate(
             raise ValueError("env_kwargs are for an environment given by its id")
         return _evaluate(policy, env, first + np.arange(episodes), utility, greedy, gamma)
     arguments = dict(env_kwargs or {})
-    at_once = OTHER_ENVS if find_spec(env).vector_entry_point is None else OUR_ENVS
-    with closing(make_env(env, min(episodes, at_once), arguments)) as made:
-        found = _evaluate(policy, made, first + np.arange(episodes), utility, greedy, gamma)
+    with closing(make_env(env, parallel_envs(env, episodes), arguments)) as made:
+        evaluation = _evaluate(policy, made, first + np.arange(episodes), utility, greedy, gamma)
     if not is_drivable(env):
         # The environment itself knows neither the module that registers it nor its arguments.
-        found.provenance = Provenance(env, first, gamma, greedy, arguments)
-    return found
+        evaluation.provenance = Provenance(env, first, gamma, greedy, arguments)
+    return evaluation
+
+
+def parallel_envs(env_id: str, episodes: int) -> int:
+    """The number of parallel environments that drive ``episodes`` episodes."""
+    return min(episodes, OTHER_ENVS if find_spec(env_id).vector_entry_point is None else OUR_ENVS)
 
 
 def as_policy(
@@ -143,10 +147,10 @@ def vehicle_utilities(utility: UtilityLike | Sequence[UtilityLike] | None, env: 
     """One utility per vehicle, as :func:`evaluate` takes them, over the environment's objectives; none for None."""
     if utility is None:
         return ()
-    each: list[Any] = list(utility) if isinstance(utility, (list, tuple)) else [utility] * env.vehicles
-    if len(each) != env.vehicles:
-        raise ValueError(f"{len(each)} utilities are given for {env.vehicles} vehicles")
-    return tuple(_utility(one, env) for one in each)
+    per_vehicle: list[Any] = list(utility) if isinstance(utility, (list, tuple)) else [utility] * env.vehicles
+    if len(per_vehicle) != env.vehicles:
+        raise ValueError(f"{len(per_vehicle)} utilities are given for {env.vehicles} vehicles")
+    return tuple(_utility(one, env) for one in per_vehicle)
 
 
 def _utility(utility: UtilityLike, env: EnvAdapter) -> Utility:

@@ -15,8 +15,8 @@ import numpy as np
 import yaml
 
 from mo_deepdrive.evaluation import metrics
-from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes
-from mo_deepdrive.evaluation.statistics import Estimate, mean, rate, utility_of_mean
+from mo_deepdrive.evaluation.splits import describe_episodes, split_of
+from mo_deepdrive.evaluation.statistics import Estimate, mean_or_rate, utility_of_mean
 from mo_deepdrive.evaluation.team import generalised_gini, total, worst_off
 from mo_deepdrive.support.atomic_io import atomic_folder, atomic_write, csv_bytes, own_path, write_json
 from mo_deepdrive.utilities import make_utility
@@ -40,16 +40,10 @@ class Provenance:
     env_id: str  #: the environment
     seed: int  #: of the first episode; those of the others count up
     gamma: float  #: discount of the discounted returns
-    greedy: (
-        bool  #: whether actions were the most likely (or mean) ones; of a function, which evaluate cannot know, True
-    )
+    #: Whether actions were the most likely (or mean) ones; of a function, which evaluate cannot know, True.
+    greedy: bool
     #: Of the environment; of this package's all, of another's those that were given.
     arguments: Mapping[str, Any] = field(default_factory=dict)
-
-    def split(self, episodes: int) -> str | None:
-        """The split of which the first ``episodes`` scenarios were driven; None for another seed."""
-        found = (name for name, seeds in SPLITS.items() if seeds.start == self.seed and episodes <= len(seeds))
-        return next(found, None)
 
 
 class Measure(NamedTuple):
@@ -137,16 +131,16 @@ class Evaluation:
         target, episodes = Path(directory), len(self.returns)
         if os.path.lexists(target):
             raise ValueError(f"directory {str(target)!r} exists; choose another")
-        utilities = [{"name": each.name, "arguments": _plain(each.arguments or {})} for each in self.utilities]
-        own = {metrics.vehicle_name(v): each for v, each in enumerate(utilities) if each != utilities[0]}
+        utilities = [{"name": u.name, "arguments": _plain(u.arguments or {})} for u in self.utilities]
+        different = {metrics.vehicle_name(v): u for v, u in enumerate(utilities) if u != utilities[0]}
         config = {
             "environment": {"id": about.env_id, "arguments": _plain(about.arguments)},
-            "utility": {**utilities[0], "vehicles": own} if utilities else None,
+            "utility": {**utilities[0], "vehicles": different} if utilities else None,
             "algorithm": {"name": name},
             "training": {"total_timesteps": int(steps), "seed": int(seed)},
             "evaluation": {
                 "final_episodes": episodes,
-                "split": about.split(episodes),
+                "split": split_of(about.seed, episodes),
                 "gamma": about.gamma,
                 "reference_point": None,
             },
@@ -183,17 +177,14 @@ class Evaluation:
                 about = json.loads(str(file["about"]))
             objectives, provenance = tuple(about["objectives"]), Provenance(**about["provenance"])
             known = [(str(name), arguments) for name, arguments in about["utilities"]]
-            e, v, d = arrays["returns"].shape
-            shapes = {name: (e, v, d) if name in ("returns", "discounted", "largest") else (e, v) for name in ARRAYS}
-            if any(arrays[name].shape != shape for name, shape in shapes.items()) or len(objectives) != d:
-                raise ValueError("its arrays do not fit together")
+            vehicles = arrays["returns"].shape[1]
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
             raise ValueError(f"{str(path)!r} is not a saved evaluation: {error}") from None
         if utilities is None:
             cost_sign = provenance.arguments.get("cost_sign", "maximise")
             utilities = [_utility(name, objectives, cost_sign, arguments) for name, arguments in known]
-        elif len(utilities) != v:
-            raise ValueError(f"{len(utilities)} utilities are given for {v} vehicles")
+        elif len(utilities) != vehicles:
+            raise ValueError(f"{len(utilities)} utilities are given for {vehicles} vehicles")
         ends = np.where(arrays["ends"] == "", None, arrays["ends"].astype(object))
         arrays = {**arrays, "ends": ends}
         return cls(objectives=objectives, utilities=tuple(utilities), **arrays, provenance=provenance)
@@ -212,11 +203,11 @@ class Evaluation:
             metrics.SHARE_COLLIDED: collided.mean(axis=1),
         }
         if self.utilities:
-            each = np.stack([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=1)
-            samples[metrics.TOTAL_UTILITY_ESR] = total(each)
-            samples[metrics.MEAN_UTILITY_ESR] = samples[metrics.TOTAL_UTILITY_ESR] / each.shape[1]
-            samples[metrics.WORST_OFF_UTILITY_ESR] = worst_off(each)
-            samples[metrics.GINI_UTILITY_ESR] = generalised_gini(each)
+            utilities = np.stack([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=1)
+            samples[metrics.TOTAL_UTILITY_ESR] = total(utilities)
+            samples[metrics.MEAN_UTILITY_ESR] = samples[metrics.TOTAL_UTILITY_ESR] / utilities.shape[1]
+            samples[metrics.WORST_OFF_UTILITY_ESR] = worst_off(utilities)
+            samples[metrics.GINI_UTILITY_ESR] = generalised_gini(utilities)
         return samples
 
     @property
@@ -255,23 +246,27 @@ class Evaluation:
         decision have none. ``success`` is there if the environment reports it, and of failures the usual ones and those
         that occurred.
         """
-        found = self._measures(_place_in_tables)
-        return {name: estimate() for name, value, estimate in found if self._is_reported(name, value)}
+        return {
+            measure.name: measure.estimate()
+            for measure in self._measures()
+            if self._is_reported(measure.name, measure.value)
+        }
 
     def metrics(self) -> dict[str, float]:
         """Every metric by name (:mod:`mo_deepdrive.evaluation.metrics`), as :meth:`estimates` without the intervals."""
-        return {name: value for name, value, _ in self._measures()}
+        return {measure.name: measure.value for measure in self._measures()}
 
-    def _measures(self, place: Callable[[Measure], int] = lambda _: 0) -> Iterator[Measure]:
+    def _measures(self) -> Iterator[Measure]:
         vehicles = self.returns.shape[1]
         if vehicles > 1:
             for name, samples in self.team_samples().items():
                 yield _mean_of(name, samples)
         for v in range(vehicles):
-            for measure in sorted(self._vehicle_measures(v), key=place):
+            for measure in self._vehicle_measures(v):
                 yield measure._replace(name=metrics.vehicle_prefix(v, vehicles) + measure.name)
 
     def _vehicle_measures(self, v: int) -> Iterator[Measure]:
+        """In the order of tables."""
         returns, discounted, lengths = self.returns[:, v], self.discounted[:, v], self.lengths[:, v]
         if self.utilities:
             utility = self.utilities[v]
@@ -282,12 +277,14 @@ class Evaluation:
                 yield _mean_of(esr, np.asarray(utility(vectors)))
                 yield Measure(ser, float(utility(vectors.mean(axis=0))), partial(utility_of_mean, vectors, utility))
         yield _mean_of(metrics.SUCCESS, self.succeeded[:, v])
+        ends = self.ends[:, v]
+        for reason in sorted(metrics.end_rates(ends), key=lambda reason: reason not in metrics.USUAL_FAILURES):
+            yield _mean_of(metrics.end_by(reason), np.array([str(end) == reason for end in ends]))
         yield _mean_of(metrics.LENGTH, lengths)
-        for reason in self.end_rates(v):
-            yield _mean_of(metrics.end_by(reason), np.array([str(end) == reason for end in self.ends[:, v]]))
         for i, objective in enumerate(self.objectives):
             yield _mean_of(metrics.return_of(objective), returns[:, i])
             yield _mean_of(metrics.discounted_return_of(objective), discounted[:, i])
+        for i, objective in enumerate(self.objectives):
             if objective in metrics.COMFORT:
                 yield _mean_of(metrics.mean_of(objective), np.abs(returns[:, i]) / np.maximum(lengths, 1))
                 largest = float(self.largest[:, v, i].max())
@@ -307,17 +304,7 @@ class Evaluation:
 
 
 def _mean_of(name: str, samples: NDArray[Any]) -> Measure:
-    return Measure(name, float(np.mean(samples)), partial(rate if samples.dtype == np.bool_ else mean, samples))
-
-
-def _place_in_tables(measure: Measure) -> int:
-    """After utilities and success come the usual failures, other ends, length and returns, and comfort."""
-    name = measure.name
-    if name.startswith(metrics.END):
-        return 1 if name.removeprefix(metrics.END) in metrics.USUAL_FAILURES else 2
-    if name == metrics.LENGTH or name.startswith((metrics.RETURN, metrics.DISCOUNTED_RETURN)):
-        return 3
-    return 4 if name.startswith(("mean_", "max_")) else 0
+    return Measure(name, float(np.mean(samples)), partial(mean_or_rate, samples))
 
 
 # --------------------------------------------------------------------------------------------------------------- files
@@ -376,7 +363,7 @@ def _episodes_bytes(evaluation: Evaluation) -> bytes:
     arrays["ends"] = np.array([["" if end is None else str(end) for end in ends] for ends in evaluation.ends])
     about = {
         "objectives": evaluation.objectives,
-        "utilities": [[each.name, each.arguments] for each in evaluation.utilities],
+        "utilities": [[utility.name, utility.arguments] for utility in evaluation.utilities],
         "provenance": None if evaluation.provenance is None else asdict(evaluation.provenance),
     }
     buffer = io.BytesIO()

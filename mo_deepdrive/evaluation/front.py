@@ -32,7 +32,6 @@ from mo_deepdrive.evaluation.pareto import (
     hypervolume,
     igd_plus,
     non_dominated,
-    one_per_objective,
 )
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, bootstrap
 from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, own_path, write_json
@@ -103,9 +102,7 @@ class Front:
             low=low,
             high=high,
             discounted=np.asarray(discounted, dtype=np.float64).mean(axis=1),
-            success=np.asarray(np.full((k, e), np.nan) if succeeded is None else succeeded, dtype=np.float64).mean(
-                axis=1
-            ),
+            success=np.full(k, np.nan) if succeeded is None else np.asarray(succeeded, dtype=np.float64).mean(axis=1),
             length=np.asarray(lengths, dtype=np.float64).mean(axis=1),
             conditions=np.zeros((k, 0)) if conditions is None else np.asarray(conditions, dtype=np.float64),
             condition_names=tuple(condition_names),
@@ -129,11 +126,11 @@ class Front:
         With V vehicles it has the V d objectives of all of them, and an episode succeeds if all arrive.
         """
         returns, discounted, lengths, succeeded = (
-            np.stack([getattr(each, f"joint_{name}") for each in evaluations])
+            np.stack([getattr(evaluation, f"joint_{name}") for evaluation in evaluations])
             for name in ("returns", "discounted", "lengths", "succeeded")
         )
         objectives = joint_objectives(evaluations[0].objectives, evaluations[0].returns.shape[1])
-        said = succeeded.any() or any(end is not None for each in evaluations for end in each.ends.flat)
+        said = succeeded.any() or any(end is not None for evaluation in evaluations for end in evaluation.ends.flat)
         episodes = objectives, returns, discounted, lengths, succeeded if said else None
         return cls.of_episodes(*episodes, conditions, condition_names, gamma=gamma, seed=seed)
 
@@ -179,8 +176,8 @@ class Front:
         rows: list[list[Any]] = [self._columns(), *([int(row[0]), *row[1:]] for row in self._table().tolist())]
         directory = Path(directory)
         atomic_write(own_path(directory, FRONT_FILE), csv_bytes(rows))
-        own = {"gamma": self.gamma, "episodes": self.episodes, "seed": self.seed}
-        write_json(own_path(directory, EVALUATION_FILE), {**about, **own, "objectives": list(self.objectives)})
+        how = {"gamma": self.gamma, "episodes": self.episodes, "seed": self.seed, "objectives": list(self.objectives)}
+        write_json(own_path(directory, EVALUATION_FILE), {**about, **how})
 
     @classmethod
     def read(cls, directory: str | Path) -> Front:
@@ -193,13 +190,17 @@ class Front:
             if len(set(header)) < len(header):
                 raise ValueError(f"{FRONT_FILE} has two columns of the same name")
             columns = dict(zip(header, np.array(rows, dtype=np.float64).reshape(len(rows), -1).T, strict=True))
+            for name, column in columns.items():
+                bad = column[~(np.abs(column) <= LARGEST)]
+                if len(bad) and name != SUCCESS:  # which may be unknown
+                    raise ValueError(f"{name} = {bad[0]:g} must be between {-LARGEST:g} and {LARGEST:g}")
             objectives = tuple(about["objectives"])
             names = tuple(name.removeprefix(CONDITION) for name in header if name.startswith(CONDITION))
 
             def block(prefix: str, of: tuple[str, ...], end: str = "") -> NDArray[np.float64]:
                 return np.stack([columns[f"{prefix}{name}{end}"] for name in of], axis=1)
 
-            front = cls(
+            return cls(
                 objectives=objectives,
                 returns=block(RETURN, objectives),
                 low=block(RETURN, objectives, "/low"),
@@ -213,33 +214,10 @@ class Front:
                 episodes=int(about["episodes"]),
                 seed=int(about["seed"]),
             )
-            front._check()
-            return front
         except FileNotFoundError as error:
             raise ValueError(f"{str(directory)!r} holds no front: there is no {Path(error.filename).name}") from None
         except (OSError, LookupError, ArithmeticError, TypeError, ValueError, RecursionError, csv.Error) as error:
             raise ValueError(f"the front in {str(directory)!r} is broken: {type(error).__name__}: {error}") from None
-
-    def _check(self) -> None:
-        """Refuse numbers that no evaluation gives."""
-        if not len(self):
-            raise ValueError(f"{FRONT_FILE} has no policy")
-        allowed = dict.fromkeys(self._columns(), (-LARGEST, LARGEST))
-        allowed |= {SUCCESS: (0.0, 1.0), LENGTH: (1.0, LARGEST)}
-        for name, column in zip(self._columns(), self._table().T, strict=True):
-            low, high = allowed[name]
-            wrong = ~((column >= low) & (column <= high))
-            if name == SUCCESS:
-                wrong &= ~np.isnan(column)
-            if wrong.any():
-                raise ValueError(f"{name} = {column[wrong][0]:g} must be between {low:g} and {high:g}")
-        for name, value, low, high in (
-            ("gamma", self.gamma, 0.0, 1.0),
-            ("episodes", self.episodes, 1, LARGEST),
-            ("seed", self.seed, 0, LARGEST),
-        ):
-            if not low <= value <= high:
-                raise ValueError(f"{name} = {value:g} must be between {low:g} and {high:g}")
 
 
 def indicators(
@@ -259,28 +237,26 @@ def indicators(
     points = finite_points(returns, "front")
     points = points[non_dominated(points)]
     d = points.shape[1]
-    found: dict[str, float] = {CARDINALITY: float(len(points))}
+    measured: dict[str, float] = {CARDINALITY: float(len(points))}
     if reference_point is not None:
-        corner = one_per_objective(reference_point, "reference point", d)
-        inside = bool((points > corner).all(axis=1).any())
-        found[HYPERVOLUME] = hypervolume(points, corner) if inside else 0.0
-    found[EXPECTED_UTILITY] = expected_utility(points, evenly_spaced_weights(d, max(WEIGHTS, d)), scales)
+        measured[HYPERVOLUME] = hypervolume(points, reference_point)
+    measured[EXPECTED_UTILITY] = expected_utility(points, evenly_spaced_weights(d, max(WEIGHTS, d)), scales)
     if reference_front is not None:
-        found[IGD_PLUS] = igd_plus(points, reference_front, scales)
-        found[ADDITIVE_EPSILON] = additive_epsilon(points, reference_front, scales)
-    return found
+        measured[IGD_PLUS] = igd_plus(points, reference_front, scales)
+        measured[ADDITIVE_EPSILON] = additive_epsilon(points, reference_front, scales)
+    return measured
 
 
 def measure_front(
     front: Front, *, reference_point: ArrayLike | None, reference_front: ArrayLike | None, scales: ArrayLike | None
 ) -> dict[str, float]:
     """:func:`indicators` of the discounted returns of a front, and the share of episodes that arrived, if known."""
-    found = indicators(
+    measured = indicators(
         front.discounted, reference_point=reference_point, reference_front=reference_front, scales=scales
     )
     if np.isfinite(front.success).all():
-        found[SUCCESS] = float(front.success.mean())
-    return found
+        measured[SUCCESS] = float(front.success.mean())
+    return measured
 
 
 def best_known_front(env: VectorEnv, gamma: float) -> NDArray[np.float64] | None:

@@ -108,8 +108,8 @@ def _episode(
         steps.append((action, vector, terminated, truncated))
         if terminated or truncated:
             break
-    absent = {name: np.zeros_like(value)[()] for each in infos for name, value in each.items()}
-    infos_by_name = {name: [each.get(name, value) for each in infos] for name, value in absent.items()}
+    absent = {name: np.zeros_like(value)[()] for info in infos for name, value in info.items()}
+    infos_by_name = {name: [info.get(name, value) for info in infos] for name, value in absent.items()}
     columns = map(list, zip(*steps, strict=True))
     named = dict(zip(("actions", "rewards", "terminations", "truncations"), columns, strict=True))
     return EpisodeBuffer(seed=seed, observations=observations, infos=infos_by_name, **named)

@@ -15,8 +15,6 @@ import moocore
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import ArrayLike, NDArray
 
 WEIGHTS = 50  # of the expected utility
@@ -60,22 +58,10 @@ def non_dominated(returns: ArrayLike) -> NDArray[np.bool_]:
     return np.asarray(moocore.is_nondominated(finite_points(returns, "returns"), maximise=True), dtype=np.bool_)
 
 
-def hypervolume(returns: ArrayLike, reference: ArrayLike, objectives: Sequence[str] | None = None) -> float:
-    """Volume dominated by ``returns`` (n, d) above the reference point (d,).
-
-    Points that do not dominate the reference add nothing; a ValueError if none does. ``objectives`` are for messages.
-    """
+def hypervolume(returns: ArrayLike, reference: ArrayLike) -> float:
+    """Volume dominated by ``returns`` (n, d) above the reference point (d,); 0 if none of them dominates it."""
     points = finite_points(returns, "front")
     corner = one_per_objective(reference, "reference point", points.shape[1])
-    if not (points > corner).all(axis=1).any():
-        behind = np.flatnonzero(points.max(axis=0) <= corner)
-        best = points.max(axis=0)
-        names = [str(i) if objectives is None else objectives[i] for i in behind.tolist()]
-        where = f"not in objective {', '.join(names)}: " if names else ""
-        raise ValueError(
-            f"reference point {corner.tolist()} is dominated by no point of the front; "
-            f"{where}the best of each objective is {best.tolist()}"
-        )
     return float(moocore.hypervolume(points, ref=corner, maximise=True))
 
 

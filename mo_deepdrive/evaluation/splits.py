@@ -52,9 +52,13 @@ def first_seed(split: Split | None, seed: int | None, episodes: int) -> int:
     return SPLITS[split].start
 
 
+def split_of(seed: int, episodes: int) -> Split | None:
+    """The split of which the first ``episodes`` scenarios begin at ``seed``; None for another seed."""
+    names = (split for split, seeds in SPLITS.items() if seed == seeds.start and episodes <= len(seeds))
+    return next(names, None)
+
+
 def describe_episodes(episodes: int, seed: int) -> str:
     """The episodes of an evaluation as text, for example "1000 episodes of the test split"."""
-    for split, seeds in SPLITS.items():
-        if seed == seeds.start and episodes <= len(seeds):
-            return f"{episodes} episodes of the {split} split"
-    return f"{episodes} episodes from seed {seed}"
+    split = split_of(seed, episodes)
+    return f"{episodes} episodes from seed {seed}" if split is None else f"{episodes} episodes of the {split} split"

@@ -134,6 +134,11 @@ def rate(events: NDArray[np.bool_]) -> Estimate:
     return Estimate(happened / n, float(interval.low), float(interval.high))
 
 
+def mean_or_rate(samples: NDArray[Any]) -> Estimate:
+    """:func:`rate` of truth values, :func:`mean` of numbers."""
+    return rate(samples) if samples.dtype == np.bool_ else mean(samples)
+
+
 def utility_of_mean(returns: NDArray[np.float64], utility: Callable[[Any], Any]) -> Estimate:
     """SER: ``utility`` of the mean of ``returns`` (n, d), with its bootstrap interval."""
     generator = np.random.default_rng(0)

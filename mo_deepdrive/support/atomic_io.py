@@ -156,27 +156,8 @@ def read_json_object(path: str | Path) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-FORMULA = tuple("=+-@\t\r\n")  # how a cell begins that a spreadsheet evaluates
-
-
 def csv_bytes(rows: Iterable[Sequence[Any]]) -> bytes:
-    """``rows`` as the text of a CSV file, with plain newlines.
-
-    Text that a spreadsheet would take for a formula gets an apostrophe in front; numbers stay as they are.
-    """
+    """``rows`` as the text of a CSV file, with plain newlines."""
     buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerows([_plain(cell) for cell in row] for row in rows)
+    csv.writer(buffer, lineterminator="\n").writerows(rows)
     return buffer.getvalue().encode()
-
-
-def _plain(cell: Any) -> Any:
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA) and not is_number(cell) else cell
-
-
-def is_number(text: str) -> bool:
-    """Whether ``text`` is a number as Python writes it, which includes "nan" and "-inf"."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return "_" not in text

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,22 +11,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path("/")
-CGROUPS = "sys/fs/cgroup"
 KIB, GIB = 2**10, 2**30
 LITTLE = GIB // 4  # bytes that are not worth a look
-CACHES = ("active_file", "inactive_file")  # in a cgroup's memory.stat: what the kernel takes back when it needs memory
+CACHES = ("active_file", "inactive_file")  # in memory.stat: what the kernel takes back when it needs memory
 
 
 def available_cores(root: Path = ROOT) -> int:
     """The number of cores that this process may use: those of its affinity mask, or fewer by its container's quota."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     quotas: list[float] = [cores]
-    for folder in _control_groups(root, "cpu"):
-        # Version 2: "QUOTA PERIOD" in one file, "max" for no quota; version 1: two files, -1 for no quota.
-        quota, period = [*_words(folder / "cpu.max"), "", ""][:2]
-        if not quota:
-            quota, period = ("".join(_words(folder / f"cpu.cfs_{name}_us")) for name in ("quota", "period"))
-        if quota.isdecimal() and period.isdecimal() and int(period):
+    for folder in _control_groups(root):
+        quota, period = [*_text(folder / "cpu.max").split(), "", ""][:2]  # "max" for no quota
+        if quota.isdecimal():
             quotas.append(int(quota) / int(period))
     return max(1, math.floor(min(quotas)))
 
@@ -37,24 +32,12 @@ def available_memory(root: Path = ROOT) -> float:
     machine = _table(root / "proc/meminfo")
     swap = KIB * machine.get("SwapFree", 0)
     free = [KIB * machine["MemAvailable"] + swap] if "MemAvailable" in machine else []
-    for folder in _control_groups(root, "memory"):
-        for limit, usage in (("max", "current"), ("limit_in_bytes", "usage_in_bytes")):
-            most, used = ("".join(_words(folder / f"memory.{name}")) for name in (limit, usage))
-            if most.isdecimal() and used.isdecimal():
-                statistics = _table(folder / "memory.stat")  # version 1 has the sums over the groups below as total_...
-                caches = sum(statistics.get(f"total_{name}", statistics.get(name, 0)) for name in CACHES)
-                free.append(int(most) - int(used) + caches + swap)
+    for folder in _control_groups(root):
+        most, used = (_text(folder / f"memory.{name}").strip() for name in ("max", "current"))
+        if most.isdecimal() and used.isdecimal():
+            statistics = _table(folder / "memory.stat")
+            free.append(int(most) - int(used) + sum(statistics.get(name, 0) for name in CACHES) + swap)
     return max(0, min(free)) if free else math.inf
-
-
-def peak_memory() -> int:
-    """The most bytes that this process has used so far; 0 where that is not known."""
-    if os.name != "posix":
-        return 0
-    import resource  # not on Windows
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else KIB * peak
 
 
 def check_memory(what: str, needed: float) -> None:
@@ -80,31 +63,21 @@ def check_device(argument: str, name: str, here: bool = True) -> None:
         raise ValueError(f"{argument} = {name!r} is not supported; write cpu, cuda or cuda:0")
 
 
-def _control_groups(root: Path, controller: str) -> Iterator[Path]:
-    """The folders of this process's control groups and of those around them, of either version."""
+def _control_groups(root: Path) -> Iterator[Path]:
+    """The folders of this process's control group and of those around it, of version 2."""
+    top = root / "sys/fs/cgroup"
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, controllers, group = line.split(":", 2)
-        if controllers and controller not in controllers.split(","):
-            continue
-        top = root / CGROUPS / controllers  # version 2 has none there
-        if not top.is_dir():
-            top = root / CGROUPS / controller
-        folder = top / group.lstrip("/")
-        while folder != top:
-            yield folder
-            folder = folder.parent
-        yield top  # in a container, the group is often mounted here
+        if not controllers:  # version 1 has them
+            folder = top / group.lstrip("/")
+            yield from (folder, *(parent for parent in folder.parents if parent.is_relative_to(top)))
 
 
 def _text(path: Path) -> str:
     try:
         return path.read_text()
-    except OSError:  # there is no such file on other systems, or for the other version
+    except OSError:  # there is no such file on other systems
         return ""
-
-
-def _words(path: Path) -> list[str]:
-    return _text(path).split()
 
 
 def _table(path: Path) -> dict[str, int]:

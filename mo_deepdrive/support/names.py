@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-LONGEST_WORD, LONGEST_MESSAGE = 1000, 4000  # characters that are shown
 # Control characters that a terminal obeys, but for tab and newline, and those that change the direction of text.
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 _FORM = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
@@ -19,7 +18,9 @@ def nearest(name: object, known: Iterable[str]) -> str:
     """A hint with the known name nearest to ``name``, and all known names."""
     names = sorted(known)
     close = difflib.get_close_matches(str(name), names, n=1)
-    close = [each for each in names if each.lower() == str(name).lower()] or close  # another case is the nearest
+    close = [
+        known_name for known_name in names if known_name.lower() == str(name).lower()
+    ] or close  # another case is the nearest
     guess = f"did you mean {close[0]!r}? " if close else ""
     return f"{guess}known: {', '.join(names)}"
 
@@ -41,14 +42,4 @@ def check_name(name: object, what: str) -> None:
 
 def printable(text: str) -> str:
     """``text`` with its control characters as escapes, so that a terminal does not obey them."""
-    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
-
-
-def shortened(text: str) -> str:
-    """A message of which very long words are cut in the middle, and then the whole."""
-    words = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda found: _cut(found[0], LONGEST_WORD), text)
-    return _cut(words, LONGEST_MESSAGE) if len(words) > LONGEST_MESSAGE else words
-
-
-def _cut(text: str, length: int) -> str:
-    return f"{text[: length // 4]} [... {len(text):,} characters ...] {text[-length // 8 :]}"
+    return _CONTROL.sub(lambda control: control[0].encode("unicode_escape").decode(), text)

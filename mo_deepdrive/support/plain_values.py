@@ -24,7 +24,7 @@ def plain(value: Any) -> Any:
     if type(value) in (list, tuple):
         return type(value)(map(plain, value))
     if type(value) is dict:
-        return {plain(key): plain(each) for key, each in value.items()}
+        return {plain(key): plain(entry) for key, entry in value.items()}
     return value
 
 

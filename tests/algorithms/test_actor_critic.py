@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
-from algorithms import A2C, MOA2C, MOPPO, PPO
+from algorithms import A2C, MOA2C, MOCAC, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.policy import AccruedReward
@@ -21,14 +18,17 @@ from mo_deepdrive.support.faults import NotFinite
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (
     CLASSES,
+    CONTINUOUS,
     INTERSECTION,
     ROUNDABOUT,
+    SEA,
     exaggerate,
     make_agent,
     plain_utility,
     recorded,
     state,
 )
+from tests.helpers.toy_env import toy_worlds
 
 
 @CLASSES
@@ -42,36 +42,9 @@ def test_the_networks_have_the_sizes_of_the_paper(cls: type[ActorCritic]) -> Non
     assert [shapes[f"critic.{i}.weight"] for i in (0, 2, 4)] == [(64, inputs), (32, 64), (outputs, 32)]
 
 
-class Toy(gymnasium.Env[Any, Any]):
-    """Counts to three."""
-
-    def __init__(self, action_space: spaces.Space[Any], observation_space: spaces.Space[Any] | None = None):
-        self.action_space = action_space
-        self.observation_space = observation_space or spaces.Box(0.0, 9.0, (2,), dtype=np.float32)
-        self.reward_space = spaces.Box(-10.0, 10.0, (2,), dtype=np.float32)
-        self.count = 0
-
-    def _observed(self) -> Any:
-        if isinstance(self.observation_space, spaces.Discrete):
-            return self.count
-        return np.full(self.observation_space.shape, self.count, dtype=np.float32)
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        super().reset(seed=seed)
-        self.count = 0
-        return self._observed(), {}
-
-    def step(self, action: Any) -> tuple[Any, np.ndarray, bool, bool, dict[str, Any]]:
-        assert self.action_space.contains(action)
-        self.count += 1
-        return self._observed(), np.ones(2, dtype=np.float32), self.count == 3, False, {}
-
-
-def toy_agent(
-    cls: type[ActorCritic], action_space: spaces.Space[Any], observation_space: spaces.Space[Any] | None = None
-) -> ActorCritic:
-    env = MOSyncVectorEnv(lambda: Toy(action_space, observation_space) for _ in range(2))
-    return cls(env, plain_utility(EnvAdapter(env)))
+def toy_agent(cls: type[ActorCritic], *spaces_of_env: spaces.Space[Any]) -> ActorCritic:
+    env = toy_worlds(*spaces_of_env)
+    return cls(env.vector_env, plain_utility(env))
 
 
 @CLASSES
@@ -91,7 +64,7 @@ def test_eval_returns_actions_of_another_librarys_action_space(
     agent.train(32)
     exaggerate(agent, 3e4)
     for value in np.linspace(0.0, 9.0, 7):
-        assert action_space.contains(agent.eval(np.full(2, value, dtype=np.float32)))
+        assert action_space.contains(agent.eval(np.full((2, 2), value, dtype=np.float32)))
 
 
 @CLASSES
@@ -103,13 +76,9 @@ def test_eval_accepts_observations_of_a_discrete_space(cls: type[ActorCritic]) -
     assert [int(agent.eval(i)) for i in range(9)] == expected.tolist()
 
 
-@pytest.mark.slow
-@CLASSES
-def test_schedules_run_from_their_first_value_to_their_last(cls: type[ActorCritic]) -> None:
+def test_schedules_run_from_their_first_value_to_their_last() -> None:
     settings = {"entropy_start": 0.1, "entropy_end": 0.001, "entropy_until": 0.5}
-    agent = make_agent(
-        cls, num_envs=4, steps=5, learning_rate=1e-3, learning_rate_end=0.0, **settings, env={"time_limit": 1.0}
-    )
+    agent = make_agent(A2C, num_envs=4, steps=5, learning_rate=1e-3, learning_rate_end=0.0, **settings)
     lines = recorded(agent, 200, log_interval=1)
     progress = np.arange(10) / 10
     rates = [metrics["policy/learning_rate"] for _, metrics in lines]
@@ -160,79 +129,14 @@ def test_vehicles_that_share_a_policy_are_rows_of_one_batch(cls: type[ActorCriti
         agent.act(observations, past, None)
 
 
-def test_a_checkpoint_of_a_shared_policy_is_refused_by_one_that_shares_none(tmp_path: Path) -> None:
-    agent = make_agent(PPO, ROUNDABOUT, share_policy=True, steps=8)
-    agent.save(tmp_path / "checkpoint.safetensors")
-    with pytest.raises(ValueError, match="shared"):
-        make_agent(PPO, ROUNDABOUT, steps=8).load(tmp_path / "checkpoint.safetensors")
-
-
-@CLASSES
-@pytest.mark.parametrize(
-    ("name", "near"),
-    [
-        ("learning_rat", "learning_rate"),
-        ("entropy_begin", "entropy_end"),
-        ("n_steps", "steps"),
-    ],
-)
-def test_an_unknown_hyperparameter_is_refused_with_the_nearest_known_one(
-    cls: type[ActorCritic], name: str, near: str
-) -> None:
-    with pytest.raises(ValueError, match=f"hyperparameters of {cls.name}: '{name}' is unknown; did you mean '{near}'"):
-        make_agent(cls, **{name: 1})
-
-
-def test_an_agent_takes_its_config_or_single_hyperparameters() -> None:
-    config = PPO.Config(steps=8, gamma=0.9)
-    assert make_agent(PPO, config=config).config is config
-    assert make_agent(PPO, steps=8, gamma=0.9).config == config
-    with pytest.raises(ValueError, match="gamma: give either config or single hyperparameters"):
-        make_agent(PPO, config=config, gamma=0.9)
-    with pytest.raises(ValueError, match=r"config of class PPO.Config must be an instance of A2C.Config"):
-        make_agent(A2C, config=config)
-
-
-@CLASSES
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("learning_rate", 0.0),
-        ("learning_rate", "1e-3"),
-        ("learning_rate", math.nan),
-        ("learning_rate_end", -1e-3),
-        ("gamma", 1.01),
-        ("gae_lambda", 2.0),
-        ("steps", 0),
-        ("steps", "16"),
-        ("hidden", []),
-        ("hidden", [64, -32]),
-        ("entropy_start", 0.0),
-        ("entropy_end", 0.0),
-        ("entropy_until", 1.1),
-        ("value_coefficient", 0.0),
-        ("max_grad_norm", -0.5),
-        ("normalise_advantages", "yes"),
-        ("objective_scales", [1.0, 1.0, 1.0]),
-        ("objective_scales", [1.0, 1.0, 1.0, 0.0]),
-    ],
-)
-def test_an_invalid_hyperparameter_is_refused_by_name(cls: type[ActorCritic], name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=name):
-        make_agent(cls, **{name: value})
-
-
-def test_invalid_hyperparameters_of_one_algorithm_are_refused_by_name() -> None:
-    with pytest.raises(ValueError, match="value_scale"):
-        make_agent(A2C, value_scale=0.0)
-    with pytest.raises(ValueError, match=r"'advantage' = 'as_print'.*'as_printed'"):
-        make_agent(MOA2C, advantage="as_print")
-    with pytest.raises(ValueError, match="observe_discount"):
-        make_agent(MOA2C, observe_discount="no")
-    for cls in (MOA2C, MOPPO):
-        with pytest.raises(ValueError, match=r"gamma = 0.99 must be at most accrued_discount = 0.9 with advantage ="):
-            make_agent(cls, advantage="expected_utility", accrued_discount=0.9)
-        make_agent(cls, accrued_discount=0.9)
+@pytest.mark.parametrize("of_state", [False, True])
+def test_deviations_of_actions_depend_on_the_state_where_this_is_asked_for(of_state: bool) -> None:
+    agent = make_agent(PPO, env=CONTINUOUS, state_dependent_std=of_state)
+    exaggerate(agent, 100.0)
+    states = np.repeat(np.random.default_rng(0).normal(0.0, 5.0, (2, 1, 15)).astype(np.float32), 2000, axis=0)
+    actions = agent.act(states, AccruedReward.begin(4000, 1, 4), torch.Generator().manual_seed(0))
+    first, second = actions.reshape(2, 2000, -1).std(axis=1)
+    assert bool((np.abs(np.log(first / second)) > 0.3).any()) is of_state
 
 
 def test_objective_scales_replace_those_of_the_environment() -> None:
@@ -241,30 +145,6 @@ def test_objective_scales_replace_those_of_the_environment() -> None:
     assert scaled.objective_scales.tolist() == [1.0, 2.0, 3.0, 4.0]
     x = scaled.inputs(torch.zeros(15), torch.ones(4), torch.tensor(0.5))
     torch.testing.assert_close(x[15:], torch.tensor([1.0, 1 / 2, 1 / 3, 1 / 4, 0.5]))
-
-
-@CLASSES
-def test_a_utility_over_another_number_of_objectives_is_refused(cls: type[ActorCritic]) -> None:
-    narrow = make_utility("linear", ("distance", "jerk"), weights=[1.0, 1.0])
-    with pytest.raises(ValueError, match=r"'linear' takes .*'distance', 'jerk'.*the environment has"):
-        make_agent(cls, utility=narrow)
-
-
-def test_a_utility_is_given_by_name_or_as_a_function() -> None:
-    env = make_env("mo-deepdrive-one-waypoint-v0", 2)
-    assert [each.name for each in A2C(env, "one_waypoint_linear").utilities] == ["one_waypoint_linear"]
-    (utility,) = A2C(env, lambda returns: returns[..., 0]).utilities
-    assert utility(np.array([3.0, 1.0, 0.0, 0.0])) == 3.0
-
-
-@CLASSES
-@pytest.mark.parametrize("number", [1, 3])
-def test_the_wrong_number_of_utilities_is_refused(cls: type[ActorCritic], number: int) -> None:
-    objectives = EnvAdapter(make_env(INTERSECTION, 1)).objectives
-    utility = make_utility("intersection_linear", objectives)
-    with pytest.raises(ValueError, match=f"{number} utilities are given for 2 vehicles"):
-        make_agent(cls, INTERSECTION, utility=[utility] * number)
-    assert make_agent(cls, INTERSECTION, utility=utility).utilities == [utility, utility]
 
 
 def collected(agent: ActorCritic) -> Any:
@@ -298,8 +178,7 @@ def spied_steps(agent: ActorCritic) -> list[Any]:
 
     def spy(actions: Any) -> Any:
         step = inner(actions)
-        copies = {name: None if each is None else np.copy(each) for name, each in vars(step).items()}
-        seen.append(type(step)(**copies))
+        seen.append(type(step)(*(None if part is None else np.copy(part) for part in step)))
         return step
 
     agent.env.step = spy  # type: ignore[method-assign]
@@ -323,30 +202,23 @@ def test_a_vehicle_that_is_cut_alone_is_valued_with_the_last_observation_of_the_
     assert alone > 5
 
 
-@CLASSES
-def test_a_centralised_critic_is_refused_for_one_vehicle(cls: type[ActorCritic]) -> None:
-    with pytest.raises(ValueError, match="centralised_critic = True needs an environment with more than one vehicle"):
-        make_agent(cls, centralised_critic=True)
-
-
-def test_a_checkpoint_of_a_centralised_critic_is_refused_by_a_decentralised_one(tmp_path: Any) -> None:
-    path = tmp_path / "checkpoint.safetensors"
-    make_agent(MOPPO, INTERSECTION, centralised_critic=True).save(path)
-    with pytest.raises(ValueError, match="centralised_critic = True; this agent has False"):
-        make_agent(MOPPO, INTERSECTION).load(path)
+GRID = {"critic": "categorical", "v_max": [20.0, 1.0]}
 
 
 @pytest.mark.parametrize(
-    ("changed", "message"),
+    ("cls", "env_id", "trained", "other", "policy_only", "message"),
     [
-        ({"objective_scales": [1.0, 1.0, 1.0, 100.0]}, "has objective_scales = "),
-        ({"accrued_discount": 1.0}, "has accrued_discount = 0.99; this agent has 1.0"),
+        (PPO, ROUNDABOUT, {"share_policy": True}, {}, False, "has .vehicle_0.actor.body.0.weight. of shape None; this"),
+        (MOPPO, INTERSECTION, {"centralised_critic": True}, {}, False, "centralised_critic = True; this agent has"),
+        (MOCAC, SEA, GRID, {**GRID, "v_max": [30.0, 1.0]}, False, "critic"),
+        # What a policy observes of the past is in these units.
+        (MOA2C, SEA, {}, {"objective_scales": [1.0, 2.0]}, True, "has objective_scales = "),
+        (MOA2C, SEA, {}, {"accrued_discount": 1.0}, True, "has accrued_discount = 0.99; this agent has 1.0"),
     ],
 )
-def test_a_policy_that_observes_the_past_in_other_units_is_refused(
-    tmp_path: Path, changed: dict[str, Any], message: str
+def test_a_checkpoint_of_other_settings_is_refused(
+    cls: Any, env_id: str, trained: Any, other: Any, policy_only: bool, message: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / "policy.safetensors"
-    make_agent(MOA2C).save_policy(path)
+    make_agent(cls, env_id, **trained).save(tmp_path / "checkpoint.safetensors")
     with pytest.raises(ValueError, match=message):
-        make_agent(MOA2C, **changed).load(path, policy_only=True)
+        make_agent(cls, env_id, **other).load(tmp_path / "checkpoint.safetensors", policy_only=policy_only)

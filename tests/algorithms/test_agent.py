@@ -11,23 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 
-from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PPO, ConditionedMOPPO
+from algorithms import A2C, MOA2C
 from algorithms.actor_critic import ActorCritic
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.episodes import evaluate
-from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (
     CLASSES,
     CONTINUOUS,
-    FORMS,
     INTERSECTION,
     LEFT_TURN,
     MINECART,
     ONE_WAYPOINT,
-    ROUNDABOUT,
     SEA,
     STATIC_OBSTACLE,
     exaggerate,
@@ -149,114 +145,6 @@ def test_evaluations_happen_before_during_and_after_training() -> None:
     )
 
 
-SHORT = {"time_limit": 0.8}
-
-
-SCHEDULES = {"learning_rate_end": 1e-4, "entropy_start": 0.1, "entropy_end": 0.01}
-
-
-RESUMED: dict[str, tuple[str, str, dict[str, Any]]] = {
-    "a2c, one world, one step": ("a2c", ONE_WAYPOINT, {"num_envs": 1, "steps": 1}),
-    "a2c": ("a2c", STATIC_OBSTACLE, {"num_envs": 3, "steps": 5}),
-    "a2c, continuous": ("a2c", ONE_WAYPOINT, {"num_envs": 8, "steps": 4, "env": CONTINUOUS}),
-    "a2c, two vehicles": ("a2c", INTERSECTION, {"num_envs": 3, "steps": 7}),
-    "mo_a2c": ("utility_difference", ONE_WAYPOINT, {"num_envs": 8, "steps": 16}),
-    "mo_a2c, small": ("utility_difference", ONE_WAYPOINT, {"num_envs": 1, "steps": 3, "hidden": [8]}),
-    "mo_a2c, large": ("utility_difference", STATIC_OBSTACLE, {"num_envs": 33, "steps": 2, "hidden": [128, 64, 32]}),
-    "mo_a2c, as printed": ("as_printed", STATIC_OBSTACLE, {"num_envs": 4, "steps": 6}),
-    "mo_a2c, gradient": ("utility_gradient", ONE_WAYPOINT, {"num_envs": 4, "steps": 6}),
-    "mo_a2c, gradient, two vehicles": ("utility_gradient", INTERSECTION, {"num_envs": 4, "steps": 6}),
-    "mo_a2c, continuous, two vehicles": ("utility_difference", INTERSECTION, {"num_envs": 2, "env": CONTINUOUS}),
-    "mo_a2c, expected utility": ("expected_utility", STATIC_OBSTACLE, {"num_envs": 4, "steps": 6}),
-    "mo_a2c, expected utility, two vehicles": ("expected_utility", INTERSECTION, {"centralised_critic": True}),
-    "mo_a2c, without discount": ("without discount", ONE_WAYPOINT, {"num_envs": 4, "steps": 6}),
-    "mo_ppo": ("clipped", STATIC_OBSTACLE, {"num_envs": 4, "steps": 6}),
-    "mo_ppo, two vehicles, central": ("clipped", INTERSECTION, {"num_envs": 3, "centralised_critic": True}),
-    "mo_a2c, two vehicles, central": ("utility_difference", INTERSECTION, {"centralised_critic": True}),
-    "ppo, one policy for all": ("ppo", ROUNDABOUT, {"share_policy": True}),
-    "mocac, particles": ("particles", ONE_WAYPOINT, {"steps": 6}),
-    "mocac, particles, two vehicles, central": ("particles", INTERSECTION, {"centralised_critic": True}),
-    "mocac, grid": ("grid", ONE_WAYPOINT, {"steps": 6}),
-    "mappo": ("mappo", INTERSECTION, {"joint": "gini"}),
-    "mappo, one policy for both": ("mappo", INTERSECTION, {"share_policy": True}),
-    "conditioned": ("conditioned", ONE_WAYPOINT, {"switching": 0.2, "env": CONTINUOUS}),
-    "conditioned, families": ("families", ONE_WAYPOINT, {"steps": 6}),
-    "conditioned, two vehicles": ("conditioned", INTERSECTION, {"steps": 6}),
-}
-MORE_FORMS: dict[str, tuple[type[Any], dict[str, Any]]] = {
-    **FORMS,
-    "clipped": (MOPPO, {}),
-    "ppo": (PPO, {}),
-    "particles": (MOCAC, {"particles": 5}),
-    "grid": (MOCAC, {"critic": "categorical", "atoms": 3}),
-    "mappo": (MAPPO, {}),
-    "conditioned": (ConditionedMOPPO, {"cost_growth": 0.5}),
-    "families": (
-        ConditionedMOPPO,
-        {"families": {"linear": 1, "chebyshev": 1, "comfort_budget": 1}, "budgets": {"jerk": 50}},
-    ),
-}
-
-
-def resumable(name: str, seed: int) -> Any:
-    form, env_id, arguments = RESUMED[name]
-    cls, settings = MORE_FORMS[form]
-    env = {**SHORT, **arguments.get("env", {})}
-    return make_agent(cls, env_id, seed=seed, **{**settings, **SCHEDULES, **arguments, "env": env})
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", RESUMED)
-def test_a_seed_determines_everything_and_another_seed_gives_others(name: str) -> None:
-    before = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
-    runs = []
-    for seed in (5, 5, 6):
-        agent = resumable(name, seed)
-        agent.train(3 * agent.config.steps * agent.env.num_envs)
-        runs.append({name: tensor.clone() for name, tensor in agent.get_state().items()})
-    assert same(runs[0], runs[1])
-    learnt = [name for name in runs[0] if name.endswith((".weight", ".exp_avg"))]
-    assert not any(torch.equal(runs[0][name], runs[2][name]) for name in learnt)
-    assert torch.equal(torch.get_rng_state(), before[0])
-    assert np.array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", RESUMED)
-@pytest.mark.parametrize("updates", [1, 4])
-def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(name: str, updates: int, tmp_path: Path) -> None:
-    path = tmp_path / "checkpoint.safetensors"
-    whole = resumable(name, seed=3)
-    per_update = whole.config.steps * whole.env.num_envs
-    total = 7 * per_update
-    lines = recorded(whole, total, log_interval=3)
-
-    first = resumable(name, seed=3)
-    start = recorded(first, total, log_interval=3, after_update=lambda agent: agent.step == updates * per_update)
-    first.save(path)
-    second = resumable(name, seed=99)  # nothing of its own is left after loading
-    second.load(path)
-    assert second.step == updates * per_update
-    assert same(state(second), state(first))
-    rest = recorded(second, total, log_interval=3)
-
-    assert second.step == whole.step
-    assert same(state(second), state(whole))
-    assert same(whole.get_state(), second.get_state())
-    assert start + rest == lines
-
-
-@CLASSES
-def test_a_checkpoint_of_an_untrained_agent_starts_the_same_run(cls: type[ActorCritic], tmp_path: Path) -> None:
-    fresh = make_agent(cls, seed=1)
-    fresh.save(tmp_path / "fresh")
-    other = make_agent(cls, seed=1)
-    other.load(tmp_path / "fresh")
-    for agent in (fresh, other):
-        agent.train(64)
-    assert same(state(fresh), state(other))
-
-
 @CLASSES
 def test_saving_changes_nothing(cls: type[ActorCritic], tmp_path: Path) -> None:
     plain, saved = make_agent(cls), make_agent(cls)
@@ -323,14 +211,6 @@ def test_a_missing_checkpoint_is_refused(tmp_path: Path) -> None:
     refused(make_agent(MOA2C), tmp_path, "cannot be read")
 
 
-@pytest.mark.parametrize("kept", [0, 4, 8, 100, 0.3, 0.99, -1])
-def test_a_truncated_checkpoint_is_refused(checkpoint: Path, tmp_path: Path, kept: float) -> None:
-    data = checkpoint.read_bytes()
-    broken = tmp_path / "broken.safetensors"
-    broken.write_bytes(data[: int(kept * len(data)) if isinstance(kept, float) else kept])
-    refused(make_agent(MOA2C), broken, "broken.safetensors cannot be read")
-
-
 def test_any_other_file_is_refused(checkpoint: Path, tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.write_bytes(pickle.dumps({"weights": [1.0]}) * 100)
@@ -339,15 +219,6 @@ def test_any_other_file_is_refused(checkpoint: Path, tmp_path: Path) -> None:
     refused(make_agent(MOA2C), other, "has .* = None; this agent has")
     save_file({"weights": torch.zeros(3)}, other, metadata={"checkpoint": "{"})
     refused(make_agent(MOA2C), other, "cannot be read")
-
-
-def test_a_checkpoint_that_lacks_tensors_is_refused(checkpoint: Path, tmp_path: Path) -> None:
-    with safe_open(checkpoint, framework="pt") as file:
-        metadata = file.metadata()
-    tensors = load_file(checkpoint)
-    del tensors["vehicle_0.actor.body.0.weight"]
-    save_file(tensors, tmp_path / "partial", metadata=metadata)
-    refused(make_agent(MOA2C), tmp_path / "partial", "partial")
 
 
 @pytest.mark.parametrize(
@@ -399,48 +270,6 @@ def test_a_checkpoint_is_read_without_running_code_from_it(checkpoint: Path, mon
     agent = make_agent(MOA2C, steps=8)
     agent.load(checkpoint)
     assert agent.step == 64
-
-
-def test_a_failed_save_keeps_the_previous_checkpoint(
-    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "checkpoint"
-    path.write_bytes(checkpoint.read_bytes())
-
-    def fail(*_: Any, **__: Any) -> None:
-        raise OSError("no space left on device")
-
-    monkeypatch.setattr(Path, "replace", fail)
-    with pytest.raises(OSError, match="no space left"):
-        make_agent(A2C).save(path)
-    assert path.read_bytes() == checkpoint.read_bytes()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["checkpoint"]
-
-
-@pytest.mark.slow
-@CLASSES
-def test_deep_sea_treasure_is_learned_in_seconds(cls: type[ActorCritic]) -> None:
-    """By Welch's test over 100 episodes each: better than the initial, random policy by four standard errors."""
-    agent = make_agent(
-        cls,
-        SEA,
-        num_envs=8,
-        seed=1,
-        utility=make_utility("linear", ("treasure", "time"), weights=[0.5, 0.5]),
-        steps=16,
-        learning_rate=3e-3,
-        entropy_start=0.1,
-        entropy_end=0.01,
-        objective_scales=[20.0, 20.0],
-    )
-    env = make_env(SEA, 50)
-    before = evaluate(agent, env, episodes=100, greedy=False).episode_utilities()
-    agent.train(40_000)
-    after = evaluate(agent, env, episodes=100, greedy=False).episode_utilities()
-    error = math.sqrt(before.var(ddof=1) / 100 + after.var(ddof=1) / 100)
-    assert after.mean() - before.mean() > 4 * error
-    # Better than diving at once to the nearest treasure (0.7 after one step).
-    assert after.mean() > 0.5 * 0.7 - 0.5 * 1.0
 
 
 @pytest.mark.slow

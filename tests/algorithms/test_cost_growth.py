@@ -11,7 +11,6 @@ from algorithms import A2C, MAPPO, MOA2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
 from tests.helpers.agents import INTERSECTION, MINECART, SEA, make_agent, same, state
 
-FOUR_ROOM = "four-room-v0"
 ALL = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO, MAPPO])
 # distance, destination, g-force, collision, jerk, lane violation
 COSTS = np.array([False, False, True, True, True, True])
@@ -79,11 +78,6 @@ def test_growth_that_is_over_learns_as_without() -> None:
 def test_costs_of_other_libraries_are_objectives_that_are_never_positive() -> None:
     assert make_agent(PPO, SEA).env.costs.tolist() == [False, True]
     assert make_agent(PPO, MINECART).env.costs.tolist() == [False, False, True]
-
-
-def test_growth_without_costs_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"cost_growth = 0.25 must be 0 in .*four-room.*none of its objectives"):
-        make_agent(PPO, FOUR_ROOM, cost_growth=0.25)
 
 
 def test_rewards_of_vehicles_that_do_not_learn_stay() -> None:

@@ -11,7 +11,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from algorithms.pcn import Episode, EpisodeBuffer, returns_to_go
+from algorithms.pcn import Episode, EpisodeBuffer
 from mo_deepdrive.evaluation.pareto import crowding_distances, non_dominated
 
 SCALES = np.array([2.0, 5.0], dtype=np.float32)
@@ -39,19 +39,6 @@ points_on_a_grid = st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), min
 
 
 # Returns.
-
-
-@given(st.integers(1, 30), st.sampled_from([0.1, 0.9, 0.99, 1.0]), st.integers(0, 2**32 - 1))
-def test_returns_to_go_are_those_of_a_plain_loop(length: int, gamma: float, seed: int) -> None:
-    rewards = np.random.default_rng(seed).normal(size=(length, 3)).astype(np.float32)
-    before = rewards.copy()
-    found = returns_to_go(rewards, gamma)
-    assert found.dtype == np.float32
-    for t in range(length):
-        expected = sum((gamma ** (i - t) * rewards[i].astype(np.float64) for i in range(t, length)), np.zeros(3))
-        np.testing.assert_allclose(found[t], expected, rtol=1e-6, atol=1e-6)
-    np.testing.assert_array_equal(returns_to_go(np.stack([-rewards, rewards]), gamma), [-found, found])
-    np.testing.assert_array_equal(rewards, before)
 
 
 # Who stays.

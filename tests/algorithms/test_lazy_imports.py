@@ -11,28 +11,27 @@ import algorithms
 from mo_deepdrive.support.extras import EXTRAS
 
 
-def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
-    run_python: Callable[[str], str],
-) -> None:
-    loaded = run_python(
-        "import sys, algorithms\n"
-        "assert sorted(algorithms.ALGORITHMS) == "
-        "['a2c', 'conditioned_mo_ppo', 'mappo', 'mo_a2c', 'mo_ppo', 'mocac', 'pcn', 'ppo']\n"
-        "assert 'pcn' in algorithms.ALGORITHMS and 'dqn' not in algorithms.ALGORITHMS and dir(algorithms)\n"
-        "print(sorted(name for name in sys.modules if name.split('.')[0] in ('torch', 'numpy', 'mo_deepdrive', "
-        "'gymnasium') or name.startswith('algorithms.')))"
-    )
-    assert loaded == "[]\n"
+def loaded(*names: str) -> str:
+    """A line that prints which of these packages have been imported."""
+    return f"import sys\nprint([name for name in {names} if name in sys.modules])"
 
 
-def test_importing_the_environments_imports_neither_an_extra_nor_a_compiler_nor_pygame(
-    run_python: Callable[[str], str],
+@pytest.mark.parametrize(
+    ("imported", "absent"),
+    [
+        ("algorithms", ("torch", "numpy", "mo_deepdrive", "gymnasium", "algorithms.agent", "algorithms.runs")),
+        ("mo_deepdrive", (*EXTRAS, "numba", "pygame")),
+        pytest.param(
+            "algorithms.reporting.tables, algorithms.studies.sweep_tables, algorithms.commands.zoo",
+            ("matplotlib", "torch"),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_an_import_imports_nothing_that_is_not_needed(
+    imported: str, absent: tuple[str, ...], run_python: Callable[[str], str]
 ) -> None:
-    printed = run_python(
-        "import sys, mo_deepdrive\n"
-        f"print([package for package in {(*EXTRAS, 'numba', 'pygame')} if package in sys.modules])"
-    )
-    assert printed == "[]\n"
+    assert run_python(f"import {imported}\n{loaded(*absent)}") == "[]\n"
 
 
 @pytest.mark.slow
@@ -50,17 +49,6 @@ def test_a_training_run_starts_without_what_it_ends_with(run_python: Callable[[s
         f"    train.main(['--config', 'one_waypoint/mo_a2c_linear', '--output', {str(tmp_path / 'run')!r}])"
     )
     assert "[]" in printed.splitlines()
-
-
-@pytest.mark.slow
-def test_tables_need_no_matplotlib(run_python: Callable[[str], str]) -> None:
-    loaded = run_python(
-        "import sys\n"
-        "import algorithms.reporting.tables, algorithms.studies.sweep_tables\n"
-        "import algorithms.commands.zoo\n"
-        "print([name for name in ('matplotlib', 'torch') if name in sys.modules])"
-    )
-    assert loaded == "[]\n"
 
 
 def test_every_public_name_can_be_imported_and_is_listed() -> None:

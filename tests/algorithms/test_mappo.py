@@ -16,7 +16,7 @@ from algorithms.mappo import JOINT_UTILITIES, joint_utility
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, Step, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.utilities import Utility, make_utility
-from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT
+from tests.helpers.agents import INTERSECTION
 
 JOINT = pytest.mark.parametrize("joint", list(JOINT_UTILITIES))
 EARNED = Utility("earned", ("earned",), lambda returns: returns[..., 0])
@@ -41,13 +41,6 @@ def test_joint_utilities_of_two(name: Any, expected: list[float]) -> None:
     assert JOINT_UTILITIES[name](utilities.flip(-1)).tolist() == expected  # whoever is who
     double = [lambda returns: 2.0 * returns[..., 0]] * 2
     assert joint_utility(name, double, utilities.unsqueeze(-1)).tolist() == [2.0 * each for each in expected]
-
-
-def test_gini_prefers_a_more_even_team_of_the_same_sum() -> None:
-    gini = JOINT_UTILITIES["gini"]
-    uneven, even = torch.tensor([0.0, 6.0, 3.0]), torch.tensor([2.0, 4.0, 3.0])
-    assert gini(even) > gini(uneven)
-    assert gini(uneven) == pytest.approx(0.5 * 0.0 + 0.25 * 3.0 + 0.125 * 6.0)
 
 
 # ------------------------------------------------------------------------------------------------------- known optimum
@@ -219,15 +212,3 @@ def test_continuous_actions_train() -> None:
     agent.train(128)
     after = [parameter for learner in agent.learners for parameter in learner.actor.parameters()]
     assert all(not torch.equal(one, other) for one, other in zip(before, after, strict=True))
-
-
-def test_one_vehicle_is_no_team() -> None:
-    env = make_env(ONE_WAYPOINT, 2)
-    utility = make_utility("one_waypoint_linear", EnvAdapter(env).objectives)
-    with pytest.raises(ValueError, match="one-waypoint-v0 has one vehicle; algorithm 'mappo' is for a team"):
-        MAPPO(env, utility)
-
-
-def test_an_unknown_joint_utility_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"'joint' = 'best_off'.*'sum', 'worst_off' or 'gini'"):
-        make_mappo(joint="best_off")

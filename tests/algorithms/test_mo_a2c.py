@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
-from algorithms.learning.advantages import generalised_advantages
-from mo_deepdrive.utilities import Utility
-from tests.helpers.advantage_data import CROOKED, collections, crooked
 from tests.helpers.agents import (
     ALL_FORMS,
-    CONTINUOUS,
     Handmade,
     exaggerate,
-    gradients_of,
     handmade,
     learner_of,
     loss_of,
@@ -82,20 +75,6 @@ def test_the_accrued_reward_can_have_its_own_discount(cls: type[ActorCritic]) ->
     assert usual.collector.now.discounts.max() < 1.0
     with pytest.raises(ValueError, match="accrued_discount"):
         make_agent(cls, accrued_discount=0.0)
-
-
-@ALL_FORMS
-def test_the_next_episode_does_not_enter_the_next_value(form: str) -> None:
-    agent, _ = learner_of(form)
-    r = handmade(agent)
-    over = r.terminated | r.truncated
-    before = next_values(agent, r)
-    r.observations[1:][over] += 1.0
-    after = next_values(agent, r)
-    assert torch.equal(before[over], after[over])
-    r.final[r.truncated & ~r.terminated] += 1.0
-    changed = (next_values(agent, r) != after).reshape(*over.shape, -1).any(-1)
-    assert torch.equal(changed, r.truncated & ~r.terminated)
 
 
 def u(returns: torch.Tensor) -> float:
@@ -203,97 +182,3 @@ def test_the_losses_equal_a_plain_loop_over_single_samples(form: str, normalised
     assert found.keys() == expected.keys()
     for name, value in expected.items():
         assert found[name].item() == pytest.approx(value, rel=1e-3, abs=1e-4), name
-
-
-@ALL_FORMS
-@pytest.mark.parametrize("continuous", [False, True])
-def test_samples_that_did_not_act_have_no_influence_on_the_gradient(form: str, continuous: bool) -> None:
-    agent, _ = learner_of(form, env=CONTINUOUS if continuous else {})
-    rollout = handmade(agent, masked=True)
-    masked = ~rollout.acted
-    assert 0 < masked.sum() < masked.numel() / 2
-    before = gradients_of(agent, samples_of(agent, rollout))
-    generator = torch.Generator().manual_seed(1)
-    rollout.rewards[masked] = torch.randn(rollout.rewards[masked].shape, generator=generator) * 100
-    rollout.actions[masked] = 1 - rollout.actions[masked].clamp(max=1)
-    rollout.observations[:-1][masked] += 3.0
-    rollout.accrued[:-1][masked] += 3.0
-    after = gradients_of(agent, samples_of(agent, rollout))
-    for one, other in zip(before, after, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-7)
-    rollout.rewards[rollout.acted] += 1.0 + torch.randn(rollout.rewards[rollout.acted].shape, generator=generator)
-    changed = gradients_of(agent, samples_of(agent, rollout))
-    assert not all(torch.equal(one, other) for one, other in zip(after, changed, strict=True))
-
-
-# Equation 4, alone: with lambda = 0 the advantages are the differences U_t.
-
-
-def utility_differences(
-    utility: Any,
-    accrued: torch.Tensor,
-    rewards: torch.Tensor,
-    discounts: torch.Tensor,
-    values: torch.Tensor,
-    next_values: torch.Tensor,
-    gamma: float,
-    as_printed: bool,
-) -> torch.Tensor:
-    """U_t (T, ...) of MO-A2C and MO-PPO."""
-    config = SimpleNamespace(
-        gamma=gamma,
-        accrued_ratio=1.0,
-        gae_lambda=0.0,
-        advantage="as_printed" if as_printed else "utility_difference",
-    )
-    never = torch.zeros(discounts.shape, dtype=torch.bool)
-    rollout: Any = SimpleNamespace(
-        accrued=torch.cat([accrued, accrued[-1:]]),
-        next_accrued=accrued + discounts.unsqueeze(-1) * rewards,
-        discounts=torch.cat([discounts, discounts[-1:]]),
-        rewards=rewards,
-        ended=never,
-        utility=utility,
-    )
-    agent: Any = SimpleNamespace(config=config)
-    of_a2c, of_ppo = (cls.advantages(agent, rollout, values, next_values)[0] for cls in (MOA2C, MOPPO))
-    assert torch.equal(of_a2c, of_ppo)
-    return of_a2c
-
-
-def differences(c: dict[str, torch.Tensor], utility: Utility, as_printed: bool) -> torch.Tensor:
-    arguments = (c["accrued"], c["rewards"], c["discount"], c["values"], c["next_values"], float(c["gamma"]))
-    return utility_differences(utility, *arguments, as_printed=as_printed)
-
-
-@given(c=collections())
-def test_utility_differences_equal_the_equation_row_by_row(c: dict[str, torch.Tensor]) -> None:
-    found = {as_printed: differences(c, CROOKED, as_printed) for as_printed in (False, True)}
-    steps, worlds, _ = c["rewards"].shape
-    gamma = float(c["gamma"])
-    for t in range(steps):
-        for n in range(worlds):
-            factor = float(c["discount"][t, n])
-            after = c["accrued"][t, n] + factor * c["rewards"][t, n]  # R_{t+1}
-            before = crooked(c["accrued"][t, n] + factor * c["values"][t, n])
-            consistent = crooked(after + factor * gamma * c["next_values"][t, n]) - before
-            printed = crooked(after + c["next_values"][t, n]) - before
-            torch.testing.assert_close(found[False][t, n], consistent)
-            torch.testing.assert_close(found[True][t, n], printed)
-
-
-@given(c=collections())
-def test_with_lambda_one_the_differences_telescope_to_the_utility_of_the_whole_return(
-    c: dict[str, torch.Tensor],
-) -> None:
-    advantages = generalised_advantages(differences(c, CROOKED, as_printed=False), c["going_on"].logical_not(), 1.0)
-    steps, worlds, _ = c["rewards"].shape
-    gamma = float(c["gamma"])
-    for n in range(worlds):
-        for t in range(steps):
-            last = next((k for k in range(t, steps) if not c["going_on"][k, n]), steps - 1)
-            final = c["accrued"][last, n] + c["discount"][last, n] * (
-                c["rewards"][last, n] + gamma * c["next_values"][last, n]
-            )
-            now = c["accrued"][t, n] + c["discount"][t, n] * c["values"][t, n]
-            torch.testing.assert_close(advantages[t, n], crooked(final) - crooked(now))

@@ -19,7 +19,7 @@ from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.evaluation.team import Team
 from tests.helpers.agents import INTERSECTION
-from tests.helpers.short_agents import check_resumed, pair_experiment, trained
+from tests.helpers.short_agents import pair_experiment, trained
 
 ZOO = ["intersection_linear-ppo", "intersection_nonlinear-ppo"]
 PARTNERS = {"vehicle_1": [*ZOO, "rule:straight_6"]}
@@ -55,11 +55,6 @@ def test_the_other_vehicle_may_learn_instead() -> None:
     script = open_driver("rule:gap_8", 0, agent.env, "discrete")
     pair = evaluate(Team([script, agent]), INTERSECTION, episodes=3, env_kwargs={"time_limit": 6.0})
     np.testing.assert_array_equal(result.returns, pair.returns)
-
-
-@pytest.mark.parametrize("name", ["ppo", "mo_ppo"])
-def test_a_resumed_run_is_the_same_bit_for_bit(name: str, tmp_path: Path) -> None:
-    check_resumed(experiment_with(PARTNERS, name), tmp_path / "part")
 
 
 def test_a_run_is_not_resumed_with_other_partners(tmp_path: Path) -> None:
@@ -108,7 +103,7 @@ def test_a_partner_may_import_only_what_the_experiment_itself_names(
 
     mine = saved_run(tmp_path / "mine", naming("mine"))
     assert build(naming("mine", partners={"vehicle_1": [str(mine.path)]})).learners[0].vehicles == (0,)
-    refused = r"training.partners.vehicle_1: .*utility.name = 'partner_code:mine', code that .*; a run that drives in"
+    refused = r"training.partners.vehicle_1: .*utility.name = 'partner_code:mine', code that .*; only code that the exp"
     for experiment in (
         naming("other", partners={"vehicle_1": [str(mine.path)]}),
         experiment_with({"vehicle_1": [str(mine.path)]}),
@@ -122,13 +117,13 @@ def test_a_partner_may_import_only_what_the_experiment_itself_names(
     [
         ({"vehicle_2": ZOO}, r"training.partners has 'vehicle_2'; .*vehicle_1"),
         ({"vehicle_0": ZOO, "vehicle_1": ZOO}, "none is left to learn"),
-        ({"vehicle_1": []}, r"training.partners.vehicle_1 = \[\] must name at least one driver"),
+        ({"vehicle_1": []}, "training.partners.vehicle_1 must name at least one driver"),
         ({"vehicle_1": ["nobody"]}, r"training.partners.vehicle_1: 'nobody' is not a run directory"),
         ({"vehicle_1": ["rule:gap_3"]}, "'rule:gap_3' drives vehicle_0, not vehicle_1"),
         ({"vehicle_1": ["rule:fast"]}, "no scripted driver 'rule:fast'"),
         ({"vehicle_1": ["one_waypoint_linear-ppo"]}, "cannot drive vehicle_1: a policy for name = "),
         ({"vehicle_1": ["one_waypoint_front-pcn"]}, "is a front of policies"),
-        ({"vehicle_1": ["rule:straight_6"] * 9}, "training.num_envs = 8 is less than the 9 drivers"),
+        ({"vehicle_1": ["rule:straight_6"] * 9}, "no more than training.num_envs = 8; it has 9"),
     ],
 )
 def test_partners_that_cannot_drive_are_refused_before_training(partners: Any, message: str) -> None:
@@ -159,8 +154,3 @@ def test_the_threads_of_partners_are_not_those_of_the_run() -> None:
         assert torch.get_num_threads() == 2
     finally:
         set_threads(1)
-
-
-def test_a_manifest_is_not_made_of_runs_with_more_partners_than_environments() -> None:
-    with pytest.raises(ValueError, match=r"num_envs = 2 is less than the 3 drivers in training\.partners"):
-        build(experiment_with(PARTNERS, num_envs=2), num_envs=1)

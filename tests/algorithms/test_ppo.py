@@ -1,4 +1,4 @@
-"""PPO: the clipped steps, which are MO-PPO's too, against plain loops and against the step of A2C."""
+"""The clipped steps of PPO and MO-PPO: against plain loops, and against the steps of A2C and MO-A2C."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms import A2C, MOPPO, PPO
+from algorithms import A2C, MOA2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
 from tests.helpers.agents import (
     CONTINUOUS,
@@ -16,24 +16,32 @@ from tests.helpers.agents import (
     gradients_of,
     handmade,
     loss_of,
-    make_agent,
     parameters_of,
-    same,
     samples_of,
-    state,
     step_of,
 )
 
 CLIPPED = pytest.mark.parametrize("cls", [PPO, MOPPO])
 
 
-@pytest.mark.slow
+PLAIN: dict[str, tuple[Any, Any, dict[str, Any]]] = {
+    "ppo": (PPO, A2C, {}),
+    **{
+        f"mo_ppo, {name}": (MOPPO, MOA2C, {"advantage": name})
+        for name in ("utility_difference", "as_printed", "utility_gradient", "expected_utility")
+    },
+    "mo_ppo, full accrued reward": (MOPPO, MOA2C, {"accrued_discount": 1.0}),
+}
+
+
+@pytest.mark.parametrize("name", PLAIN)
 @pytest.mark.parametrize("env", [{}, CONTINUOUS], ids=["discrete", "continuous"])
 @pytest.mark.parametrize("normalised", [False, True])
-def test_one_epoch_of_one_minibatch_is_the_step_of_a2c(env: dict[str, Any], normalised: bool) -> None:
-    settings = {"env": env, "normalise_advantages": normalised}
-    one, clipped = experienced(PPO, epochs=1, minibatches=1, **settings)
-    other, plain = experienced(A2C, **settings)
+def test_one_epoch_of_one_minibatch_is_the_step_of_a2c(name: str, env: dict[str, Any], normalised: bool) -> None:
+    cls, unclipped, own = PLAIN[name]
+    settings = {**own, "env": env, "normalise_advantages": normalised}
+    one, clipped = experienced(cls, epochs=1, minibatches=1, **settings)
+    other, plain = experienced(unclipped, **settings)
     for agent in (one, other):
         assert step_of(agent, samples_of(agent, handmade(agent, masked=True)))["policy/entropy"] > 0.0
     for mine, theirs in zip(parameters_of(clipped), parameters_of(plain), strict=True):
@@ -134,34 +142,3 @@ def test_what_is_logged_are_means_over_all_gradient_steps(cls: type[ActorCritic]
     assert 0.0 < float(found["policy/clip_fraction"]) < 1.0
     for name in parts[0]:
         assert float(found[name]) == pytest.approx(np.mean([each[name] for each in parts]), rel=1e-5, abs=1e-7)
-
-
-@CLIPPED
-def test_samples_that_did_not_act_change_nothing(cls: type[ActorCritic]) -> None:
-    results = []
-    for noise in (0.0, 5.0):
-        agent, _ = experienced(cls)
-        rollout = handmade(agent, masked=True)
-        masked = ~rollout.acted
-        rollout.rewards[masked] += noise
-        rollout.observations[:-1][masked] += noise
-        rollout.accrued[:-1][masked] += noise
-        step_of(agent, samples_of(agent, rollout))
-        results.append(state(agent))
-    assert same(*results)
-
-
-@CLIPPED
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"epochs": 0}, "'epochs' = 0"),
-        ({"minibatches": 0}, "'minibatches' = 0"),
-        ({"clip": 0.0}, "'clip' = 0.0"),
-        ({"clip": 1.0}, "'clip' = 1.0"),
-        ({"minibatch": 4}, "did you mean 'minibatches'"),
-    ],
-)
-def test_invalid_settings_are_refused_by_name(cls: type[ActorCritic], settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_agent(cls, **settings)

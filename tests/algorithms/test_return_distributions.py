@@ -51,61 +51,6 @@ def test_the_projection_is_that_of_a_plain_loop_and_keeps_the_mass() -> None:
     assert (found >= 0.0).all()
 
 
-def test_the_projection_keeps_the_mean_inside_the_grid_and_adds_at_most_a_quarter_of_the_squared_spacing() -> None:
-    rng = np.random.default_rng(1)
-    masses = torch.tensor(rng.dirichlet(np.ones(ATOMS**3), size=5), dtype=torch.float32)
-    points, middle = grid().points[0], torch.tensor([(low + high) / 2 for low, high in zip(LOW, HIGH, strict=True)])
-    discounts = torch.tensor([0.0, 0.2, 0.5, 0.7, 0.9])
-    # Shrunk towards a point near the middle, every atom stays inside.
-    shifts = (1.0 - discounts).unsqueeze(-1) * (middle + torch.tensor([0.1, -0.2, 0.05]))
-    found = project(masses, shifts, discounts, grid().values)
-    torch.testing.assert_close(found @ points, shifts + discounts.unsqueeze(-1) * (masses @ points))
-    variance = [p @ points.square() - (p @ points).square() for p in (masses, found)]
-    added = variance[1] - discounts.square().unsqueeze(-1) * variance[0]
-    spacing = (torch.tensor(HIGH) - torch.tensor(LOW)) / (ATOMS - 1)
-    assert (added > -1e-5).all()
-    assert (added <= spacing.square() / 4 + 1e-5).all()
-
-
-def test_the_loss_of_a_grid_is_the_cross_entropy_of_the_projected_target() -> None:
-    rng = torch.Generator().manual_seed(0)
-    outputs = torch.randn(5, ATOMS**3, generator=rng, requires_grad=True)
-    following, shifts = torch.randn(5, ATOMS**3, generator=rng), torch.randn(5, 3, generator=rng)
-    discounts = torch.rand(5, generator=rng)
-    targets = project(following.softmax(-1), shifts, discounts, grid().values)
-    expected = torch.nn.functional.cross_entropy(outputs, targets, reduction="none")
-    torch.testing.assert_close(grid().distance(outputs, shifts, discounts, following), expected)
-
-
-def test_the_energy_score_and_its_gradient_are_those_of_plain_sums() -> None:
-    rng = np.random.default_rng(2)
-    x, y = (torch.tensor(rng.normal(size=(4, size, 3)), dtype=torch.float32) for size in (5, 7))
-    weights = torch.tensor([0.5, 0.0, 0.2, 0.3])
-    x.requires_grad_()
-    total = torch.zeros(())
-    for m in range(4):
-        to_targets = sum(((a - b).square().sum() + 0.01**2).sqrt() for a in x[m] for b in y[m]) / 35
-        to_each_other = sum(((a - b).square().sum() + 0.01**2).sqrt() for a in x[m] for b in x[m]) / 25
-        total = total + weights[m] * (2 * to_targets - to_each_other)
-    found = (weights * energy_score(x, y)).sum()
-    torch.testing.assert_close(found, total)
-    gradients = [torch.autograd.grad(each, x)[0] for each in (found, total)]
-    torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-6)
-
-
-def test_particles_approach_the_joint_distribution_of_single_outcomes() -> None:
-    # Two outcomes with the means (0.5, 0.5): independent objectives would have four.
-    rng = np.random.default_rng(3)
-    x = torch.tensor(rng.normal(size=(1, 8, 2)), dtype=torch.float32, requires_grad=True)
-    for step in range(4000):
-        first = rng.integers(2)
-        outcome = torch.tensor([[[first, 1 - first]]], dtype=torch.float32)
-        (gradient,) = torch.autograd.grad(energy_score(x, outcome).sum(), x)
-        x.data -= 2.0 / (1 + step / 100) * gradient
-    near = np.abs(x.detach().numpy()[0, :, None] - np.array([[0.0, 1.0], [1.0, 0.0]])).max(-1) < 0.2
-    assert near.sum(0).tolist() == [4, 4]
-
-
 def test_targets_of_particles_are_moved_and_clipped_in_the_units_of_the_returns() -> None:
     scales = torch.tensor([2.0, 10.0])
     particles = Particles(2, scales, [-1.0, -1.0], [1.0, 100.0])

@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from algorithms import PCN, PPO, FrontAgent
-from algorithms.learning.learner import _linear
 from algorithms.runs.build import build_trainee
 from algorithms.runs.config import make_experiment
 from mo_deepdrive.evaluation.policy import AccruedReward
@@ -31,40 +29,15 @@ PAIRS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.slow
-@EVERY
+@pytest.mark.parametrize("name", [*LEARNERS, *PAIRS])
 def test_a_seed_ends_with_the_same_weights_and_metrics_whatever_seeds_are_beside_it(name: str) -> None:
-    first, second = trainer(name, [3, 4, 5]), trainer(name, [7, 4])
+    learner, training = (name, {}) if name in LEARNERS else ("ppo, two vehicles", PAIRS[name])
+    first, second = (trainer(learner, seeds, **training) for seeds in ([3, 4, 5], [7, 4]))
     rows = trained(first)
     assert rows[1] == trained(second)[1]
     assert torch.equal(weights(first, 1), weights(second, 1))
     assert not torch.equal(weights(first, 0), weights(first, 1))
     assert len(rows[1]) == TOTAL // 128 + TOTAL % 128 // 64
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("what", PAIRS)
-def test_seeds_with_other_drivers_or_one_policy_are_as_independent(what: str) -> None:
-    first, second = (trainer("ppo, two vehicles", seeds, **PAIRS[what]) for seeds in ([3, 4, 5], [7, 4]))
-    assert trained(first)[1] == trained(second)[1]
-    assert torch.equal(weights(first, 1), weights(second, 1))
-
-
-@pytest.mark.slow
-@EVERY
-def test_an_interrupted_training_resumes_bit_for_bit(name: str, tmp_path: Path) -> None:
-    whole, part = trainer(name, [3, 4]), trainer(name, [3, 4])
-    rows = trained(whole)
-    before = trained(part, after_update=lambda each: each.step >= 192)
-    paths = [tmp_path / f"{seed}.safetensors" for seed in range(2)]
-    for seed, path in enumerate(paths):
-        part.save(path, seed)
-    resumed = trainer(name, [8, 9])
-    resumed.load(*paths)
-    assert resumed.seeds == (3, 4)
-    after = trained(resumed)
-    for seed in range(2):
-        assert before[seed] + after[seed] == rows[seed]
-        assert torch.equal(weights(whole, seed), weights(resumed, seed))
 
 
 @pytest.mark.slow
@@ -82,15 +55,6 @@ def test_the_agent_of_a_seed_acts_on_with_what_it_has_learnt(name: str) -> None:
     past = AccruedReward.begin(20, vehicles, len(agent.env.objectives))
     policy = agent.policy(agent.conditions()[0]) if isinstance(agent, FrontAgent) else agent
     assert policy.act(observations.astype(np.float32), past, None).shape[:2] == (20, vehicles)
-
-
-@pytest.mark.parametrize("rows", [1024, 960, 1000, 200])
-def test_parted_products_are_those_of_a_linear_layer(rows: int) -> None:
-    layer, x = nn.Linear(7, 5), torch.linspace(-1.0, 1.0, rows * 7).sin().view(rows, 7)
-    parted = _linear(layer, 16, x)
-    torch.testing.assert_close(parted, layer(x))
-    gradients = [torch.autograd.grad(each.square().sum(), [*layer.parameters()]) for each in (parted, layer(x))]
-    torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-4)
 
 
 class Recorded(TorchDispatchMode):

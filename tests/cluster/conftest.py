@@ -50,10 +50,10 @@ def long(shared_folder: Path) -> Reference:
 
 def reference(folder: Path, write: Callable[[Path], Path]) -> Reference:
     """The sweep that ``write`` describes in ``folder``; whoever comes first trains it, the others wait."""
-    found = Reference(folder / "short.yaml", folder / "here")
+    trained = Reference(folder / "short.yaml", folder / "here")
     with FileLock(folder.with_suffix(".lock")):
         if not folder.exists():
             folder.mkdir()
-            assert write(folder) == found.file
-            assert run_sweep(found.file, "--output", found.directory).returncode == 0
-    return found
+            assert write(folder) == trained.file
+            assert run_sweep(trained.file, "--output", trained.directory).returncode == 0
+    return trained

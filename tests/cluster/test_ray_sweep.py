@@ -35,24 +35,24 @@ from tests.helpers.sweep_files import (
 pytest.importorskip("ray.tune", reason="Ray is not installed: pip install 'mo-deepdrive[sweep]'")
 
 
-def processes(what: str) -> list[int]:
-    """Ids of the processes on this machine whose title or command line contains ``what``."""
-    found = []
+def processes(title: str) -> list[int]:
+    """Ids of the processes on this machine whose title or command line contains ``title``."""
+    numbers = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             with contextlib.suppress(OSError):  # the process has ended meanwhile
-                if what in (entry / "cmdline").read_bytes().decode(errors="replace"):
-                    found.append(int(entry.name))
-    return found
+                if title in (entry / "cmdline").read_bytes().decode(errors="replace"):
+                    numbers.append(int(entry.name))
+    return numbers
 
 
-def kill(what: str) -> int:
+def kill(title: str) -> int:
     """Send SIGKILL to all such processes; returns their number."""
-    found = [number for number in processes(what) if number != os.getpid()]
-    for number in found:
+    numbers = [number for number in processes(title) if number != os.getpid()]
+    for number in numbers:
         with contextlib.suppress(ProcessLookupError):
             os.kill(number, signal.SIGKILL)
-    return len(found)
+    return len(numbers)
 
 
 def test_own_code_is_trained_and_a_run_that_fails_is_reported_with_its_reason(tmp_path: Path) -> None:

@@ -74,15 +74,11 @@ def state(agent: ActorCritic) -> dict[str, torch.Tensor]:
 
 
 def experienced(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[Any, Any]:
-    """An agent far from its initial weights, in which an episode has ended, and its learner."""
+    """An agent on OneWaypoint far from its initial weights, in which an episode has ended, and its learner."""
     agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **hyperparameters)
     exaggerate(agent)
-    expect(agent)
-    return agent, agent.learners[0]
-
-
-def expect(agent: Any) -> None:
     agent.learners[0].expected_return[:], agent.learners[0].episodes[:] = torch.tensor(EXPECTED_RETURN), 1
+    return agent, agent.learners[0]
 
 
 def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
@@ -225,12 +221,9 @@ EXPECTED_RETURN = [12.0, 0.9, -4.0, -30.0]
 
 
 def learner_of(form: str, **hyperparameters: Any) -> tuple[Any, Any]:
-    """An agent on OneWaypoint with a non-linear utility, and its learner with larger weights in the actor."""
+    """The same with a form of the advantage."""
     cls, settings = FORMS[form]
-    agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **{"gamma": 0.9, **settings, **hyperparameters})
-    exaggerate(agent)
-    expect(agent)
-    return agent, agent.learners[0]
+    return experienced(cls, **{"gamma": 0.9, **settings, **hyperparameters})
 
 
 def seen_by(agent: Any, form: str, observation: Any, accrued: Any, discount: Any) -> torch.Tensor:

@@ -10,7 +10,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -27,8 +27,7 @@ SEED = 7
 _AT = {entry.name: k for k, entry in enumerate(layout(SCENARIOS["intersection"]))}
 
 
-@dataclass(frozen=True)
-class Report:
+class Report(NamedTuple):
     """What one vehicle receives after one decision; the first report, after the reset, has a reward of zeros."""
 
     observation: np.ndarray
@@ -169,35 +168,31 @@ LATE_V1 = {**VERSIONS["intersection"]["v1"], "action_delay": 2}
 def record(action_type: str, end_together: bool, late_v1: bool = False) -> RecordedEpisodes:
     """Drive an episode of every plan through the vector interface; cached."""
     arguments = {"action_type": action_type, "end_together": end_together, **(LATE_V1 if late_v1 else {})}
-    env = make_vector(1, arguments)
-    actions = []
-    for number, plan in enumerate(PLANS.values()):
-        observations, _ = env.reset(seed=SEED if number == 0 else None, options=plan.options)
-        taken = []
-        infos: dict[str, Any] = {}
-        while "end" not in infos:
-            joint = [rule(observations[0, v], action_type) for v, rule in enumerate(plan.rules)]
-            taken.append(np.array(joint))
-            observations, _, _, _, infos = env.step(taken[-1][None])
-        actions.append(np.array(taken))
-    return RecordedEpisodes(arguments, [plan.options for plan in PLANS.values()], actions)
+    return _driven("intersection", arguments, [(plan.rules, plan.options) for plan in PLANS.values()], action_type)
 
 
 @functools.cache
 def record_roundabout(vehicles: int, cars: int) -> RecordedEpisodes:
     """Drive three episodes at the roundabout without giving way: some arrive, some collide; cached."""
     arguments = {"vehicles": vehicles, "cars": cars, "time_limit": 30.0, "charge_remaining_time": True}
-    env = make_vector(1, arguments, "roundabout")
+    return _driven("roundabout", arguments, [((pursue,) * vehicles, None)] * 3, "discrete")
+
+
+def _driven(
+    scenario: str, arguments: dict[str, Any], plans: list[tuple[tuple[DrivingRule, ...], Any]], action_type: str
+) -> RecordedEpisodes:
+    """An episode of every plan: the rules of the vehicles, and reset options."""
+    env = make_vector(1, arguments, scenario)
     actions = []
-    for number in range(3):
-        observations, _ = env.reset(seed=SEED if number == 0 else None)
+    for number, (rules, options) in enumerate(plans):
+        observations, _ = env.reset(seed=SEED if number == 0 else None, options=options)
         taken = []
         infos: dict[str, Any] = {}
         while "end" not in infos:
-            taken.append(np.array([pursue(observations[0, v], "discrete") for v in range(vehicles)]))
+            taken.append(np.array([rule(observations[0, v], action_type) for v, rule in enumerate(rules)]))
             observations, _, _, _, infos = env.step(taken[-1][None])
         actions.append(np.array(taken))
-    return RecordedEpisodes(arguments, [None] * 3, actions, "roundabout")
+    return RecordedEpisodes(arguments, [options for _, options in plans], actions, scenario)
 
 
 # ----------------------------------------------------------------------------------------------------------- replays
@@ -335,18 +330,3 @@ INTERFACES: dict[str, Callable[[RecordedEpisodes], list[EpisodeReports]]] = {
     "parallel that keeps finished vehicles": functools.partial(replay_parallel, keep_finished=True),
     "AEC": replay_aec,
 }
-
-
-def assert_same(episodes: list[EpisodeReports], others: list[EpisodeReports]) -> None:
-    """The reports are the same, observations and rewards bit for bit."""
-    assert len(episodes) == len(others)
-    for episode, other in zip(episodes, others, strict=True):
-        for vehicle, (mine, theirs) in enumerate(zip(episode, other, strict=True)):
-            assert [report.end for report in mine] == [report.end for report in theirs], vehicle
-            for one, two in zip(mine, theirs, strict=True):
-                assert one.observation.dtype == two.observation.dtype == np.float32
-                assert one.reward.dtype == two.reward.dtype == np.float32
-                assert one.observation.tobytes() == two.observation.tobytes()
-                assert one.reward.tobytes() == two.reward.tobytes()
-                assert (one.terminated, one.truncated) == (two.terminated, two.truncated)
-                assert type(one.terminated) is type(two.terminated) is bool

@@ -12,7 +12,7 @@ from typing import Any
 from algorithms.reporting.training_log import MetricsFile
 from algorithms.runs.config import load_experiment
 from algorithms.runs.jobs import Job
-from algorithms.runs.run_directory import record_files
+from algorithms.runs.run_directory import file_hashes
 from algorithms.studies.execution import Backend
 from algorithms.studies.manifest import ManifestRow, run_id, write_manifest
 from tests.helpers.paths import REPOSITORY
@@ -89,7 +89,7 @@ def record(sweep: Path, row: ManifestRow) -> None:
     """Record the files of a finished run in its status, as training does."""
     path = sweep / row.directory / "status.json"
     status = json.loads(path.read_text())
-    path.write_text(json.dumps({**status, "files": record_files(path.parent)}))
+    path.write_text(json.dumps({**status, "files": file_hashes(path.parent)}))
 
 
 def scores_of(row: ManifestRow) -> float:

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from algorithms.studies.paper import load_paper
-from algorithms.studies.paper_claims import PaperResults
+from algorithms.studies.paper import PaperResults, load_paper
 from algorithms.studies.settings import Study
 from mo_deepdrive.suite import Row
 from tests.helpers.paths import REPOSITORY

@@ -7,8 +7,8 @@ from typing import Any
 import torch
 
 from algorithms.runs.build import build
-from algorithms.runs.config import make_experiment
-from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT
+from algorithms.runs.config import Experiment, make_experiment
+from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, ROUNDABOUT, SEA
 
 # Algorithm, environment, its arguments, and what differs from the defaults.
 LEARNERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
@@ -36,21 +36,32 @@ LEARNERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
     ),
     "conditioned, two vehicles": ("conditioned_mo_ppo", INTERSECTION, {}, {}),
 }
-UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
+UTILITIES = {
+    ONE_WAYPOINT: "one_waypoint_linear",
+    INTERSECTION: "intersection_linear",
+    ROUNDABOUT: "roundabout_linear",
+}
 TOTAL = 320
 
 
-def trainer(name: str, seeds: list[int], device: str = "cpu", *, compiled: bool = False, **training: Any) -> Any:
-    """An agent of small networks and short episodes."""
-    algorithm, env_id, arguments, hyperparameters = LEARNERS[name]
+def short_experiment(
+    algorithm: str, env_id: str, arguments: dict[str, Any], hyperparameters: dict[str, Any], **training: Any
+) -> Experiment:
+    """Small networks and short episodes."""
+    steps = {} if algorithm == "pcn" else {"steps": 8}
     values: dict[str, Any] = {
-        "environment": {"id": env_id, "arguments": {"time_limit": 1.5, **arguments}},
-        "algorithm": {"name": algorithm, "hidden": [16], "steps": 8, "learning_rate": 1e-2, **hyperparameters},
-        "training": {"total_timesteps": TOTAL, "num_envs": 8, "compiled": compiled, **training},
+        "environment": {"id": env_id, "arguments": {} if env_id == SEA else {"time_limit": 1.5, **arguments}},
+        "algorithm": {"name": algorithm, "hidden": [16], "learning_rate": 1e-2, **steps, **hyperparameters},
+        "training": {"total_timesteps": TOTAL, "num_envs": 8, "compiled": False, **training},
     }
-    if algorithm != "conditioned_mo_ppo":
+    if algorithm not in ("conditioned_mo_ppo", "pcn"):
         values["utility"] = {"name": UTILITIES[env_id]}
-    return build(make_experiment(values), seeds=seeds, device=device)
+    return make_experiment(values)
+
+
+def trainer(name: str, seeds: list[int], device: str = "cpu", **training: Any) -> Any:
+    """An agent of several seeds."""
+    return build(short_experiment(*LEARNERS[name], **training), seeds=seeds, device=device)
 
 
 def trained(agent: Any, total: int = TOTAL, **options: Any) -> list[list[dict[str, float]]]:

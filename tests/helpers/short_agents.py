@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
-
-import torch
 
 from algorithms.runs.build import build
 from algorithms.runs.config import make_experiment
@@ -31,16 +28,3 @@ def trained(experiment: Any) -> Any:
     agent = build(experiment)
     agent.train(STEPS)
     return agent
-
-
-def check_resumed(experiment: Any, path: Path) -> None:
-    """Check that an agent that is saved to ``path`` half-way and resumed is that of a run without interruption."""
-    whole = trained(experiment)
-    part = build(experiment)
-    part.train(STEPS, after_update=lambda agent: agent.step >= 192)
-    part.save(path)
-    resumed = build(experiment)
-    resumed.load(path)
-    resumed.train(STEPS)
-    for key, tensor in whole.get_state().items():
-        assert torch.equal(tensor, resumed.get_state()[key]), key

@@ -122,7 +122,9 @@ def test_nlmoppo_trains(envs: Callable[[], Any]) -> None:
     small = {"total_timesteps": STEPS, "num_steps": 16, "num_minibatches": 1, "update_epochs": 1}
     agent = of_library("single_policy.ser.nl_mo_ppo:NLMOPPO")(0, envs(), **small, **TORCH)
     agent.policy_evaluate = functools.partial(agent.policy_evaluate, eval_episodes=1)
-    agent.train(discrete(), u_func=lambda returns: returns.sum(-1))
+    returns = np.asarray(agent.train(discrete(), u_func=lambda returns: returns.sum(-1)))
+    assert returns.shape == (4,)
+    assert np.isfinite(returns).all()
 
 
 @pytest.mark.parametrize("name", ["MOSAC", "MOSACDiscrete", "MOPPO"])

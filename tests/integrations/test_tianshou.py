@@ -26,68 +26,49 @@ def numeric(**options: Any) -> Any:
     return WithoutTexts(scalar(**options))
 
 
-def train_dqn(make: Any) -> Any:
-    from tianshou.algorithm import DQN
+def untrained_policy(env: Any, **arguments: Any) -> Any:
     from tianshou.algorithm.modelfree.dqn import DiscreteQLearningPolicy
-    from tianshou.algorithm.optim import AdamOptimizerFactory
-    from tianshou.trainer import OffPolicyTrainerParams
     from tianshou.utils.net.common import Net
 
-    env = make()
-    policy = DiscreteQLearningPolicy(
-        model=Net(state_shape=env.observation_space.shape, action_shape=env.action_space.n, hidden_sizes=[8]),
-        action_space=env.action_space,
-        observation_space=env.observation_space,
-        eps_training=0.1,
-    )
-    algorithm = DQN(policy=policy, optim=AdamOptimizerFactory(lr=1e-3), gamma=0.99, target_update_freq=10)
-    return train(
-        algorithm,
-        make,
-        OffPolicyTrainerParams,
-        collection_step_num_env_steps=20,
-        batch_size=16,
-        update_step_num_gradient_steps_per_sample=0.1,
-    )
-
-
-def train(algorithm: Any, make: Any, parameters: Any, **options: Any) -> Any:
-    """The result of one short epoch in two environments, with Tianshou's trainer."""
-    from tianshou.data import Collector, VectorReplayBuffer
-    from tianshou.env import DummyVectorEnv
-
-    training = Collector(algorithm, DummyVectorEnv([make] * 2), VectorReplayBuffer(500, 2), exploration_noise=True)
-    training.reset()
-    return algorithm.run_training(
-        parameters(
-            training_collector=training,
-            test_collector=Collector(algorithm, DummyVectorEnv([make] * 2)),
-            max_epochs=1,
-            epoch_num_steps=200,
-            test_step_num_episodes=2,
-            show_progress=False,
-            verbose=False,
-            **options,
-        )
-    )
+    net = Net(state_shape=env.observation_space.shape, action_shape=env.action_space.n, hidden_sizes=[8])
+    spaces = {"action_space": env.action_space, "observation_space": env.observation_space}
+    return DiscreteQLearningPolicy(model=net, **spaces, **arguments)
 
 
 def test_its_algorithms_train_if_infos_have_no_texts() -> None:
-    result = train_dqn(numeric)
+    from tianshou.algorithm import DQN
+    from tianshou.algorithm.optim import AdamOptimizerFactory
+    from tianshou.data import Collector, VectorReplayBuffer
+    from tianshou.env import DummyVectorEnv
+    from tianshou.trainer import OffPolicyTrainerParams
+
+    policy = untrained_policy(numeric(), eps_training=0.1)
+    algorithm = DQN(policy=policy, optim=AdamOptimizerFactory(lr=1e-3), gamma=0.99, target_update_freq=10)
+    training = Collector(algorithm, DummyVectorEnv([numeric] * 2), VectorReplayBuffer(500, 2), exploration_noise=True)
+    training.reset()
+    result = algorithm.run_training(
+        OffPolicyTrainerParams(
+            training_collector=training,
+            test_collector=Collector(algorithm, DummyVectorEnv([numeric] * 2)),
+            max_epochs=1,
+            epoch_num_steps=200,
+            collection_step_num_env_steps=20,
+            batch_size=16,
+            update_step_num_gradient_steps_per_sample=0.1,
+            test_step_num_episodes=2,
+            show_progress=False,
+            verbose=False,
+        )
+    )
     assert result.train_step >= 200
     assert np.isfinite(result.best_reward)
 
 
 def test_a_collector_keeps_vector_rewards() -> None:
-    from tianshou.algorithm.modelfree.dqn import DiscreteQLearningPolicy
     from tianshou.data import Collector, VectorReplayBuffer
     from tianshou.env import DummyVectorEnv
-    from tianshou.utils.net.common import Net
 
-    env = single()
-    net = Net(state_shape=env.observation_space.shape, action_shape=env.action_space.n, hidden_sizes=[8])
-    policy = DiscreteQLearningPolicy(model=net, action_space=env.action_space, observation_space=env.observation_space)
-    collector = Collector(policy, DummyVectorEnv([single] * 2), VectorReplayBuffer(200, 2))
+    collector = Collector(untrained_policy(single()), DummyVectorEnv([single] * 2), VectorReplayBuffer(200, 2))
     collector.reset()
     statistics = collector.collect(n_step=100)
     assert collector.buffer.rew.shape == (200, 4)

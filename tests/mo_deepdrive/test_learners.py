@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,7 +10,6 @@ import pytest
 import algorithms
 import algorithms.learning.actors
 from mo_deepdrive import learners
-from tests.helpers.paths import REPOSITORY
 
 LEARNS = """
 import numpy as np
@@ -28,29 +25,16 @@ print(type(policy).__module__)
 MINE = "from algorithms import mine\nfrom algorithms.ppo import PPO\nprint(PPO)\n"
 
 
-def printed(folder: Path, script: str) -> list[str]:
-    """What a script in ``folder`` prints, where Python looks for packages before all others."""
-    (folder / "main.py").write_text(script)
-    done = subprocess.run(
-        [sys.executable, "main.py"],
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("script", [LEARNS + MINE, MINE + LEARNS], ids=["ours first", "theirs first"])
-def test_a_project_with_a_package_algorithms_uses_both(tmp_path: Path, script: str) -> None:
+def test_a_project_with_a_package_algorithms_uses_both(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_python: Callable[[str], str], script: str
+) -> None:
+    monkeypatch.chdir(tmp_path)  # where Python looks for packages before all other folders
     (tmp_path / "algorithms").mkdir()
     for name, text in (("__init__", ""), ("mine", ""), ("ppo", "PPO = 'their PPO'")):
         (tmp_path / "algorithms" / f"{name}.py").write_text(text)
-    assert sorted(printed(tmp_path, script)) == ["mo_deepdrive.learners.ppo", "their PPO"]
+    assert sorted(run_python(script).splitlines()) == ["mo_deepdrive.learners.ppo", "their PPO"]
 
 
 def test_where_no_other_package_has_the_name_both_names_are_the_same_modules() -> None:
@@ -64,6 +48,6 @@ def test_where_no_other_package_has_the_name_both_names_are_the_same_modules() -
         import mo_deepdrive.learners.dqn  # noqa: F401
 
 
-def test_importing_the_name_imports_no_algorithm(tmp_path: Path) -> None:
+def test_importing_the_name_imports_no_algorithm(run_python: Callable[[str], str]) -> None:
     script = "import sys, mo_deepdrive.learners\nprint('torch' in sys.modules, len(mo_deepdrive.learners.ALGORITHMS))"
-    assert printed(tmp_path, script) == ["False 8"]
+    assert run_python(script) == "False 8\n"

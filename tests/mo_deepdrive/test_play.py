@@ -1,4 +1,4 @@
-"""Driving by hand: keys as actions, and people in an environment."""
+"""Driving by hand: keys as actions, people in an environment, and a policy that drives the other vehicle."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
+from algorithms import MOA2C
+from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.play import (
     END_HOLD,
     FRAMES_PER_DECISION,
@@ -18,6 +22,7 @@ from mo_deepdrive.play import (
     make_play_env,
 )
 from mo_deepdrive.simulation.state import VEHICLE
+from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.world.actions import action_names
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
@@ -161,3 +166,40 @@ def test_a_restarted_episode_has_the_same_scenario() -> None:
     assert (terminated, truncated, info) == (False, True, {})
     human_env.reset()
     assert vehicles(human_env).tobytes() == beginning.tobytes()
+
+
+# ----------------------------------------------------------------------------------------------------------- policies
+
+
+def make_agent(**arguments: Any) -> MOA2C:
+    """An agent whose policy depends on the observation."""
+    env = make_env(TWO, 4, arguments)
+    utility = make_utility("intersection_linear", env.unwrapped.objectives)  # type: ignore[attr-defined]
+    agent = MOA2C(env, utility, steps=8, hidden=[8], learning_rate=0.01)
+    agent.train(128)
+    return agent
+
+
+# Exactly as it does without a person in the environment.
+@pytest.mark.slow
+@pytest.mark.parametrize("action_type", ["discrete", "continuous"])
+@pytest.mark.parametrize("mine", [0, 1])
+def test_a_policy_drives_the_other_vehicle_as_it_would_without_a_person(mine: int, action_type: str) -> None:
+    agent = make_agent(action_type=action_type, time_limit=3)
+    env = make_play_env(TWO, action_type=action_type, time_limit=3)
+    human_env = HumanPlayEnv(env, (mine,), policy=agent, generator=torch.Generator().manual_seed(5))
+    human_env.reset(seed=1)
+    for _ in range(20 * FRAMES_PER_DECISION):
+        human_env.step(pressed(NOTHING))
+    driven = env.batch.state[0].copy()
+
+    generator = torch.Generator().manual_seed(5)
+    observations, _ = env.reset(seed=1)
+    accrued_reward = AccruedReward.begin(1, 2, env.reward_dim)
+    for _ in range(20):
+        actions = agent.env.environment_actions(agent.act(observations, accrued_reward, generator))
+        actions[0, mine] = 0 if action_type == "discrete" else (0.0, 0.0, -1.0)
+        observations, rewards, *_ = env.step(actions)
+        accrued_reward.add(rewards, agent.gamma)
+    assert driven.tobytes() == env.batch.state[0].tobytes()
+    assert driven[1 - mine].travelled > 0.0

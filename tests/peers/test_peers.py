@@ -28,29 +28,24 @@ STEPS = 300
 GAMMA = 0.99
 
 # Minimal networks and batches: these tests check the interfaces, not learning.
+CONDITIONED = {
+    "arguments": {"hidden_dim": 8, "batch_size": 8},
+    "train_arguments": {"num_er_episodes": 3, "num_step_episodes": 1, "num_model_updates": 2},
+}
+GPI_LS = {
+    "policies": 5,
+    "arguments": {"net_arch": [8, 8], "batch_size": 4, "gradient_updates": 1},
+    "train_arguments": {"timesteps_per_iter": 150},
+}
 SMALL: dict[str, dict[str, Any]] = {
-    "morl_baselines.pcn": {
-        "arguments": {"hidden_dim": 8, "batch_size": 8},
-        "train_arguments": {"num_er_episodes": 3, "num_step_episodes": 1, "num_model_updates": 2},
-    },
-    "morl_baselines.lcn": {
-        "arguments": {"hidden_dim": 8, "batch_size": 8},
-        "train_arguments": {"num_er_episodes": 3, "num_step_episodes": 1, "num_model_updates": 2},
-    },
+    "morl_baselines.pcn": CONDITIONED,
+    "morl_baselines.lcn": CONDITIONED,
     "morl_baselines.envelope": {
         "policies": 5,
         "arguments": {"net_arch": [8], "batch_size": 4, "num_sample_w": 2},
     },
-    "morl_baselines.gpi_ls": {
-        "policies": 5,
-        "arguments": {"net_arch": [8, 8], "batch_size": 4, "gradient_updates": 1},
-        "train_arguments": {"timesteps_per_iter": 150},
-    },
-    "morl_baselines.gpi_ls_continuous": {
-        "policies": 5,
-        "arguments": {"net_arch": [8, 8], "batch_size": 4, "gradient_updates": 1},
-        "train_arguments": {"timesteps_per_iter": 150},
-    },
+    "morl_baselines.gpi_ls": GPI_LS,
+    "morl_baselines.gpi_ls_continuous": GPI_LS,
     "morl_baselines.capql": {
         "policies": 5,
         "arguments": {"net_arch": [8, 8], "batch_size": 4, "learning_starts": 50},

@@ -14,12 +14,12 @@ from mo_gymnasium.wrappers import LinearReward
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.envs.parallel import DrivingParallelEnv
 from mo_deepdrive.utilities import make_utility
+from tests.helpers.equality import assert_equal
 from tests.helpers.interfaces import (
     ACTION_TYPES,
     EpisodeReports,
     RecordedEpisodes,
     Report,
-    assert_same,
     first_reports,
     record,
     replay_parallel,
@@ -125,7 +125,7 @@ def replay_rllib(recording: RecordedEpisodes) -> list[EpisodeReports]:
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 def test_trajectories_are_those_of_the_parallel_environment_bit_for_bit(action_type: str, end_together: bool) -> None:
     recording = record(action_type, end_together)
-    assert_same(replay_rllib(recording), replay_parallel(recording))
+    assert_equal(replay_rllib(recording), replay_parallel(recording))
 
 
 # ---------------------------------------------------------------------------------------------------------- bad input

@@ -11,7 +11,7 @@ import pytest
 
 from algorithms import zoo
 from mo_deepdrive.support.yaml import dump
-from tests.helpers.made_up_sweeps import config_of, make_row, make_sweep
+from tests.helpers.made_up_sweeps import config_of
 from tests.helpers.script_runs import Call, refused
 
 HEADER = b"step,eval/greedy/utility_esr\n"
@@ -125,20 +125,3 @@ def test_a_front_that_cannot_be_read_is_left_out_of_the_explorer(call: Call, tmp
     for folder in folders:
         refused(call("choose", folder, "--weights", "distance=1"), folder)
     refused(call("explore", *folders, "--output", "page.html"), "none of the runs has a front that can be read")
-
-
-@pytest.mark.slow
-def test_damaged_runs_do_not_take_down_their_sweep(call: Call, tmp_path: Path) -> None:
-    sweep, base = tmp_path / "sweep", config_of("one_waypoint/mo_a2c_linear")
-    count = len(SCORES) + 1
-    rows = make_sweep(sweep, [make_row(base, {}, seed) for seed in range(count)], points=3)
-    broken = 0
-    for name, faults in (("metrics.csv", METRICS), ("evaluation.json", SCORES)):
-        broken += len(faults)
-        for row, (content, _) in zip(rows[1:], faults.values(), strict=False):
-            damage(sweep / row.directory / name, content)
-        code, out, error = call("table", sweep, "--output", "t.csv")
-        assert code == 0
-        assert (f"{count - len(faults)} of {count}" in out) is (name == "evaluation.json")
-        assert error.startswith(f"left out: {broken} files cannot be read: ")
-        assert error.count("\n") == 1

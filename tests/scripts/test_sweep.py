@@ -182,7 +182,7 @@ def cut(path: Path, size: int) -> None:
 
 DAMAGES: dict[str, Callable[[Path], None]] = {
     "checkpoint.safetensors: missing": lambda run: (run / "checkpoint.safetensors").unlink(),
-    "metrics.csv: 100 bytes, recorded ": lambda run: cut(run / "metrics.csv", 100),
+    "metrics.csv: changed since the run finished": lambda run: cut(run / "metrics.csv", 100),
     "config.yaml: changed since the run finished": lambda run: edit(run / "config.yaml", "gamma: 0.99", "gamma: 0.98"),
     "evaluation.json: missing": lambda run: (run / "evaluation.json").unlink(),
 }

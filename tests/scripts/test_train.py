@@ -6,7 +6,6 @@ import errno
 import json
 import os
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ import pytest
 import yaml
 
 from algorithms.reporting import videos
-from algorithms.reporting.fronts import FrontsFile
 from algorithms.reporting.training_log import read_metrics
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.pareto import hypervolume, non_dominated
@@ -23,7 +21,6 @@ from tests.helpers.script_runs import (
     FRONT_RESULTS,
     PICTURES,
     RESULTS,
-    SEA_FRONT,
     TREASURE,
     Call,
     copied,
@@ -190,52 +187,6 @@ def test_a_run_of_a_front_leaves_everything_in_its_directory(finished_front: Pat
     assert numbers["cardinality"] == len(front)
     assert numbers["hypervolume"] == pytest.approx(hypervolume(front.discounted, about["reference_point"]))
     assert numbers["success"] == 0.0
-
-
-def stop_at(monkeypatch: pytest.MonkeyPatch, step: int, happens: Callable[[], None]) -> None:
-    """Call ``happens`` when the first front past ``step`` has been written."""
-    write = FrontsFile.write_front
-
-    def spy(self: FrontsFile, at: int, front: Front) -> None:
-        write(self, at, front)
-        if at >= step:
-            happens()
-
-    monkeypatch.setattr(FrontsFile, "write_front", spy)
-
-
-def crash() -> None:
-    raise OSError(errno.ENOSPC, "No space left on device")
-
-
-@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-def test_an_interrupted_and_resumed_run_of_a_front_is_the_same_run(
-    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("algorithms.reporting.videos.write_video_grid", lambda *arguments, **options: None)
-    monkeypatch.setattr("algorithms.reporting.explorer.plots.draw_front", lambda *arguments, **options: None)
-    (tmp_path / "front.yaml").write_text(SEA_FRONT)
-    run, whole = tmp_path / "run", tmp_path / "whole"
-    first = ["--config", "front.yaml", "--output", run]
-    total, steps = 2000, [0]
-    for arguments, part, happens, expected in (
-        (first, 0.2, lambda: signal.raise_signal(signal.SIGINT), 130),
-        (["--resume", run], 0.4, crash, 1),
-        (["--resume", run], 0.7, lambda: signal.raise_signal(signal.SIGTERM), 143),
-    ):
-        with monkeypatch.context() as context:
-            stop_at(context, int(part * total), happens)
-            code, out, error = call("train", *arguments)
-        assert code == expected, out + error
-        steps.append(status(run)["step"])
-        assert steps[-2] <= steps[-1] < total
-    assert steps[1] > 0
-    assert steps[3] > steps[1]
-    code, out, error = call("train", "--resume", run)
-    assert code == 0, out + error
-    assert call("train", "--config", "front.yaml", "--output", whole)[0] == 0
-
-    assert_same_run(run, whole, ("fronts.csv", "front.csv", "evaluation.json"))
 
 
 def test_a_run_of_a_sweep_is_not_trained_longer(finished: Path, tmp_path: Path, call: Call) -> None:

@@ -42,7 +42,7 @@ MARGIN = 5.0  # m that the map shows around the drives
 
 
 class DiscountedReturns(NamedTuple):
-    """Returns (K, E, d) of a front's episodes with a discount factor, and the best-known ones (k, d) if any."""
+    """Returns (K, E, d) of a front's episodes with a discount factor, and the best-known ones (k, d)."""
 
     gamma: float
     returns: NDArray[np.float64]
@@ -56,7 +56,7 @@ class ExplorableFront:
     title: str
     objectives: tuple[str, ...]
     returns: NDArray[np.float64]  # (K, E, d) undiscounted, of E episodes of each policy
-    scales: NDArray[np.float64]  # (d,) nominal, for mo_deepdrive.evaluation.choice.rank_policies
+    scales: NDArray[np.float64]  # (d,) nominal, for algorithms.commands.choose.rank_policies
     signs: NDArray[np.float64]  # (d,) +1 or -1, by which a return is multiplied to get a magnitude
     success: NDArray[np.float64]  # (K,) share of the episodes that arrived; NaN where that is not known
     lengths: NDArray[np.float64]  # (K,) mean number of decisions
@@ -132,11 +132,7 @@ def explorable_front(
     title: str,
     command: str,
 ) -> ExplorableFront:
-    """The front of a trained agent with new episodes of all its policies, and drives in the first scenarios.
-
-    The evaluations are of the policies of the front, in ``environment``, from ``seed`` on and with the discount factor
-    ``gamma``; title and command are those of :class:`ExplorableFront`.
-    """
+    """The front of a trained agent with new episodes of all its policies, from ``seed`` on, and drives in the first."""
     returns = np.stack([evaluation.joint_returns for evaluation in evaluations])
     discounted = np.stack([evaluation.joint_discounted for evaluation in evaluations])
     arrived = np.array([evaluation.joint_succeeded.mean() for evaluation in evaluations])
@@ -147,7 +143,7 @@ def explorable_front(
     names = tuple(map(without_vehicle, front.objectives))
     budget_name, budget = _budget(find_spec(environment.id).kwargs.get("scenario"), front.objectives)
     driven = returns.shape[1]
-    how = f"{driven} episodes of each policy" if driven > 1 else "Every episode is the same, so one is driven"
+    measured = f"{driven} episodes of each policy" if driven > 1 else "Every episode is the same, so one is driven"
     scenes: list[Scene] = []
     if is_drivable(environment.id):
         seeds = range(seed, seed + min(driven, SCENARIOS_SHOWN))
@@ -163,7 +159,7 @@ def explorable_front(
         success=np.where(np.isfinite(front.success), arrived, np.nan),
         lengths=np.array([evaluation.joint_lengths.mean() for evaluation in evaluations]),
         command=command,
-        note=f"{how}, from seed {seed} on.",
+        note=f"{measured}, from seed {seed} on.",
         best_known=best_known,
         discounted=DiscountedReturns(gamma, discounted, best_discounted) if gamma < 1.0 else None,
         scenes=tuple(scenes),
@@ -253,8 +249,7 @@ def scene_to_json(scene: Scene) -> dict[str, Any]:
 def drive_to_json(drive: Drive) -> dict[str, Any]:
     """A drive as whole numbers: every reading in units of RESOLUTION, first itself and then its differences.
 
-    The sum of the first n + 1 numbers times the resolution is the reading after n decisions, rounded once. Readings of
-    a vehicle are stored up to its end, poses of cars up to the last one; where a car is absent there is None.
+    Readings of a vehicle are stored up to its end, poses of cars up to the last one; where a car is absent is None.
     """
 
     def series(columns: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, list[int | None]]:

@@ -6,7 +6,7 @@ they drive, is on the page beside them.
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -47,35 +47,35 @@ PAPER_NAMES = {"g_force": "comfort", "jerk": "smoothness"}
 def draw_front(
     front: Front, directory: str | Path, *, reference_front: NDArray[np.float64] | None = None, title: str = ""
 ) -> list[Path]:
-    """Draw a front into ``directory``: importance, reduction and scatter, all ``.png``.
+    """Draw a front into ``directory``: importance, reduction and scatter, all ``.png``; returns the files.
 
     Of more than MOST_PAIRED objectives there is no scatter; of more than MOST_DRAWN, those of several vehicles, there
     is importance alone. A policy's number is its row in ``front.csv``. Returns are discounted, as they determine
-    dominance, and so is ``reference_front`` (k, d), which is drawn behind the front. Returns the files.
+    dominance, and so is ``reference_front`` (k, d), which is drawn behind the front.
     """
     view = FrontView(front, title)
     d = len(front.objectives)
-    if reference_front is not None:
-        reference_front = np.asarray(reference_front, dtype=np.float64)
-        if reference_front.ndim != 2 or reference_front.shape[1] != d or not len(reference_front):
-            raise ValueError(f"reference_front has shape {reference_front.shape}; it must be (k, {d}), k at least 1")
+    paths = []
     with figure_style({"text.parse_math": False}):
-        figures = {"importance": _importance(view)}
-        if d <= MOST_DRAWN:
-            figures["reduction"] = _reduction(view)
-        if d <= MOST_PAIRED:
-            figures["scatter"] = _scatter(view, reference_front)
-        paths = {Path(directory) / f"{name}.png": figure for name, figure in figures.items()}
-        for path, figure in paths.items():
-            save_figure(figure, path)
-    return list(paths)
+        for name, most, draw in (
+            ("importance", d, _importance),
+            ("reduction", MOST_DRAWN, _reduction),
+            ("scatter", MOST_PAIRED, partial(_scatter, reference_front=reference_front)),
+        ):
+            if d <= most:
+                paths.append(Path(directory) / f"{name}.png")
+                save_figure(draw(view), paths[-1])
+    return paths
 
 
 def _importance(view: FrontView) -> Figure:
     """A row of bars per objective: where each policy is between the front's worst and its best."""
     front, shown = view.front, view.representatives()
+    known = [OBJECTIVES[INDEX[name]].sign for name in map(without_vehicle, front.objectives) if name in INDEX]
     notes = (
-        view.returns_note,
+        f"mean discounted (gamma {front.gamma:g}) returns of {front.episodes} episode"
+        f"{'' if front.episodes == 1 else 's'} per policy{', sums over decisions' if known else ''}"
+        f"{', costs negative' if -1 in known else ''}",
         view.policies_note(shown) + (f", by {view.leading_name}" if len(front) > 1 else ""),
         f"0 and 1: the worst and the best of the {len(front)}" if len(front) > 1 else "",
         view.colour_note,
@@ -104,11 +104,11 @@ def _importance(view: FrontView) -> Figure:
             axis.text(x, height + 0.03, f"{height:.2f}", ha="center", va="bottom", fontsize=8)
         axis.set_yticks([0, 1], [f"{worst} = 0", f"{best} = 1"])
         axis.axhline(1.0, color=GRID, linewidth=0.8, zorder=1)
-    known = view.arrived is not None
-    ticks = [f"{policy}\n{front.success[policy]:.0%}" if known else str(policy) for policy in shown]
+    arrivals = view.arrived is not None
+    ticks = [f"{policy}\n{front.success[policy]:.0%}" if arrivals else str(policy) for policy in shown]
     axes[-1].set_xticks(range(n), ticks, color=INK)
     axes[-1].set_xlim(n / 2 - max(n, 6) / 2 - 0.6, n / 2 + max(n, 6) / 2 - 0.4)
-    axes[-1].set_xlabel("policy" + (", and share of its episodes that arrive" if known else ""))
+    axes[-1].set_xlabel("policy" + (", and share of its episodes that arrive" if arrivals else ""))
     return figure
 
 
@@ -121,7 +121,7 @@ def _reduction(view: FrontView) -> Figure:
         "each objective from 0, the front's worst, to 1, its best",
         view.policies_note(shown),
     )
-    figure = view.figure((10.4, 5.2), "the front in two dimensions", notes, view.dot_legend)
+    figure = view.figure((10.4, 5.2), "the front in two dimensions", notes, view.dot_legend())
     axis, compass = figure.subplots(1, 2, width_ratios=(2.6, 1.0))
     view.draw_dots(axis, components.points, 44)
     axis.margins(0.1)
@@ -162,7 +162,7 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
     front = view.front
     d = len(front.objectives)
     panel = {2: 5.2, 3: 3.4, 4: 2.7}.get(d, 2.3)  # inches
-    handles = view.dot_legend
+    handles = view.dot_legend()
     if reference_front is not None:
         name = f"best-known front ({len(reference_front)} point{'' if len(reference_front) == 1 else 's'})"
         handles.append(Line2D([], [], color=FAINT, marker="D", linestyle="", markersize=5, label=name))
@@ -234,31 +234,17 @@ class FrontView:
             raise ValueError(f"the front has the objectives {list(names)}; figures of a front need at least two")
         self.front, self.title = front, title
         self.leading = names.index(LEADING) if LEADING in names else 0  # it orders and colours policies
+        self.leading_name = name_and_unit(names[self.leading])[0]
         # (K, d); policies that differ in when they arrive alone have the same undiscounted returns.
         self.importance = importance(front.discounted)
-
-    @property
-    def leading_name(self) -> str:
-        """Plain name of the leading objective."""
-        return name_and_unit(self.front.objectives[self.leading])[0]
-
-    @property
-    def coloured(self) -> bool:
-        """Whether colours mean anything: whether policies differ in the leading objective."""
-        return bool(np.isfinite(self.importance[:, self.leading]).all())
-
-    @property
-    def colour_note(self) -> str:
-        """What colours mean; empty where they mean nothing."""
-        return f"colour: discounted {self.leading_name}" if self.coloured else ""
-
-    @property
-    def returns_note(self) -> str:
-        """What the numbers are."""
-        known = [OBJECTIVES[INDEX[name]].sign for name in map(without_vehicle, self.front.objectives) if name in INDEX]
-        episodes = f"{self.front.episodes} episode{'' if self.front.episodes == 1 else 's'} per policy"
-        note = f"mean discounted (gamma {self.front.gamma:g}) returns of {episodes}"
-        return note + (", sums over decisions" if known else "") + (", costs negative" if -1 in known else "")
+        # Colours mean nothing where policies do not differ in the leading objective.
+        self.coloured = bool(np.isfinite(self.importance[:, self.leading]).all())
+        self.colour_note = f"colour: discounted {self.leading_name}" if self.coloured else ""
+        values = front.discounted[:, self.leading]
+        self.mappable = ScalarMappable(Normalize(float(values.min()), float(values.max())), COLOUR_MAP)
+        self.colours = np.asarray(self.mappable.to_rgba(values))  # (K, 4) RGBA
+        # (K,) whether a policy arrives in at least half of its episodes; None unless that is known for all.
+        self.arrived = front.success >= 0.5 if np.isfinite(front.success).all() else None
 
     def policies_note(self, shown: NDArray[np.intp]) -> str:
         """Which policies are numbered, and what the numbers are."""
@@ -268,7 +254,6 @@ class FrontView:
         chosen = f"all {k} policies" if len(shown) == k else f"{len(shown)} of {k} policies, spread over the front,"
         return f"{chosen} with their numbers in front.csv"
 
-    @property
     def dot_legend(self) -> list[Line2D]:
         """What filled and empty dots of :meth:`draw_dots` mean, as far as there are any."""
         if self.arrived is None:
@@ -306,22 +291,6 @@ class FrontView:
             bar = figure.colorbar(self.mappable, ax=axes, aspect=32, pad=0.02, fraction=0.05)
             bar.set_label(label(self.front.objectives[self.leading], "discounted"))
             bar.outline.set_visible(False)
-
-    @cached_property
-    def mappable(self) -> ScalarMappable:
-        """The mapping from the leading objective's discounted return to colours."""
-        values = self.front.discounted[:, self.leading]
-        return ScalarMappable(Normalize(float(values.min()), float(values.max())), COLOUR_MAP)
-
-    @cached_property
-    def colours(self) -> NDArray[np.float64]:
-        """(K, 4) RGBA colour of each policy."""
-        return np.asarray(self.mappable.to_rgba(self.front.discounted[:, self.leading]))
-
-    @cached_property
-    def arrived(self) -> NDArray[np.bool_] | None:
-        """(K,) whether a policy arrives in at least half of its episodes; None unless that is known for all."""
-        return self.front.success >= 0.5 if np.isfinite(self.front.success).all() else None
 
     def representatives(self, count: int = REPRESENTATIVES) -> NDArray[np.intp]:
         """Up to ``count`` policies that cover the front, ordered by the leading objective; more include fewer."""

@@ -1,4 +1,4 @@
-// The rules by which `mo-deepdrive choose` orders policies (mo_deepdrive/evaluation/choice.py), on the same numbers.
+// The rules by which `mo-deepdrive choose` orders policies (algorithms/commands/choose.py), on the same numbers.
 
 const sum = (numbers) => numbers.reduce((total, each) => total + each, 0);
 const mean = (numbers) => sum(numbers) / numbers.length;

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from algorithms.learning.advantages import generalised_advantages, normalise, utility_gradient
-from tests.helpers.advantage_data import CROOKED, collections
+from mo_deepdrive.utilities import Utility
+
+CROOKED = Utility(
+    "crooked",
+    ("a", "b", "c"),
+    lambda returns: returns[..., 0] * returns[..., 1] - 0.1 * returns[..., 2] ** 2 + returns[..., 0],
+)
+
+
+@st.composite
+def collections(draw: st.DrawFn) -> dict[str, torch.Tensor]:
+    """Random rewards, weights and ends of episodes (T, N)."""
+    shape = draw(st.integers(1, 12)), draw(st.integers(1, 3))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    ended = rng.random(shape) < draw(st.sampled_from([0.0, 0.2, 0.5, 1.0]))
+    arrays = {"rewards": rng.normal(size=shape), "weights": 1.0 + rng.random(shape), "ended": ended}
+    return {name: torch.tensor(array) for name, array in arrays.items()}
 
 
 @pytest.mark.slow
@@ -16,7 +33,7 @@ from tests.helpers.advantage_data import CROOKED, collections
 def test_generalised_advantages_adds_up_to_the_end_of_the_episode_like_a_double_loop(
     c: dict[str, torch.Tensor], decay: float
 ) -> None:
-    deltas, ended = c["rewards"][..., 0], c["going_on"].logical_not()
+    deltas, ended = c["rewards"], c["ended"]
     expected = torch.zeros_like(deltas)
     for n in range(deltas.shape[1]):
         for t in range(len(deltas)):
@@ -29,33 +46,6 @@ def test_generalised_advantages_adds_up_to_the_end_of_the_episode_like_a_double_
     torch.testing.assert_close(generalised_advantages(deltas, ended, decay), expected)
 
 
-@pytest.mark.slow
-@given(c=collections(), decay=st.floats(0.0, 1.0))
-def test_generalised_advantages_of_vectors_is_that_of_every_component(c: dict[str, torch.Tensor], decay: float) -> None:
-    together = generalised_advantages(c["rewards"], c["going_on"].logical_not().unsqueeze(-1), decay)
-    apart = [generalised_advantages(c["rewards"][..., i], c["going_on"].logical_not(), decay) for i in range(3)]
-    torch.testing.assert_close(together, torch.stack(apart, dim=-1))
-
-
-@given(c=collections())
-def test_with_lambda_one_the_advantage_is_the_monte_carlo_return_minus_the_value(c: dict[str, torch.Tensor]) -> None:
-    gamma = float(c["gamma"])
-    deltas = c["rewards"] + gamma * c["next_values"] - c["values"]
-    advantages = generalised_advantages(deltas, c["going_on"].logical_not().unsqueeze(-1), gamma)
-    steps, worlds, _ = deltas.shape
-    for n in range(worlds):
-        for t in range(steps):
-            outcome, k = torch.zeros(3, dtype=torch.float64), t
-            while True:
-                outcome = outcome + gamma ** (k - t) * c["rewards"][k, n]
-                if k == steps - 1 or not c["going_on"][k, n]:
-                    # Zero after termination: then this is the return of the episode and nothing else.
-                    outcome = outcome + gamma ** (k - t + 1) * c["next_values"][k, n]
-                    break
-                k += 1
-            torch.testing.assert_close(advantages[t, n], outcome - c["values"][t, n])
-
-
 @given(point=st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3))
 def test_the_gradient_of_a_nonlinear_utility_is_its_slope_at_the_expected_return(point: list[float]) -> None:
     a, b, c = point
@@ -65,8 +55,7 @@ def test_the_gradient_of_a_nonlinear_utility_is_its_slope_at_the_expected_return
 
 @given(c=collections())
 def test_normalised_advantages_have_mean_zero_and_deviation_one_under_the_weights(c: dict[str, torch.Tensor]) -> None:
-    advantages, steps = c["rewards"][..., 0], 1.0 + c["values"][..., 0].abs()
-    weights = steps / steps.sum()
+    advantages, weights = c["rewards"], c["weights"] / c["weights"].sum()
     pairs = list(zip(advantages.flatten().tolist(), weights.flatten().tolist(), strict=True))
     mean = sum(weight * advantage for advantage, weight in pairs)
     variance = sum(weight * (advantage - mean) ** 2 for advantage, weight in pairs)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -20,12 +19,9 @@ from algorithms.learning.collector import Collector, EnvWorlds, Running
 from algorithms.learning.storage import EpisodeSums, RolloutStorage
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.policy import AccruedReward
+from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, SEA, STATIC_OBSTACLE
 from tests.helpers.toy_env import toy_worlds
 
-ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
-STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"
-INTERSECTION = "mo-deepdrive-intersection-v0"
-SEA = "deep-sea-treasure-v0"
 Act = Callable[[np.ndarray, AccruedReward], np.ndarray]
 GAMMA = 0.95
 SEED = 2**32 + 17
@@ -180,6 +176,7 @@ SITUATIONS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 ALL = pytest.mark.parametrize("situation", SITUATIONS)
 TWO_VEHICLES = pytest.mark.parametrize("situation", [s for s in SITUATIONS if s.startswith("intersection")])
+OURS = pytest.mark.parametrize("situation", [s for s in SITUATIONS if "deepdrive" in SITUATIONS[s][0]])
 FOREIGN = pytest.mark.parametrize("situation", ["deep-sea-treasure", "minecart"])
 
 
@@ -234,29 +231,6 @@ def test_accrued_rewards_and_discounts_follow_their_recurrence_and_reset_after_e
                     total, age = np.zeros(d), 0
                 else:
                     total, age = total + GAMMA**age * rewards[t, i, k], age + 1
-
-
-@ALL
-def test_a_rollout_continues_the_previous_one(collected: Callable[[str], Collected], situation: str) -> None:
-    rollouts = collected(situation).rollouts
-    for before, after in itertools.pairwise(rollouts):
-        for name in ("inputs", "accrued", "discounts"):
-            assert torch.equal(getattr(before, name)[-1], getattr(after, name)[0])
-
-
-@FOREIGN
-def test_other_environments_are_masked_exactly_where_they_are_only_reset(
-    collected: Callable[[str], Collected], situation: str
-) -> None:
-    c = collected(situation)
-    acted, over = c.all("acted"), c.over
-    assert acted[0].all()
-    np.testing.assert_array_equal(acted[1:], ~over[:-1])
-    assert not acted.all()
-    assert not over[~acted].any()
-    assert not c.all("rewards")[~acted].any()
-    assert not c.all("accrued")[~acted].any()
-    assert (c.all("discounts")[~acted] == 1.0).all()
 
 
 @FOREIGN
@@ -379,7 +353,7 @@ def test_episodes_are_the_sums_of_their_steps_in_the_order_of_their_ends(
         np.testing.assert_allclose(c.episodes(name), plain, rtol=1e-4, atol=1e-3)
 
 
-@pytest.mark.parametrize("situation", [s for s in SITUATIONS if "deepdrive" in SITUATIONS[s][0]])
+@OURS
 def test_an_episode_has_succeeded_if_its_vehicle_arrived(collected: Callable[[str], Collected], situation: str) -> None:
     c = collected(situation)
     arrived = [episode.last_reward[DESTINATION] == 1.0 for episode in plain_episodes(c)]
@@ -390,9 +364,6 @@ def started(env_id: str, arguments: dict[str, Any], seed: int = SEED) -> Collect
     options = {name: value for name, value in arguments.items() if name not in ("policy", "rollouts")}
     adapter = EnvAdapter(make_env(env_id, 4, options))
     return collector_of(adapter, reflex(adapter), 17, seed)
-
-
-OURS = pytest.mark.parametrize("situation", [s for s in SITUATIONS if "deepdrive" in SITUATIONS[s][0]])
 
 
 @OURS

@@ -24,19 +24,6 @@ def linear_layers(network: nn.Module) -> list[nn.Linear]:
     return [module for module in network.modules() if isinstance(module, nn.Linear)]
 
 
-def test_a_network_is_linear_layers_with_relu_between_them() -> None:
-    network = mlp(15, [64, 32], 22, seeded(0), output_gain=1.0)
-    kinds = [nn.Linear, nn.ReLU, nn.Linear, nn.ReLU, nn.Linear]
-    assert all(isinstance(module, kind) for module, kind in zip(network, kinds, strict=True))
-    shapes = [(layer.in_features, layer.out_features) for layer in linear_layers(network)]
-    assert shapes == [(15, 64), (64, 32), (32, 22)]
-    x = torch.randn(10, 15, generator=seeded(1))
-    (first, second, third) = [(layer.weight, layer.bias) for layer in linear_layers(network)]
-    hidden = (x @ first[0].T + first[1]).clamp(min=0.0)
-    hidden = (hidden @ second[0].T + second[1]).clamp(min=0.0)
-    torch.testing.assert_close(network(x), hidden @ third[0].T + third[1])
-
-
 @pytest.mark.parametrize("hidden", [[], [7], [64, 32], [32, 64, 16]])
 def test_weights_begin_orthogonal_with_their_gains_and_biases_at_zero(hidden: list[int]) -> None:
     layers = linear_layers(mlp(15, hidden, 22, seeded(0), output_gain=0.01))

@@ -126,13 +126,11 @@ def test_a_video_of_an_environment_without_frames_is_refused_before_the_evaluati
     [
         (["--output=~/a"], "HOME/a", []),
         (["--output", "~/a"], "HOME/a", []),
-        (["--output=~"], "HOME", []),
-        (["--output", "~"], "HOME", []),
         (["--a.b=~/c", "--a.d=~", "--a.e", "~"], None, ["--a.b=HOME/c", "--a.d=~", "--a.e", "~"]),
         (["--output=a~/~"], "a~/~", []),
     ],
 )
-def test_a_tilde_in_an_option_is_the_home_directory_and_alone_in_a_key_null(
+def test_a_tilde_before_a_slash_is_the_home_directory(
     monkeypatch: pytest.MonkeyPatch, arguments: list[str], output: str | None, rest: list[str]
 ) -> None:
     monkeypatch.setenv("HOME", "HOME")

@@ -82,7 +82,9 @@ def test_a_job_may_import_what_its_own_experiment_names_and_nothing_else(
     config = wanted.path / "config.yaml"
     text = config.read_text()
     config.write_text(text.replace("jobs_code:utility", "other_code:utility"))
-    with pytest.raises(ValueError, match=r"holds another experiment: utility\.name = 'other_code:utility' there"):
+    with pytest.raises(
+        ValueError, match=r"has utility\.name = 'other_code:utility', code that would be imported and run"
+    ):
         perform(wanted)
     assert "other_code" not in sys.modules
     config.write_text(text)

@@ -164,18 +164,6 @@ def test_wandb_goes_offline_without_key_or_server(
     assert [run["mode"] for run in fake.runs] == ["offline"]
 
 
-def test_training_continues_without_wandb_and_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "wandb", None)
-    said: list[str] = []
-    with Logger(tmp_path, wandb=WandbSettings(project="p"), say=said.append) as logger:
-        logger.log(0, {"a": 1})
-        logger.log(1, {"a": 1})
-    reason = "logging.wandb needs wandb: pip install 'mo-deepdrive[wandb]'"
-    assert said == [f"warning: Weights & Biases is disabled: {reason}"]
-
-
 def test_wandb_that_fails_during_training_is_disabled_with_one_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from algorithms import A2C, zoo
 from algorithms.actor_critic import ActorCritic
@@ -135,6 +136,30 @@ def test_what_cannot_be_exported_is_refused(
         export.main(arguments)
     assert ended.value.code == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("factor", "message"),
+    [(-1.0, "the file chooses other actions than the policy"), (1.001, "the file differs from the policy by ")],
+)
+def test_a_file_that_acts_otherwise_than_the_policy_is_not_written(
+    factor: float, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = experiment_of("a2c", ONE_WAYPOINT, {}, steps=8, hidden=[16, 8])
+    agent, export_graph = build(experiment), torch.onnx.export
+    exaggerate(agent)
+
+    def export_another(*arguments: Any, **options: Any) -> None:
+        weight = agent.learners[0].actor.body[-1].weight
+        with torch.no_grad():
+            weight.mul_(factor)
+            export_graph(*arguments, **options)
+            weight.div_(factor)
+
+    monkeypatch.setattr(torch.onnx, "export", export_another)
+    with pytest.raises(ValueError, match=message):
+        export_onnx(agent, experiment, tmp_path / "policy.onnx")
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_algorithm_that_acts_in_its_own_way_is_refused(tmp_path: Path) -> None:

@@ -48,10 +48,10 @@ def experiment(task_id: str, arguments: dict[str, Any] | None = None, **training
         (
             "K5",
             {"arguments": {"yield_to_oncoming": True}},
-            r"not trained on task K5: environment.arguments.yield_to_oncoming = True \(not",
+            r"task K5 needs another environment: environment.arguments.yield_to_oncoming = True \(not",
         ),
         ("K2", {"arguments": {"action_type": "discrete"}}, "action_type = 'discrete'"),
-        ("K1", {"total_timesteps": 100_000_000}, "trained for 100,000,000 environment steps; task K1 allows 3,000,000"),
+        ("K1", {"total_timesteps": 100_000_000}, "total_timesteps = 100,000,000: task K1 allows 3,000,000"),
         ("K1", {"seed": SPLITS["test"].start + 5}, "trained on the test split: training.seed = 3,000,005"),
         (
             "V1",

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import algorithms.runs.config
-from algorithms import MOA2C
+from algorithms import ALGORITHMS
 from algorithms.runs.config import make_experiment
 from algorithms.runs.jobs import Job, perform
 from algorithms.runs.run_directory import changed_files, read_status
@@ -32,29 +32,31 @@ def stopped_job(folder: Path, step: int = 320) -> Job:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-@pytest.mark.parametrize("method", ["evaluate", "update"])
+@pytest.mark.parametrize(("algorithm", "method"), [("mo_a2c", "evaluate"), ("mo_a2c", "update"), ("pcn", "update")])
 def test_a_run_that_is_interrupted_in_the_middle_resumes_to_the_same_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, algorithm: str, method: str
 ) -> None:
-    whole, wanted = job(tmp_path / "whole"), job(tmp_path / "interrupted")
+    whole, wanted = (of_length(tmp_path / name, TOTAL, algorithm, **CONSTANT[algorithm]) for name in ("whole", "run"))
     perform(whole)
-    original, calls = getattr(MOA2C, method), []
+    original, calls = getattr(ALGORITHMS[algorithm], method), []
 
     def interrupted(agent: Any, *arguments: Any) -> Any:
         calls.append(agent.step)
-        found = original(agent, *arguments)
+        result = original(agent, *arguments)
         if len(calls) == (2 if method == "evaluate" else 8):
             for _ in range(2):
                 signal.raise_signal(signal.SIGINT)
-        return found
+        return result
 
     with monkeypatch.context() as patch:
-        patch.setattr(MOA2C, method, interrupted)
+        patch.setattr(ALGORITHMS[algorithm], method, interrupted)
         assert perform(wanted) == "stopped"
     status = read_status(wanted.path)
-    assert (status["state"], status["step"]) == ("interrupted", 288 if method == "evaluate" else 192)
+    assert status["state"] == "interrupted"
+    assert 0 < status["step"] < TOTAL
     assert perform(wanted) == "trained"
-    assert_same_run(whole.path, wanted.path)
+    rest = ("fronts.csv", "front.csv") if algorithm == "pcn" else ("episodes.csv",)
+    assert_same_run(whole.path, wanted.path, ("evaluation.json", *rest))
 
 
 def test_a_run_that_was_killed_after_its_checkpoint_is_resumed_silently(tmp_path: Path) -> None:

@@ -12,11 +12,9 @@ from rich.console import Console
 
 from algorithms.commands.reproduce import main
 from algorithms.runs.jobs import Job
-from algorithms.studies import FIGURES
-from algorithms.studies import paper as paper_module
+from algorithms.studies import FIGURES, paper_report
 from algorithms.studies.manifest import ManifestRow
-from algorithms.studies.paper import QUICK_SEEDS, load_paper, paper_plan
-from algorithms.studies.paper_claims import CLAIMS, PaperResults
+from algorithms.studies.paper import CLAIMS, QUICK_SEEDS, PaperResults, load_paper, paper_plan
 from algorithms.studies.paper_report import (
     QUICK,
     print_verdicts,
@@ -83,7 +81,7 @@ def test_a_quick_reproduction_differs_only_in_length_and_seeds(whole: list[Manif
         assert row.config["algorithm"] == other["algorithm"]
         assert row.config["evaluation"]["final_episodes"] == 200 < other["evaluation"]["final_episodes"]
         assert row.config["evaluation"]["interval"] * 5 == row.config["training"]["total_timesteps"]
-    assert {len(its) for its in seeds.values()} == {QUICK_SEEDS}
+    assert {len(numbers) for numbers in seeds.values()} == {QUICK_SEEDS}
     assert {task for task, _ in seeds} >= {f"{task}/best" for claim in CLAIMS for task in claim.tasks}
 
 
@@ -137,17 +135,17 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     assert code == 0
     assert "of them done" not in out
     assert before == {path: path.stat().st_mtime_ns for path in before}
-    found = PaperResults.read(load_paper("plan.yaml"), results)
-    rows = final_rows(paper_plan(found.study, ["one_waypoint_linear"]))
-    assert {(row.task, row.learner, row.seed, row.policy) for row in found.rows} == {
+    published = PaperResults.read(load_paper("plan.yaml"), results)
+    rows = final_rows(paper_plan(published.study, ["one_waypoint_linear"]))
+    assert {(row.task, row.learner, row.seed, row.policy) for row in published.rows} == {
         (*arm_of(row), row.seed, policy) for row in rows for policy in ("greedy", "stochastic")
     }
-    curves = found.tasks["one_waypoint_linear"]["best"].learning_curves("a2c")
+    curves = published.tasks["one_waypoint_linear"]["best"].learning_curves("a2c")
     assert [curve["step"][-1] for curve in curves] == [800, 800]
     (results / "reproduction.md").unlink()
     code, _, _ = call("--claim", "1", "--redraw", "--output", "out")
     assert code == 0
-    assert verdict_table(found) in (results / "reproduction.md").read_text()
+    assert verdict_table(published) in (results / "reproduction.md").read_text()
 
 
 @pytest.mark.parametrize(
@@ -183,8 +181,8 @@ def test_a_success_is_exported_beside_a_median_that_fails(
     results = make_results("one_waypoint_linear", {"mo_a2c": {"utility_esr": utilities, "success": arrivals}})
     exported: dict[str, tuple[Path, dict[str, Any]]] = {}
     monkeypatch.setattr(Job, "open", lambda job: job.path)
-    monkeypatch.setattr(paper_module, "export", lambda run, name, about: exported.update({name: (run, about)}))
-    names = paper_module.export_policies(runs, results, tmp_path)
+    monkeypatch.setattr(paper_report, "export", lambda run, name, about: exported.update({name: (run, about)}))
+    names = paper_report.export_policies(runs, results, tmp_path)
     wanted = ["one_waypoint_linear-mo_ppo", "one_waypoint_linear-mo_ppo-solved"]
     assert names == list(exported) == wanted[: 1 if solved is None else 2]
     path, about = exported[wanted[0]]
@@ -246,8 +244,10 @@ def test_a_report_of_some_tasks_omits_the_others_and_a_quick_one_judges_nothing(
     text = paths[0].read_text()
     assert [number for number in range(1, 7) if f"## Claim {number}" in text] == [1]
     assert f"**{QUICK}**" in text
-    assert "| not judged |" in text
+    assert "| verdict | not judged |" in text
+    assert "| 18.00 [17.99, 18.01] | 0.00 [-0.01, 0.01] | 0.50 [0.14, 0.86] |" in text
     console = Console(width=100, record=True)
     print_verdicts(results, console)
     shown = " ".join(console.export_text().split())
-    assert "10.00 [9.99, 10.01] 10.00 [9.99, 10.01] 0.00 [-0.01, 0.01] 0.50 [0.14, 0.86] reproduced" in shown
+    assert "MO-A2C: success rate above 95% yes: 99.00 [98.93, 99.08]%" in shown
+    assert "verdict reproduced" in shown

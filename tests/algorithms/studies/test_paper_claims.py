@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from algorithms.studies import CLAIM_NUMBERS, FIGURES
-from algorithms.studies.paper_claims import CLAIMS, PaperResults, Verdict, is_settled
+from algorithms.studies.paper import CLAIMS, PaperResults, Verdict, is_settled
 from algorithms.studies.paper_report import CURVE_FIGURES, FRONT_FIGURES
 from tests.helpers.reproduction import SOLVED, evenly_spread, make_results, paper, together
 

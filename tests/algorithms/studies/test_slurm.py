@@ -60,26 +60,26 @@ class FakeSlurm:
 @pytest.fixture
 def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeSlurm:
     """A fake Slurm, whose jobs end only if a test says so."""
-    found = FakeSlurm(tmp_path)
+    queue = FakeSlurm(tmp_path)
 
     class Executor(slurm.TaskExecutor):
         @contextlib.contextmanager
         def batch(self, allow_implicit_submissions: bool = False) -> Iterator[None]:
-            found.arrays.append([])
+            queue.arrays.append([])
             yield
-            found.after_submission([f"{len(found.arrays)}_{task}" for task in range(len(found.arrays[-1]))])
+            queue.after_submission([f"{len(queue.arrays)}_{task}" for task in range(len(queue.arrays[-1]))])
 
         def submit(self, fn: Any, *args: Any, **kwargs: Any) -> Any:
-            found.arrays[-1].append(fn)
-            return SimpleNamespace(job_id=f"{len(found.arrays)}_{len(found.arrays[-1]) - 1}")
+            queue.arrays[-1].append(fn)
+            return SimpleNamespace(job_id=f"{len(queue.arrays)}_{len(queue.arrays[-1]) - 1}")
 
     (tmp_path / "slurm").mkdir()
     monkeypatch.setattr(slurm, "TaskExecutor", Executor)
     monkeypatch.setattr(shutil, "which", lambda program: f"/usr/bin/{program}")
-    monkeypatch.setattr(subprocess, "run", found.run)
+    monkeypatch.setattr(subprocess, "run", queue.run)
     monkeypatch.setattr(slurm, "POLL", 1e-3)
     monkeypatch.setattr(slurm.time, "sleep", lambda seconds: None)
-    return found
+    return queue
 
 
 def jobs_of(settings: SweepSettings, sweep: Path) -> list[Job]:
@@ -259,7 +259,7 @@ def test_after_an_interrupt_the_command_that_cancels_the_jobs_is_shown_if_there_
     settings = load_sweep(write_sweep(tmp_path))
     slurm.SlurmQueue(tmp_path).submit(jobs_of(settings, tmp_path), settings)
     fake.states = states
-    assert Backend("slurm").after_interrupt(tmp_path) == message
+    assert slurm.after_interrupt(tmp_path) == message
 
 
 def test_a_dry_run_prints_the_script_of_the_first_array_if_there_are_several_tasks(

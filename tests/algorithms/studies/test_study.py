@@ -28,7 +28,7 @@ RATE = "algorithm.learning_rate"
 
 
 def write_study(folder: Path, **changes: Any) -> Path:
-    """A study of two learners on one task, with two points of tuning each."""
+    """A study of two learners on one task, with two points of tuning row."""
     (folder / "base.yaml").write_text(
         yaml.safe_dump({"algorithm": VALUES["algorithm"], "training": {"num_envs": 4, "seed": 7}})
     )
@@ -85,10 +85,8 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
         assert row.seed in ([100] if tuned else [0, 1])
         assert tuned or row.config["algorithm"]["learning_rate"] == 0.003
     results = read_rows(tmp_path / "study" / "results.csv")
-    assert {(each.steps, each.environment) for each in results} == {
-        (960, "mo-deepdrive-one-waypoint-v0 time_limit=1.0")
-    }
-    assert [(each.learner, each.seed, each.value) for each in results] == [
+    assert {(row.steps, row.environment) for row in results} == {(960, "mo-deepdrive-one-waypoint-v0 time_limit=1.0")}
+    assert [(row.learner, row.seed, row.value) for row in results] == [
         (learner, seed, 0.003) for learner in ("mo", "plain") for seed in (0, 1)
     ]
     with (tmp_path / "study" / "tuning.csv").open() as file:
@@ -109,7 +107,7 @@ def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_c
     backend = MadeUpBackend(fails=fails)
     assert made_up(tmp_path, file, backend) == 1
     assert sizes(backend) == [4, 2]
-    states = [(each.learner, each.seed, each.value, each.state) for each in read_rows(tmp_path / "study/results.csv")]
+    states = [(row.learner, row.seed, row.value, row.state) for row in read_rows(tmp_path / "study/results.csv")]
     assert states == [
         ("mo", 0, 0.001, "finished"),
         ("mo", 1, None, "failed"),
@@ -211,7 +209,7 @@ def test_arms_that_are_not_selected_are_not_trained_and_keep_their_results(tmp_p
         backend = MadeUpBackend()
         assert train(tmp_path, StudyPlan(study, ["short"], [learner]), backend) == 0
         assert sizes(backend) == [2, 2]
-        assert {each.learner for each in read_rows(tmp_path / "study" / "results.csv")} == trained
+        assert {row.learner for row in read_rows(tmp_path / "study" / "results.csv")} == trained
         assert {row.cell["learner"] for row in read_manifest(tmp_path / "study")} == trained
     with pytest.raises(ValueError, match="--learners nobody: the study has no such learner"):
         StudyPlan(study, None, ["nobody"])
@@ -233,17 +231,17 @@ def test_an_interrupted_study_resumes_and_the_runs_that_failed_are_in_its_tables
     with forked_workers():
         assert main(["--config", str(file), "--output", str(study), "--workers", "1"]) == 1
         results = read_rows(study / "results.csv")
-        assert {each.state for each in results if each.task == "broken"} == {"failed"}
-        finished = [each for each in results if each.task == "short"]
-        assert {(each.learner, each.seed) for each in finished} == {
+        assert {row.state for row in results if row.task == "broken"} == {"failed"}
+        finished = [row for row in results if row.task == "short"]
+        assert {(row.learner, row.seed) for row in finished} == {
             (learner, seed) for learner in ("mo", "plain") for seed in (0, 1)
         }
-        assert all(each.value is not None and each.cpu_seconds for each in finished)
+        assert all(row.value is not None and row.cpu_seconds for row in finished)
         shutil.rmtree(next(study / row.directory for row in read_manifest(study) if row.trial is None))
         monkeypatch.delenv("BREAK")
         assert main(["--config", str(file), "--output", str(study), "--workers", "1"]) == 0
     again = read_rows(study / "results.csv")
-    values = [dataclasses.replace(each, cpu_seconds=None) for each in finished]
-    assert [dataclasses.replace(each, cpu_seconds=None) for each in again if each.task == "short"] == values
-    assert {each.state for each in again} == {"finished"}
+    values = [dataclasses.replace(row, cpu_seconds=None) for row in finished]
+    assert [dataclasses.replace(row, cpu_seconds=None) for row in again if row.task == "short"] == values
+    assert {row.state for row in again} == {"finished"}
     assert all(status(study / row.directory)["state"] == "finished" for row in read_manifest(study))

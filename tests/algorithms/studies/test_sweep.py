@@ -36,27 +36,27 @@ def test_integer_bounds_give_integers_unless_the_step_is_a_fraction() -> None:
         "halves": {"low": 1, "high": 9, "step": 0.5},
         "real": {"low": 1, "high": 2.0},
     }
-    found = points(settings_of(space=space, sampler="random", trials=60))
-    assert {type(point["whole"]) for point in found} == {int}
-    assert {point["whole"] for point in found} == set(range(1, 10))
-    assert any(point["halves"] % 1 == 0.5 for point in found)
-    assert {type(point["real"]) for point in found} == {float}
+    proposed = points(settings_of(space=space, sampler="random", trials=60))
+    assert {type(point["whole"]) for point in proposed} == {int}
+    assert {point["whole"] for point in proposed} == set(range(1, 10))
+    assert any(point["halves"] % 1 == 0.5 for point in proposed)
+    assert {type(point["real"]) for point in proposed} == {float}
 
 
 @pytest.mark.filterwarnings("ignore:Choices for a categorical distribution")
 def test_choices_keep_their_types() -> None:
     choices = [None, True, 3, 0.5, "word", [8, 8], {"steps": 8}]
-    found = points(settings_of(space={"a": choices}, sampler="random", trials=100))
-    assert {json.dumps(point["a"]) for point in found} == {json.dumps(choice) for choice in choices}
+    proposed = points(settings_of(space={"a": choices}, sampler="random", trials=100))
+    assert {json.dumps(point["a"]) for point in proposed} == {json.dumps(choice) for choice in choices}
 
 
 def test_a_random_search_proposes_all_points_at_once_and_ignores_scores() -> None:
     settings = settings_of(sampler="random", trials=20)
-    found = points(settings)
-    assert len(found) == 20
-    assert points(settings, {str(trial): float(trial) for trial in range(20)}) == found
-    assert len({point[RATE] for point in found}) == 20
-    assert points(settings_of(sampler="random", trials=20, seed=1)) != found
+    proposed = points(settings)
+    assert len(proposed) == 20
+    assert points(settings, {str(trial): float(trial) for trial in range(20)}) == proposed
+    assert len({point[RATE] for point in proposed}) == 20
+    assert points(settings_of(sampler="random", trials=20, seed=1)) != proposed
 
 
 def test_tpe_proposes_a_batch_once_all_scores_of_the_previous_batches_are_known() -> None:

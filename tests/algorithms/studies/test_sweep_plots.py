@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from algorithms.studies.collection import collect
 from algorithms.studies.manifest import ManifestRow, write_manifest
+from algorithms.studies.sweep_tables import collect
 from tests.helpers.made_up_sweeps import Script, config_of, end, make_row, make_sweep, scores_of
 
 
@@ -47,8 +47,8 @@ def test_an_unfinished_sweep_is_plotted_by_its_last_evaluations(
         (tmp_path / row.directory / "evaluation.json").unlink()
     when, scores = collect(tmp_path, print).latest_scores()
     assert when == "last"
-    found = scores.filter(run=rows[3].id, policy="greedy", vehicle="", metric="utility_esr")["value"].to_list()
-    assert found == [scores_of(rows[3]) + 11.0]
+    values = scores.filter(run=rows[3].id, policy="greedy", vehicle="", metric="utility_esr")["value"].to_list()
+    assert values == [scores_of(rows[3]) + 11.0]
     assert plot(tmp_path, "--output", tmp_path / "a.png") == 0
     assert "learning_rate 0.01, steps 16: 3 seeds" in capsys.readouterr().out
     assert plot(tmp_path, "--output", tmp_path / "a.xyz") == 2

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from algorithms.studies.collection import collect
 from algorithms.studies.manifest import ManifestRow
 from algorithms.studies.sweep_tables import (
+    collect,
     rank,
 )
 from tests.helpers.made_up_sweeps import Script, config_of, end, make_row, make_sweep, scores_of
@@ -50,8 +50,8 @@ def test_the_table_of_a_search_shows_its_trials(tmp_path: Path, base: dict[str, 
     make_sweep(tmp_path, [make_row(base, point, seed, trial) for trial, point in enumerate(points) for seed in (0, 1)])
     output = tmp_path / "scores.csv"
     assert table(tmp_path, "--output", output) == 0
-    found = [(row["trial"], row["algorithm.learning_rate"]) for row in read(output)]
-    assert list(dict.fromkeys(found)) == [("1", "0.0078"), ("0", "0.0012345678")]
+    shown = [(row["trial"], row["algorithm.learning_rate"]) for row in read(output)]
+    assert list(dict.fromkeys(shown)) == [("1", "0.0078"), ("0", "0.0012345678")]
 
 
 def test_algorithms_are_compared_in_cells_that_differ_in_nothing_else(
@@ -81,16 +81,16 @@ def test_cells_are_ranked_among_comparable_cells(tmp_path: Path, base: dict[str,
     collection = collect(tmp_path, pytest.fail)
     scores = collection.scores
     rankings = rank(collection.cells, scores)
-    assert [(each.title, each.score_name) for each in rankings] == [
+    assert [(ranking.title, ranking.score_name) for ranking in rankings] == [
         ("mo-deepdrive-one-waypoint-v0, one_waypoint_linear", "greedy utility"),
         ("mo-deepdrive-one-waypoint-v0, one_waypoint_nonlinear", "greedy utility"),
         ("mo-deepdrive-one-waypoint-v0 fixed_destination=True", "front hypervolume"),
     ]
-    rates = [[cell.keys["algorithm.learning_rate"] for cell in each.cells] for each in rankings]
+    rates = [[cell.keys["algorithm.learning_rate"] for cell in ranking.cells] for ranking in rankings]
     assert rates == [[1e-2, 1e-3, 1e-4], [1e-2, 1e-3, 1e-4], [1e-4, 1e-3, 1e-2]]
     assert rankings[0].ranked[0] == pytest.approx(10.05)
     by_collisions = rank(collection.cells, scores, "end/collision")  # the fewer the better
-    assert [len(each.ranked) for each in by_collisions] == [3, 3, 0]
+    assert [len(ranking.ranked) for ranking in by_collisions] == [3, 3, 0]
     assert [cell.keys["algorithm.learning_rate"] for cell in by_collisions[0].cells] == [1e-2, 1e-3, 1e-4]
     assert rank(collection.cells, scores, "front/igd_plus")[2].cells[0].keys["algorithm.learning_rate"] == 1e-2
 
@@ -113,4 +113,4 @@ def test_utilities_are_summed_over_vehicles(tmp_path: Path) -> None:
 def test_cells_of_different_splits_are_not_ranked_together(tmp_path: Path, base: dict[str, Any]) -> None:
     make_sweep(tmp_path, [make_row(base, {"evaluation.split": split}, 0) for split in ("validation", "test")])
     collection = collect(tmp_path, pytest.fail)
-    assert [len(each.cells) for each in rank(collection.cells, collection.scores)] == [1, 1]
+    assert [len(ranking.cells) for ranking in rank(collection.cells, collection.scores)] == [1, 1]

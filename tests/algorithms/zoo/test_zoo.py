@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from algorithms.zoo.exporting import export
 from tests.helpers.agents import INTERSECTION, SEA
 from tests.helpers.script_runs import Call, refused
 from tests.helpers.zoo import (
-    ACTOR_CRITICS,
     EVERY_KIND,
     Trained,
     assert_same_episodes,
@@ -65,49 +63,6 @@ def test_an_unknown_name_is_refused_with_the_nearest_one(trained: Trained, home:
     for name in ("", ".", "..", "../zoo/one_waypoint-a2c", "/"):
         with pytest.raises(ValueError, match="the zoo has no policy"):
             zoo.find(name)
-
-
-@pytest.mark.slow
-def test_evaluating_a_policy_by_name_gives_the_same_results_as_its_run(
-    trained: Trained, home: Path, tmp_path: Path, call: Call
-) -> None:
-    for name, kind in (("intersection-mo_ppo", "mo_ppo, two vehicles"), ("one_waypoint-pcn", "pcn")):
-        run = trained(kind)
-        export(run, name)
-        before = contents(home)
-        options = ["--episodes", 2, "--seed", 9]
-        code, out, error = call("evaluate", name, *options)
-        assert code == 0, out + error
-        numbers = [
-            text[text.index("greedy" if kind in ACTOR_CRITICS else "policy") :]
-            for text in (out, call("evaluate", run.path, *options)[1])
-        ]
-        assert numbers[0] == numbers[1]
-        assert contents(home) == before
-        for what, folder in ((name, "by_name"), (run.path, "by_path")):
-            assert call("evaluate", what, *options, "--output", folder)[0] == 0
-        written = [json.loads((tmp_path / each / "evaluation.json").read_text()) for each in ("by_name", "by_path")]
-        assert written[0] == written[1]
-        assert contents(home) == before
-        shutil.rmtree(tmp_path / "by_name")
-        shutil.rmtree(tmp_path / "by_path")
-
-
-def test_choosing_from_a_front_by_name_gives_the_same_policy_as_its_run(
-    trained: Trained, home: Path, call: Call
-) -> None:
-    run, preference = trained("pcn"), ["--weights", "distance=1", "jerk=0.01"]
-    export(run, "front")
-    before = contents(home)
-    code, out, error = call("choose", "front", "--episodes", 2, *preference)
-    assert code == 0, out + error
-    expected = call("choose", run.path, "--episodes", 2, *preference)[1]
-    table, last = (text.rsplit("policy ", 1) for text in (out, expected))
-    assert table[0] == last[0]
-    assert table[1].split()[0] == last[1].split()[0]
-    assert contents(home) == before
-    export(trained("a2c"), "single")
-    refused(call("choose", "single", *preference), "'single' learnt one policy, not a front")
 
 
 def test_a_human_can_play_against_a_policy_by_name(trained: Trained, home: Path) -> None:

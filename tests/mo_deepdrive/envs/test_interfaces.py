@@ -27,7 +27,6 @@ from tests.helpers.interfaces import (
     ACTION_TYPES,
     INTERFACES,
     PLANS,
-    assert_same,
     record,
     record_roundabout,
     replay_vector,
@@ -281,7 +280,7 @@ def test_every_interface_gives_the_trajectories_of_the_vector_interface(
     interface: str, action_type: str, end_together: bool
 ) -> None:
     recording = record(action_type, end_together)
-    assert_same(INTERFACES[interface](recording), replay_vector(recording))
+    assert_equal(INTERFACES[interface](recording), replay_vector(recording))
 
 
 @pytest.mark.slow
@@ -290,7 +289,7 @@ def test_every_interface_gives_the_same_trajectories_of_many_vehicles(vehicles: 
     recording = record_roundabout(vehicles, cars)
     episodes = replay_vector(recording)
     for interface in INTERFACES.values():
-        assert_same(interface(recording), episodes)
+        assert_equal(interface(recording), episodes)
     ends = {reports[-1].end for episode in episodes for reports in episode}
     assert ends >= {"arrived", "collision"}
 
@@ -301,7 +300,7 @@ def test_every_interface_delays_actions_and_charges_the_time_that_remains(end_to
     recording = record("discrete", end_together, late_v1=True)
     episodes = replay_vector(recording)
     for interface in INTERFACES.values():
-        assert_same(interface(recording), episodes)
+        assert_equal(interface(recording), episodes)
     ends = set()
     for reports in (reports for episode in episodes for reports in episode):
         charged = -sum(float(report.reward[-1]) for report in reports)

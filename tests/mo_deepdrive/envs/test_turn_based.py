@@ -17,9 +17,9 @@ from tests.helpers.interfaces import ACTION_TYPES, PLANS, record
 Turn = tuple[np.ndarray, np.ndarray, bool, bool, dict[str, Any]]
 
 
-def play(make_single: Callable[..., Any], plan: str, action_type: str = "continuous", together: bool = False) -> Any:
+def play(make_single: Callable[..., Any], plan: str, action_type: str) -> Any:
     """All turns of a recorded episode, and its joint actions."""
-    recording = record(action_type, together)
+    recording = record(action_type, False)
     number = list(PLANS).index(plan)
     env = make_single("intersection", **recording.arguments)
     turns: list[Turn] = []
@@ -75,28 +75,6 @@ def test_the_vehicle_that_ends_first_has_one_last_turn_then_only_the_other(
     assert {info["vehicle"] for *_, info in turns[ended[0][0] + 1 :]} == {last}
     assert ended[1][0] == len(turns) - 1
     assert not any(terminated or truncated for _, _, terminated, truncated, _ in turns[:-1])
-    assert turns[-1][2:4] == (True, False)
-
-
-@pytest.mark.parametrize("together", [False, True])
-@pytest.mark.parametrize("plan", ["they collide", "both fail in the same decision", "both stay"])
-def test_if_both_end_at_once_vehicle_0_has_its_last_turn_first(make_single: Any, plan: str, together: bool) -> None:
-    turns, actions = play(make_single, plan, together=together)
-    assert len(turns) == 2 * len(actions) + 1
-    left, straight = turns[-2:]
-    ends = PLANS[plan].ends
-    assert left[4] == {"vehicle": 0, "end": ends[0], "success": False}
-    assert straight[4] == {"vehicle": 1, "end": ends[1], "success": False}
-    assert left[2:4] == (False, False)
-    assert straight[2:4] == ((False, True) if plan == "both stay" else (True, False))
-
-
-def test_the_episodes_flag_is_that_of_the_vehicle_whose_turn_is_last(make_single: Any) -> None:
-    turns, _ = play(make_single, "one arrives, one stays")
-    assert turns[-1][4] == {"vehicle": 1, "end": "time_limit", "success": False}
-    assert turns[-1][2:4] == (False, True)
-    turns, _ = play(make_single, "one arrives, one stays", together=True)
-    assert turns[-1][4] == {"vehicle": 1, "end": "other_vehicle", "success": False}
     assert turns[-1][2:4] == (True, False)
 
 

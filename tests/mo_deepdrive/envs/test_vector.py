@@ -282,21 +282,6 @@ def test_an_invalid_seed_in_a_list_is_refused_and_no_world_changes(make_vector: 
     assert_equal(env.get_state(), before)
 
 
-@pytest.mark.parametrize("scenario", ALONE)
-def test_without_a_seed_every_world_continues_its_stream(make_single: Make, make_vector: Make, scenario: str) -> None:
-    env = make_vector(scenario, 2)
-    single = make_single(scenario)
-    single.reset(seed=21)
-    env.reset(seed=20)
-    for _ in range(40):  # more than a block of draws
-        assert_equal(env.reset()[0][1], single.reset()[0])
-    # None in a list does not affect that world's stream.
-    observations, _ = env.reset(seed=[5, None])
-    assert_equal(observations[1], single.reset()[0])
-    single.reset(seed=5)
-    assert_equal(env.reset()[0][0], single.reset()[0])
-
-
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_a_masked_reset_does_not_affect_the_other_worlds_and_their_streams(make_vector: Make, scenario: str) -> None:
     env, twin = make_vector(scenario, 3), make_vector(scenario, 3)

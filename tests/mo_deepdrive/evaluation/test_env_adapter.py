@@ -1,4 +1,4 @@
-"""EnvAdapter: spaces of other libraries' environments in the trainers' shapes, names of objectives, copies."""
+"""EnvAdapter: spaces of other libraries' environments in the trainers' shapes, names of objectives."""
 
 from __future__ import annotations
 
@@ -14,20 +14,9 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
-from mo_deepdrive.evaluation import env_adapter
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
-from mo_deepdrive.support import machine
 from tests.helpers.agents import ONE_WAYPOINT, SEA
 from tests.helpers.toy_env import toy_worlds
-
-
-def test_copies_that_cannot_fit_into_memory_are_refused_after_the_first_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    peaks = iter((0, machine.GIB))
-    monkeypatch.setattr(env_adapter, "COPIES_MEASURED", 4)
-    monkeypatch.setattr(env_adapter, "peak_memory", lambda: next(peaks))
-    monkeypatch.setattr(machine, "available_memory", lambda: 2.0 * machine.GIB)
-    with pytest.raises(ValueError, match=r"num_envs = 16 takes at least 3\.0 GiB of memory; 2\.0 GiB are available"):
-        env_adapter.make_env("deep-sea-treasure-v0", 16)
 
 
 def test_discrete_actions_begin_at_the_start_of_the_space() -> None:

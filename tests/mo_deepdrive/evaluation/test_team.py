@@ -1,4 +1,4 @@
-"""Several policies as one: a member per vehicle, members that take turns, and cross-play."""
+"""Several policies as one: a member per vehicle, and members that take turns."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from algorithms import A2C, MOA2C
+from algorithms import MOA2C
 from algorithms.mappo import JOINT_UTILITIES
-from mo_deepdrive.evaluation.cross_play import cross_play
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.evaluation.team import Population, Team, generalised_gini, total, worst_off
-from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, diversified, make_agent
 
 SHORT = {"time_limit": 3.0}
@@ -96,47 +94,10 @@ def test_members_of_another_task_and_too_few_members_are_refused(env: EnvAdapter
         Population([Constant(env, 1), Constant(alone, 1)], 0)
 
 
-@pytest.mark.parametrize("greedy", [True, False])
-def test_cross_play_is_every_pair_on_the_same_episodes(greedy: bool) -> None:
-    agents = {name: diversified(make_agent(A2C, INTERSECTION, seed=seed)) for seed, name in enumerate("abc")}
-    drivers = [{name: agents[name] for name in names} for names in ("ab", "abc")]
-    options: dict[str, Any] = {"utility": "intersection_linear", "episodes": 6, "env_kwargs": SHORT, "greedy": greedy}
-    counted: list[int] = []
-    found = cross_play(drivers, INTERSECTION, **options, progress=lambda: counted.append(1))
-    assert [each.drivers for each in found] == [(a, b) for a in "ab" for b in "abc"]
-    assert len(counted) == 6
-    for each in found:
-        expected = evaluate(Team([agents[name] for name in each.drivers]), INTERSECTION, **options).estimates()
-        assert each.roles == ("vehicle_0", "vehicle_1")
-        for name, estimate in each.estimates.items():
-            assert estimate == expected[name]
-
-
-def test_among_several_vehicles_one_driver_drives_all_others_and_each_has_its_own_utility() -> None:
-    arguments: dict[str, Any] = {"vehicles": 4, **SHORT}
-    env = EnvAdapter(make_env(ROUNDABOUT, 1, arguments))
-    hurried, idle = Constant(env, 3), Constant(env, 0)
-    team = Team([hurried, idle], [0, 1, 1, 1])
+def test_one_member_may_drive_several_vehicles() -> None:
+    env = EnvAdapter(make_env(ROUNDABOUT, 1, {"vehicles": 4}))
+    team = Team([Constant(env, 3), Constant(env, 0)], [0, 1, 1, 1])
     assert team.act(env.reset(0), past(env), None).tolist() == [[3, 0, 0, 0]]
-    options: dict[str, Any] = {"episodes": 5, "env_kwargs": arguments, "greedy": True}
-    distance = make_utility("linear", env.objectives, weights={"distance": 1.0})
-    time = make_utility("linear", env.objectives, weights={"time": 1.0})
-    utilities = {"hurried": distance, "idle": time}
-    (found,) = cross_play([{"hurried": hurried}, {"idle": idle}], ROUNDABOUT, utility=utilities, **options)
-    assert found.roles == ("vehicle_0", "others")
-    returns = evaluate(team, ROUNDABOUT, **options).returns
-    for name, value in (
-        ("vehicle_0/utility_esr", returns[:, 0, 0].mean()),
-        ("vehicle_0/return/distance", returns[:, 0, 0].mean()),
-        ("others/utility_esr", returns[:, 1:, 2].mean()),
-        ("worst_off_utility_esr", returns[:, 1:, 2].min(axis=1).mean()),
-    ):
-        assert found.estimates[name].value == pytest.approx(value)
-
-
-def test_cross_play_needs_drivers_of_both_roles() -> None:
-    with pytest.raises(ValueError, match="drivers must be those of vehicle 0 and those of the others"):
-        cross_play([{}, {}], INTERSECTION, utility="intersection_linear")
 
 
 def test_the_worse_off_count_for_more_in_the_gini_sum_as_in_mappos() -> None:

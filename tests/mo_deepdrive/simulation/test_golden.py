@@ -15,7 +15,7 @@ import pytest
 from mo_deepdrive.world.objectives import INDEX
 from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
-from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, make_sample, read_golden
+from tests.helpers.golden import Golden
 
 RELATIVE = 1e-6
 
@@ -311,13 +311,3 @@ def test_two_vehicles_at_the_intersection_drive_as_recorded(golden: Golden, make
     decisions, flips = zip(*compared, strict=True)
     assert (len(compared), sum(decisions)) == COMPARED[golden.name]["intersection"]
     assert max(flips) <= 1  # when the oncoming vehicle stops approaching
-
-
-@pytest.mark.skipif(not is_complete(FULL_SET), reason=f"the full set of recorded trajectories is not in {FULL_SET}")
-def test_the_sample_can_be_written_again_from_the_full_set() -> None:
-    entries, steps = make_sample(read_golden("full set", FULL_SET))
-    sample = read_golden("sample", SAMPLE)
-    assert entries == [entry for vehicles in sample.episodes.values() for entry in vehicles]
-    assert list(steps) == list(sample.steps)
-    for name, column in steps.items():
-        np.testing.assert_array_equal(column, sample.steps[name], name)

@@ -39,8 +39,3 @@ def test_every_seed_environment_episode_and_attempt_has_numbers_of_its_own() -> 
     assert drawn.min() >= 0.0
     assert drawn.max() < 1.0
     np.testing.assert_array_equal(uniforms(0, 1, 0, count=4), uniforms(0, 1, 0)[:4])
-
-
-def test_uniforms_are_uniform() -> None:
-    drawn = np.sort(np.concatenate([uniforms(3, environment, 0) for environment in range(2000)]))
-    assert np.abs(drawn - (np.arange(len(drawn)) + 0.5) / len(drawn)).max() < 1.63 / np.sqrt(len(drawn))  # at 1%

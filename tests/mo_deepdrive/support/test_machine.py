@@ -13,7 +13,7 @@ import pytest
 from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.support.machine import GIB, available_cores, available_memory
 
-V1, V2 = "4:memory:/docker/a\n2:cpu,cpuacct:/docker/a\n0::/\n", "0::/user/a\n"
+V2 = "0::/user/a\n"
 
 
 def lay_out(root: Path, cgroup: str, files: dict[str, str]) -> None:
@@ -30,7 +30,6 @@ def lay_out(root: Path, cgroup: str, files: dict[str, str]) -> None:
         ("", {}, 8),
         (V2, {"cpu.max": "250000 100000\n"}, 2),
         (V2, {"user/cpu.max": "150000 100000", "user/a/cpu.max": "400000 100000"}, 1),
-        (V1, {"cpu,cpuacct/docker/a/cpu.cfs_quota_us": "2000", "cpu,cpuacct/docker/a/cpu.cfs_period_us": "1000"}, 2),
     ],
 )
 def test_the_quota_of_a_container_limits_the_cores(
@@ -54,7 +53,6 @@ MEMINFO = {"proc/meminfo": "MemTotal: 64 kB\nMemAvailable:  32 kB\nSwapFree: 8 k
             {"user/memory.max": "9000", "user/memory.current": "5000", "user/memory.stat": "active_file 70"},
             4070,
         ),
-        (V1, {"memory/memory.limit_in_bytes": "9000", "memory/memory.usage_in_bytes": "100"}, 8900),
     ],
 )
 def test_the_limit_of_a_container_limits_the_memory(

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from mo_deepdrive.fronts.reference_fronts import front_config
 from mo_deepdrive.world.action_sequences import decode, encode, replay
-from mo_deepdrive.world.actions import action_table
 
 
 @given(st.lists(st.integers(0, 21), max_size=40))
@@ -51,10 +50,6 @@ def test_repeated_actions_are_encoded_as_runs() -> None:
 def test_texts_that_are_not_sequences_are_refused(text: str, action_type: str) -> None:
     with pytest.raises(ValueError, match="is not a sequence of"):
         decode(text, action_type)
-
-
-def test_there_are_enough_letters_for_every_discrete_set() -> None:
-    assert max(len(action_table(name)) for name in ("discrete", "discrete-16")) <= 26
 
 
 def test_a_replay_is_idle_after_the_last_action() -> None:

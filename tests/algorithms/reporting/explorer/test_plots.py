@@ -9,15 +9,8 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from algorithms.reporting.explorer.plots import (
-    REPRESENTATIVES,
-    FrontView,
-    draw_front,
-    importance,
-    principal_components,
-)
+from algorithms.reporting.explorer.plots import draw_front, importance, principal_components
 from algorithms.reporting.style import DPI
-from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from tests.helpers.fronts import driving, front_of
 
 FIGURES = ("importance", "reduction", "scatter")
@@ -71,16 +64,3 @@ def test_components_point_where_the_variance_is() -> None:
         assert found.explained[k] == pytest.approx(variances[-1 - k] / variances.sum())
         for point, value in zip(found.points, values, strict=True):
             assert point[k] == pytest.approx(sum(expected * (value - values.mean(axis=0))))
-
-
-def test_representatives_cover_the_front_and_are_ordered_by_distance() -> None:
-    front = driving(60, 4).take(np.random.default_rng(4).permutation(60))
-    view = FrontView(front)
-    shown = view.representatives()
-    assert len(shown) == REPRESENTATIVES
-    assert set(shown) == set(farthest_point_subset(np.nan_to_num(view.importance), REPRESENTATIVES))
-    assert (np.diff(front.returns[shown, 0]) >= 0).all()
-    for i in range(4):
-        assert front.returns[shown, i].max() == front.returns[:, i].max()
-    few = FrontView(front.take(range(5)))
-    assert sorted(few.representatives()) == list(range(5))
