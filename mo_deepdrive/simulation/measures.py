@@ -22,7 +22,8 @@ def duration(worlds: Records, i: int, v: int, params: Record) -> float:
     decisions = 1
     if params.charge_remaining_time and vehicle.end != RUNNING and vehicle.end != ARRIVED:
         decisions += params.max_decisions - vehicle.decisions
-    return float(params.dt * params.physics_steps * decisions)
+    spent = vehicle.spent[2] if vehicle.decisions == 1 else 0.0
+    return float(params.dt * params.physics_steps * decisions + spent)
 
 
 @jit

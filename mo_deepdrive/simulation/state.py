@@ -20,7 +20,7 @@ Records: TypeAlias = NDArray[Any]
 # The magnitudes that the kernel measures, in the order of ``objectives`` in the state of a vehicle.
 KERNEL_NAMES = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
 # Those of which something may have been spent before an episode begins.
-SPENT_NAMES = ("g_force", "jerk")
+SPENT_NAMES = ("g_force", "jerk", "time")
 
 MAX_VEHICLES = 16  # of a world, cars included; of routes of waypoints two
 MAX_OBJECTIVES = 32  # of a vehicle's reward
@@ -157,8 +157,9 @@ VEHICLE = _record(
 )
 
 # One scenario, ready to be placed in a world: poses (x, y, heading), waypoints and the obstacle's two ends (m, rad),
-# what has been spent before, the number of oncoming cars and their drivers. On roads of segments, of the vehicles and then the cars: routes, and
-# where along them the fronts are (m); of every entry how many wait there, and where the next front can be (m).
+# what has been spent before, the number of oncoming cars and their drivers. On roads of segments, of the vehicles and
+# then the cars: routes, and where along them the fronts are (m); of every entry how many wait there, and where the next
+# front can be (m).
 SPAWN = _record(
     *_fields(_FLOAT, "routes", "distances", shape=(MAX_VEHICLES,)),
     *_fields(_FLOAT, "waiting", "room", shape=(MAX_ROUTES,)),

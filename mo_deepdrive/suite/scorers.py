@@ -17,7 +17,7 @@ import scipy
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import OUR_ENVS, as_policy, evaluate
 from mo_deepdrive.evaluation.pareto import hypervolume
-from mo_deepdrive.evaluation.policy import FunctionPolicy
+from mo_deepdrive.evaluation.policy import FunctionPolicy, drive, seeded_generator
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.evaluation.team import Team
 from mo_deepdrive.fronts.reference_fronts import reference_point
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from mo_deepdrive.evaluation.policy import Policy, PolicyFunction
+    from mo_deepdrive.evaluation.policy import AccruedReward, Policy, PolicyFunction
     from mo_deepdrive.suite.tasks import Task
 
     Single = Policy | PolicyFunction
@@ -67,6 +67,45 @@ class Drives:
             actor = Team(members)
         found = evaluate(actor, self.env, seed=self.seed, episodes=self.episodes, greedy=greedy, gamma=1.0)
         return found.returns[:, self.task.vehicle]
+
+    def changing(
+        self, before: Single, after: Single, weights: NDArray[np.float64], seconds: float
+    ) -> NDArray[np.float64]:
+        """(E,) the rewards of every episode, weighted by the first of ``weights`` (2, d) until ``seconds`` have passed.
+
+        From then on the policy ``after`` acts, and the second weights count.
+        """
+        adapter, v = EnvAdapter(self.env), self.task.vehicle
+        first = round(seconds * self.task.config().decision_frequency)
+        policy = Changing(as_policy(before, adapter), as_policy(after, adapter), first)
+        generator = (
+            None if self.greedy or isinstance(policy.before, FunctionPolicy) else seeded_generator(policy, self.seed)
+        )
+        worth: list[NDArray[np.float64]] = []
+        for start in range(self.seed, self.seed + self.episodes, adapter.num_envs):
+            total = np.zeros(adapter.num_envs)
+            observations = adapter.reset(list(range(start, start + adapter.num_envs)))
+            for t, (_, step, counted, _) in enumerate(drive(policy, adapter, observations, generator)):
+                total += counted[:, v] * (step.rewards[:, v] @ weights[int(t >= first)])
+            worth.append(total)
+        return np.concatenate(worth)[: self.episodes]
+
+
+@dataclass(frozen=True)
+class Changing:
+    """A policy (:class:`mo_deepdrive.evaluation.policy.Policy`) that acts as another one from a decision on."""
+
+    before: Policy
+    after: Policy
+    decision: int
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.before, name)
+
+    def act(self, observations: NDArray[np.float32], past: AccruedReward, generator: Any) -> NDArray[Any]:
+        """Actions (N, V) or (N, V, k) for observations (N, V, o)."""
+        later = bool((past.decisions >= self.decision).any())
+        return (self.after if later else self.before).act(observations, past, generator)
 
 
 def policies_of(policy: Any) -> Callable[[NDArray[np.float64]], Single] | list[Single]:
@@ -130,8 +169,7 @@ def returns_by_preference(drives: Drives, policy: Any) -> NDArray[np.float64]:
     task, policies = drives.task, policies_of(policy)
     assert task.preferences is not None
     if not isinstance(policies, list):
-        weights = task.preferences.weights(task.objectives())
-        return np.stack([drives.returns(policies(preference)) for preference in weights], axis=1)
+        return np.stack([drives.returns(policies(weights)) for weights in task.told_weights()], axis=1)
     chosen = np.zeros(task.preferences.count, dtype=np.int64)
     if len(policies) > 1:
         validation = replace(drives, seed=SPLITS["validation"].start, episodes=CHOICE_EPISODES)
@@ -139,6 +177,24 @@ def returns_by_preference(drives: Drives, policy: Any) -> NDArray[np.float64]:
         chosen = (task.hidden_weights() @ means.T).argmax(axis=1)
     driven = {k: drives.returns(policies[k]) for k in np.unique(chosen).tolist()}
     return np.stack([driven[k] for k in chosen.tolist()], axis=1)
+
+
+def values_under_changes(drives: Drives, policy: Any) -> NDArray[np.float64]:
+    """(E, P) what every episode is worth under P preferences that give way to the next one, to a policy that is told.
+
+    A ValueError for a policy that is not told weights.
+    """
+    task, policies = drives.task, policies_of(policy)
+    assert task.preferences is not None
+    if isinstance(policies, list):
+        raise ValueError("preferences that change need a policy that is told them")
+    told, weights, times = task.told_weights(), task.hidden_weights(), task.preferences.change_times()
+    pairs = list(zip(told, np.roll(told, -1, axis=0), strict=True))
+    values = [
+        drives.changing(policies(first), policies(second), weights[[p, (p + 1) % len(weights)]], times[p])
+        for p, (first, second) in enumerate(pairs)
+    ]
+    return np.stack(values, axis=1)
 
 
 def utilities_by_partner(drives: Drives, policy: Any) -> NDArray[np.float64]:
@@ -195,9 +251,20 @@ def dominated_volume(task: Task) -> Statistic:
 
 
 def mean_over_preferences(task: Task) -> Statistic:
-    """The mean weighted return over the preferences."""
-    weights = task.hidden_weights()
-    return lambda samples: float((samples.mean(axis=0) * weights).sum(axis=1).mean())
+    """The mean over the preferences of what is gained over the best policy that is blind to them; planned drives are 1.
+
+    Samples are returns (E, P, d), or what they are worth (E, P).
+    """
+    weights, preferences = task.hidden_weights(), task.preferences
+    assert preferences is not None
+    blind, planned = np.array(preferences.blind), np.array(preferences.planned)
+
+    def gain(samples: NDArray[np.float64]) -> float:
+        means = samples.mean(axis=0)
+        worth = (means * weights).sum(axis=1) if means.ndim > 1 else means
+        return float(((worth - blind) / (planned - blind)).mean())
+
+    return gain
 
 
 def worst_partner(_task: Task) -> Statistic:
@@ -234,6 +301,7 @@ SCORERS: dict[str, Scorer] = {
     "certainty_equivalent": Scorer(utilities, {SCORE: certainty_equivalent, CVAR: conditional_value_at_risk}),
     "hypervolume": Scorer(returns_of_front, {SCORE: dominated_volume}),
     "mean_over_preferences": Scorer(returns_by_preference, {SCORE: mean_over_preferences}, controllability),
+    "mean_over_changing_preferences": Scorer(values_under_changes, {SCORE: mean_over_preferences}),
     "mean_over_partners": Scorer(utilities_by_partner, {SCORE: mean, WORST: worst_partner}),
 }
 

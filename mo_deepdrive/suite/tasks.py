@@ -50,7 +50,7 @@ class Ceiling(Bound):
 
 
 class HiddenPreferences(Settings):
-    """Linear preferences that no learner is told before it is scored: weights from a Dirichlet distribution."""
+    """Linear preferences that no learner is told before it is scored: prices of costs from a Dirichlet distribution."""
 
     count: int = Field(ge=1)
     """How many."""
@@ -58,15 +58,33 @@ class HiddenPreferences(Settings):
     """Seed of the drawing."""
     concentration: float = Field(gt=0.0)
     """Concentration of the distribution; below 1 favours few objectives."""
+    common: dict[str, float]
+    """Weights of returns on which all preferences agree, by objective."""
+    units: dict[str, float]
+    """By objective whose price is drawn, the magnitude of a return that costs 1 at a price of 1; prices sum to 1."""
+    changes: tuple[float, float] | None = None
+    """Between how many seconds a preference gives way to the next one, once in an episode; None for never."""
     left_out: list[int] = []
-    """The drawn preferences, counted from 0, under which standing still is within 0.05 of the best."""
+    """The drawn preferences, counted from 0, for which the planned drives gain less than 0.1 over ``blind``."""
+    blind: list[float] = []
+    """What the best policy for the mean of the preferences, or for those before the change, is worth under each."""
+    planned: list[float] = []
+    """What the planned drives are worth under each."""
 
     def weights(self, objectives: Sequence[str]) -> NDArray[np.float64]:
-        """(count, d) weights, which sum to 1, of returns divided by the nominal scales of the objectives."""
-        drawn = np.random.default_rng(self.seed).dirichlet(
-            np.full(len(objectives), self.concentration), self.count + len(self.left_out)
-        )
-        return np.asarray(np.delete(drawn, self.left_out, axis=0))
+        """(count, d) weights of undiscounted returns."""
+        shape = np.full(len(self.units), self.concentration), self.count + len(self.left_out)
+        prices = np.delete(np.random.default_rng(self.seed).dirichlet(*shape), self.left_out, axis=0)
+        weights = np.tile([self.common.get(name, 0.0) for name in objectives], (self.count, 1))
+        for (name, unit), price in zip(self.units.items(), prices.T, strict=True):
+            weights[:, objectives.index(name)] += price / unit
+        return weights
+
+    def change_times(self) -> NDArray[np.float64]:
+        """(count,) when each preference gives way to the next one (s)."""
+        low, high = self.changes or (np.inf, np.inf)
+        times = np.random.default_rng([self.seed, 1]).uniform(low, high, self.count + len(self.left_out))
+        return np.delete(times, self.left_out) if self.changes else np.full(self.count, np.inf)
 
 
 class Partners(Settings):
@@ -149,8 +167,12 @@ class Task(Settings):
         """(P, d) weights of the undiscounted returns, one row per hidden preference; a ValueError if there are none."""
         if self.preferences is None:
             raise ValueError(f"the task {self.title!r} has no preferences")
-        objectives = self.objectives()
-        return np.asarray(self.preferences.weights(objectives) / scales(objectives))
+        return self.preferences.weights(self.objectives())
+
+    def told_weights(self) -> NDArray[np.float64]:
+        """(P, d) hidden weights as policies are told them: of returns divided by nominal scales, and of sum 1."""
+        weights = self.hidden_weights() * scales(self.objectives())
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
 class Suite(Settings):

@@ -175,9 +175,9 @@ class EnvConfig(Settings):
     time as standing still. A vehicle is charged nothing more where it arrives or reaches the time limit, or where a
     wrapper cuts the episode off; nor does the setting matter where time is not among the objectives."""
     spent: dict[str, float] = {}
-    """How much of "g_force" (g) and "jerk" (m/s^3) may have been spent before an episode begins, by name. What has been
-    is drawn uniformly between 0 and that, and charged in the first reward: who adds up rewards knows it from then on,
-    and nobody observes it."""
+    """How much of "g_force" (g), "jerk" (m/s^3) and "time" (s) may have been spent before an episode begins, by name.
+    What has been is drawn uniformly between 0 and that, and charged in the first reward: who adds up rewards knows it
+    from then on, and nobody observes it."""
     yaw_friction: float = Field(default=YAW_FRICTION, gt=0.0, lt=1.0)
     """By what the turn per physics step is multiplied at every step of 1/60 s; with more a car turns further for the
     same steering, and longer after it."""
@@ -241,7 +241,7 @@ class EnvConfig(Settings):
         number = scenario.number if self.vehicles is None else self.vehicles
         spent = {**dict(zip(SPENT_NAMES, scenario.spent, strict=True)), **self.spent}
         cars = scenario.cars if self.cars is None else self.cars
-        return replace(scenario, number=number, cars=cars, spent=tuple(spent[name] for name in SPENT_NAMES))
+        return replace(scenario, number=number, cars=cars, spent=(spent["g_force"], spent["jerk"], spent["time"]))
 
     @property
     def physics_steps(self) -> int:

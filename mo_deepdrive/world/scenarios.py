@@ -7,8 +7,8 @@ bicycle j; ``draws[k + 3 j : k + 3 + 3 j]`` with k = ``driver_draw`` are the des
 oncoming car j. A scenario that does not use a draw has a span of zero. On roads of segments, ``draws[0]`` is who queues
 first, ``draws[1 + 3 b : 4 + 3 b]`` are entry, route and place of the vehicle or car b, and of the driver of the car j
 ``draws[k + 3 j : k + 3 + 3 j]`` with k = ``driver_draw`` are the desired speed, the time gap and the accepted gap.
-Where something may have been spent before, the last two draws are g-force and jerk. ``simulation/placing.py`` does all
-this.
+Where something may have been spent before, the last three draws are g-force, jerk and time.
+``simulation/placing.py`` does all this.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ class Scenario:
         cars: how many cars have scripted drivers: on roads of segments they drive along drawn routes; otherwise, where
             the vehicle is alone and there are lanes, they come down the lane opposite to a left-turner.
         number: how many vehicles there are on roads of segments; the argument ``vehicles`` changes it if it is above 1.
-        spent: the most g-force (g) and jerk (m/s^3) that may have been spent before an episode begins; the argument
-            ``spent`` changes it.
+        spent: the most g-force (g), jerk (m/s^3) and time (s) that may have been spent before an episode begins; the
+            argument ``spent`` changes it.
         conflict_time: the time to collision below which a decision is a near miss (s).
         reference: coordinates of the reference point for hypervolumes by objective, maximised, for every discount
             factor; ``data/reference_points.yaml`` has those of the package's own scenarios.
@@ -89,7 +89,7 @@ class Scenario:
     lanes: bool = False
     cars: int = 0
     number: int = 1
-    spent: tuple[float, float] = (0.0, 0.0)
+    spent: tuple[float, float, float] = (0.0, 0.0, 0.0)
     conflict_time: float = CONFLICT_TIME
     reference: Mapping[str, float] = field(default_factory=dict)
 
@@ -291,7 +291,7 @@ def _problem(scenario: Scenario) -> str:
     if not scenario.objectives or len(set(scenario.objectives)) != len(scenario.objectives):
         return f"objectives = {list(scenario.objectives)} must be one or more distinct names"
     if shape_of(scenario.spent) != (len(SPENT_NAMES),) or min(scenario.spent) < 0.0:
-        return f"spent = {scenario.spent!r} must be two finite numbers of at least 0: g-force (g) and jerk (m/s^3)"
+        return f"spent = {scenario.spent!r} must be g-force (g), jerk (m/s^3) and time (s): finite and at least 0"
     if not isinstance(scenario.lanes, bool):
         return f"lanes = {scenario.lanes!r} must be True or False"
     if not _is_count(scenario.obstacles):
@@ -340,5 +340,5 @@ def _is_count(value: Any) -> bool:
 def _with_tuples(scenario: Scenario) -> Scenario:
     """The same scenario with nested tuples, which can be compared, instead of arrays and lists."""
     objectives, routes = tuple(scenario.objectives), tuple(map(as_tuples, scenario.routes))
-    (x, y), (g_force, jerk) = (map(float, pair) for pair in (scenario.destination_span, scenario.spent))
-    return replace(scenario, routes=routes, objectives=objectives, destination_span=(x, y), spent=(g_force, jerk))
+    (x, y), (g_force, jerk, time) = (map(float, numbers) for numbers in (scenario.destination_span, scenario.spent))
+    return replace(scenario, routes=routes, objectives=objectives, destination_span=(x, y), spent=(g_force, jerk, time))
