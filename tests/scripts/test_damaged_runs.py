@@ -99,10 +99,9 @@ def test_damaged_runs_are_left_out_with_a_line_each(
     assert all(text in out for text in shown)
     lines = error.splitlines()
     assert len(lines) == len(faults)
-    for number, (line, (_, fault)) in enumerate(zip(lines, faults.values(), strict=True)):
-        assert line.startswith("left out: ")
-        assert f"{bad}/{number}/{name}" in line
-        assert fault in line
+    assert all(line.startswith("left out: ") for line in lines)
+    for number, (_, fault) in enumerate(faults.values()):
+        assert any(f"{bad}/{number}/{name}" in line and fault in line for line in lines)
     nothing = (
         "no run has a final evaluation that can be read" if command == "table" else "no run whose metrics can be d"
     )

@@ -172,11 +172,11 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
         ({"tasks": ["K1"]}, "metric has no effect: every task has its own"),
         (
             {"tasks": {"K1": {"task": "K1", "steps": 10**8}}, "metric": None},
-            r"training.total_timesteps = 100,000,000: evaluation.task = 'K1' allows 3,000,000 environment steps",
+            "training.total_timesteps = 100,000,000: task K1 allows 3,000,000 environment steps",
         ),
         (
             {"tasks": ["K1"], "metric": None, "overrides": {"environment.arguments.time_limit": 10}},
-            "environment.arguments.time_limit = 10.0: evaluation.task = 'K1' needs 60.0",
+            r"task K1 needs another environment: environment.arguments.time_limit = 10.0 \(not 60.0\)",
         ),
         ({"overrides": {"training": {"seed": 3}}}, "'training.seed' in overrides: set seeds with the key 'seeds'"),
         (
