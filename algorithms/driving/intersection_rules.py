@@ -1,7 +1,7 @@
 """Scripted drivers for the two vehicles of the intersection, by name.
 
-Vehicle 0 turns left as in LeftTurn and waits for a gap before vehicle 1; vehicle 1 drives straight on, as one of several
-families of drivers that differ in how fast they go where and for whom they stop. They remember nothing: an action
+Vehicle 0 turns left as in LeftTurn and waits for a gap before vehicle 1; vehicle 1 drives straight on as one of several
+families of drivers, which differ in how fast they are where, and in whom they stop for. All remember nothing: an action
 follows from one observation.
 """
 
@@ -71,7 +71,7 @@ class TurningDriver(GapDriver):
         return self.drive(observations, impatient=False)
 
     def drive(self, observations: NDArray[np.float32], impatient: bool | NDArray[np.bool_]) -> NDArray[Any]:
-        """Actions for observations (N, size); who is impatient goes before one that stands, too."""
+        """Actions for observations (N, size); who is impatient (N,) takes no one to come faster than it does."""
         seen = as_in_left_turn(np.asarray(observations, dtype=np.float64))
         line = self.line(locate(seen)[0])
         least_speed = np.where(impatient, 0.0, self.rule.least_speed)
@@ -194,6 +194,20 @@ def absent(seen: Floats) -> NDArray[np.bool_]:
         (seen[:, SEEN["other_front_left_distance"]] == ABSENT_DISTANCE) & (seen[:, SEEN["other_vy"]] == 0.0)
     )
 
+
+# Drivers of vehicle 1 in four families to train with, and in four others to meet.
+TRAINING_PARTNERS = (
+    *("rule:straight_2", "rule:straight_4", "rule:straight_6", "rule:straight_9"),
+    *("rule:yields_2", "rule:yields_4", "rule:yields_6", "rule:yields_9"),
+    *("rule:creeps_0.5", "rule:creeps_1", "rule:creeps_1.5"),
+    *("rule:courteous_2", "rule:courteous_3", "rule:courteous_4"),
+)
+STRANGERS = (
+    *("rule:parked_3", "rule:parked_6", "rule:parked_99"),
+    *("rule:stops_0.5", "rule:stops_1", "rule:stops_2"),
+    *("rule:late_3", "rule:late_6", "rule:late_12"),
+    *("rule:waves_2", "rule:waves_3", "rule:waves_4"),
+)
 
 # ``rule:gap_3`` turns left and waits for a gap of 3 s; the others are drivers of vehicle 1. ``rule:straight_6`` drives
 # straight on at 6 m/s, ``rule:yields_6`` does so and brakes for a vehicle in front of it; any numbers.

@@ -73,7 +73,7 @@ class GapDriver(Driver):
         return self.actions(seen, self._goes)
 
     def may_go(self, seen: Floats, line: Floats, least_speed: float | Floats) -> NDArray[np.bool_]:
-        """Whether vehicles are at the line (N,) and no oncoming car comes within the gap, at a speed of at least that."""
+        """Whether vehicles are at the line (N,) and no oncoming car that is at least so fast comes within the gap."""
         speed = seen[:, COLUMN["speed"]]
         here = line <= braking_distance(speed) + 0.3
         to_lane = np.maximum(line + self.rule.stop_distance + TO_ONCOMING_LANE, 0.0)
