@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 HEAD = ["task", "kind", "value", "low", "high", "by", "episodes"]
 AMONG = tuple(f"rule:drawn_{number}" for number in range(20))
-ROUNDS_AMONG = ((128, 1), (32, 3), (8, 8))  # episodes with each of them
+ROUNDS_AMONG = ((96, 1), (24, 3), (6, 8))  # episodes with each of them
 SATISFICING = "one_waypoint_satisficing"
 
 
@@ -69,7 +69,7 @@ def cases() -> dict[str, Case]:
         "V1": _strangers(),
         "K4": _limits(),
         "K5": _risk(),
-        "R3": _roundabout(AMONG, ROUNDS_AMONG, 50),
+        "R3": _roundabout(AMONG, ROUNDS_AMONG, 25),
         "R4": _roundabout((), ROUNDS_IN_ROUNDABOUTS, 500),
     }
 
