@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 HEAD = ["task", "kind", "value", "low", "high", "by", "episodes"]
 AMONG = tuple(f"rule:drawn_{number}" for number in range(20))
-ROUNDS_AMONG = ((96, 1), (24, 3), (6, 8))  # episodes with each of them
+ROUNDS_AMONG = ((48, 1), (12, 2), (4, 4))  # episodes with each of them
 SATISFICING = "one_waypoint_satisficing"
 
 

@@ -108,30 +108,30 @@ class Setting:
 
     def drive(self, family: Family, rules: Floats, episodes: int, split: Split) -> list[tuple[Evaluation, ...]]:
         """An evaluation with each partner, or one, of each of the rules (K, F), all in the same scenarios."""
-        seed = SPLITS[split].start
-        with closing(make_env(self.env_id, min(OUR_ENVS, len(rules) * episodes), dict(self.arguments))) as env:
-            adapter = EnvAdapter(env)
-            met = []
-            for partner in self.partners or (None,):
-                policy_of = partial(self._policy, adapter, family, rules, partner)
-                met.append(evaluate_each(policy_of, len(rules), env, episodes=episodes, seed=seed, gamma=1.0))
-        return list(zip(*met, strict=True))
+        pairs = len(rules) * max(1, len(self.partners))
+        with closing(make_env(self.env_id, min(OUR_ENVS, pairs * episodes), dict(self.arguments))) as env:
+            policy_of = partial(self._policy, EnvAdapter(env), family, rules)
+            seed = SPLITS[split].start
+            found = evaluate_each(policy_of, pairs, env, episodes=episodes, seed=seed, gamma=1.0)
+        return [tuple(found[k :: len(rules)]) for k in range(len(rules))]
 
-    def _policy(
-        self, adapter: EnvAdapter, family: Family, rules: Floats, partner: str | None, rows: NDArray[np.intp]
-    ) -> FunctionPolicy:
+    def _policy(self, adapter: EnvAdapter, family: Family, rules: Floats, pairs: NDArray[np.intp]) -> FunctionPolicy:
+        """The policy of which episode n is driven by the n-th of the pairs of a partner and a rule."""
+        partners, rows = np.divmod(pairs, len(rules))
         action_type = self.arguments.get("action_type", "discrete")
         driver = family.policy(rules[rows], action_type)
-        if partner is None:
-            return FunctionPolicy(driver, adapter, gamma=1.0)
-        other = MAKERS[self.env_id](partner, action_type)
+        others = [MAKERS[self.env_id](name, action_type) for name in self.partners]
 
         def drive(observations: NDArray[Any], accrued: NDArray[Any], discounts: NDArray[Any]) -> NDArray[Any]:
             ours = driver(observations[:, :1], accrued[:, :1], discounts[:, :1])
-            theirs = other(observations[:, 1:].reshape(-1, observations.shape[-1]))
-            return np.concatenate([ours, theirs.reshape(len(ours), -1, *ours.shape[2:])], axis=1)
+            actions = np.repeat(ours, observations.shape[1], axis=1)
+            for partner in np.unique(partners):
+                theirs = observations[partners == partner, 1:]
+                driven = others[partner](theirs.reshape(-1, theirs.shape[-1]))
+                actions[partners == partner, 1:] = driven.reshape(*theirs.shape[:2], *ours.shape[2:])
+            return actions
 
-        return FunctionPolicy(drive, adapter, gamma=1.0)
+        return FunctionPolicy(drive if others else driver, adapter, gamma=1.0)
 
 
 def search(
