@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +28,7 @@ DRAG = 0.06  # deceleration by friction (m/s^2) per m/s
 BRAKING = 2.45  # deceleration (m/s^2) per m/s and unit of brake
 DECISION = 0.1  # s
 THROTTLE = 1.0  # m/s^2, of the discrete actions
+BRAKE_LIMIT = 4.35  # m/s above which a discrete brake would be harmful
 
 SOFT_CHANGE = 0.15  # m/s^2 by which the throttle changes in a decision, of continuous actions
 
@@ -44,12 +44,15 @@ def forward(heading: Floats) -> Floats:
 
 
 class Rule:
-    """Base of what drivers are made of: finite numbers of at least 0.1, or 0 for a gap or a distance."""
+    """Base of what drivers are made of: finite numbers of at least 0.1, or 0 for a gap, a distance or a least speed.
+
+    They may be arrays (N,), one number for each of the vehicles that are driven.
+    """
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            least = 0.0 if name in ("gap", "stop_distance") else 0.1
-            if not (math.isfinite(value) and value >= least):
+            least = 0.0 if name in ("gap", "stop_distance", "least_speed") else 0.1
+            if not np.all(np.isfinite(value) & (value >= least)):
                 raise ValueError(f"{name} = {value!r} of a rule must be a finite number of at least {least:g}")
 
 

@@ -49,6 +49,7 @@ class GapRule(Rule):
     turn_speed: float = 6.0  # in the crossing (m/s)
     exit_speed: float = 8.0  # after it (m/s)
     stop_distance: float = 0.73  # from the front of the waiting vehicle to the crossing (m)
+    least_speed: float = 0.0  # by which oncoming cars are taken to come at least, also those that stand (m/s)
 
 
 class GapDriver(Driver):
@@ -68,16 +69,17 @@ class GapDriver(Driver):
         if len(self._goes) != len(seen):
             self._goes = np.zeros(len(seen), dtype=np.bool_)
         self._goes &= np.any(accrued != 0.0, axis=1)
-        self._goes |= self.may_go(seen, self.line(locate(seen)[0]))
+        self._goes |= self.may_go(seen, self.line(locate(seen)[0]), self.rule.least_speed)
         return self.actions(seen, self._goes)
 
-    def may_go(self, seen: Floats, line: Floats) -> NDArray[np.bool_]:
-        """Whether vehicles are at the line (N,) and no oncoming car comes within the gap."""
+    def may_go(self, seen: Floats, line: Floats, least_speed: float | Floats) -> NDArray[np.bool_]:
+        """Whether vehicles are at the line (N,) and no oncoming car that is at least so fast comes within the gap."""
         speed = seen[:, COLUMN["speed"]]
         here = line <= braking_distance(speed) + 0.3
         to_lane = np.maximum(line + self.rule.stop_distance + TO_ONCOMING_LANE, 0.0)
         lead_time = (np.sqrt(speed**2 + 2.0 * THROTTLE * to_lane) - speed) / THROTTLE
-        return here & (free_time(seen, lead_time) >= self.rule.gap) | (self.rule.gap == 0.0)
+        free = free_time(seen, lead_time, least_speed)
+        return here & (free >= self.rule.gap) | (self.rule.gap == 0.0)
 
     def line(self, front: Floats) -> Floats:
         """The distance (N,) from the front (N, 2) to where a vehicle waits, on the way straight on; negative beyond."""
@@ -98,16 +100,17 @@ class GapDriver(Driver):
         return self.control(seen, path_curvature(centre, heading, speed), target, brakes, line)
 
 
-def free_time(seen: Floats, lead_time: Floats) -> Floats:
-    """The time (N,) until the next oncoming car reaches the crossing at its present speed (s); inf if none does.
+def free_time(seen: Floats, lead_time: Floats, least_speed: float | Floats = 0.0) -> Floats:
+    """The time (N,) until the next oncoming car reaches the crossing (s); inf if none does.
 
-    Cars that have left by ``lead_time`` (N,) (s), when the vehicle is in their lane, do not count.
+    It comes at its present speed, or at the least one (m/s). Cars that have left by ``lead_time`` (N,) (s), when the
+    vehicle is in their lane, do not count.
     """
     least = np.full(len(seen), np.inf)
     for name in ("oncoming_1", "oncoming_2"):
         distance, speed = seen[:, COLUMN[f"{name}_distance"]], seen[:, COLUMN[f"{name}_speed"]]
         with np.errstate(divide="ignore", invalid="ignore"):
-            arrives = np.where(distance <= 0.0, 0.0, distance / speed)
+            arrives = np.where(distance <= 0.0, 0.0, distance / np.maximum(speed, least_speed))
             leaves = (distance + 2.0 * LANE_WIDTH + LENGTH) / speed
         least = np.where(leaves + LEAVING_MARGIN < lead_time, least, np.minimum(least, arrives))
     return least

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from algorithms.driving.controls import Driver, Rule, braking_distance, forward, make_driver
+from algorithms.driving.controls import BRAKE_LIMIT, Driver, Rule, braking_distance, forward, make_driver
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.neighbours import NEIGHBOURS
 from mo_deepdrive.simulation.roads import NEXT_POINT, POINT_AFTER
@@ -53,7 +53,6 @@ REACH = 0.5  # m from the middle of somebody's front or rear to what is first in
 STANDING = 3.3  # m/s, the least speed by which the time to the entry is counted
 TURNS_OFF = 0.5  # rad from the direction of the circle, outwards, from which on somebody is leaving it
 STOP = 2.0  # m before the line where it stops
-BRAKE_LIMIT = 4.35  # m/s above which a discrete brake would be harmful
 BRAKE_SLACK = 1.4  # m/s above the target speed at which it brakes
 RELEASE = -0.5  # m/s above the target speed down to which it brakes
 STOP_GAIN = 1.4  # 1/s, of the speed before the line over the distance to it

@@ -1,7 +1,7 @@
 """Policies that need no skill, by which the floors of the suite are set: a task that one of them solves tests nothing.
 
-They see nothing of what a task is about: they stand still, act at random, hold one action, go at once, or go after a
-fixed time. Those of the left turn and of the roundabout know the road, and are blind to traffic.
+They see nothing of what a task is about: they stand still, act at random, hold one action, or go after a fixed time.
+The last ones know the road of the left turn or the roundabout, and are blind to traffic.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.driving.intersection_rules import as_in_left_turn
-from algorithms.driving.left_turn_rules import GapDriver, GapRule
-from algorithms.driving.roundabout_rules import ROUNDABOUTS, RoundaboutDriver, RoundaboutRule
+from algorithms.driving.left_turn_rules import GapDriver
+from algorithms.driving.roundabout_rules import RoundaboutDriver
 from mo_deepdrive.world.action_sequences import idle
 from mo_deepdrive.world.actions import CONTINUOUS, action_names
 
@@ -23,53 +23,50 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from algorithms.driving.left_turn_rules import GapRule
+    from algorithms.driving.roundabout_rules import RoundaboutRule
     from mo_deepdrive.world.config import EnvConfig
 
+    Goes = bool | NDArray[np.bool_]
     Function = Callable[..., NDArray[Any]]
 
-WAITS = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0)  # s
-LONG_WAITS = (0.0, 20.0, 30.0, 40.0)  # s, of vehicles among others in a roundabout
-SPEEDS = (3.0, 4.0, 5.0)  # m/s
 STEERS, ACCELERATIONS = (-1.0, -0.3, 0.0, 0.3, 1.0), (0.25, 0.5, 1.0)  # of continuous actions that are held
 
 
 class Timed:
-    """Goes after a fixed time ``wait`` (s), whatever comes; a ``decision`` takes some time (s), too.
+    """Goes after a fixed time ``wait`` (s), one or (N,), whatever comes; a ``decision`` takes some time (s), too.
 
-    ``drives`` gives actions for observations (N, o) or (N, V, o) and whether to go, else it waits.
+    ``drives`` gives actions for observations (N, o) and whether to go (N,), else it waits.
     """
 
-    def __init__(self, wait: float, decision: float, drives: Callable[[NDArray[Any], bool], NDArray[Any]]):
-        self._decisions, self._past, self._drives = round(wait / decision), 0, drives
+    def __init__(self, wait: Any, decision: float, drives: Callable[[NDArray[Any], Goes], NDArray[Any]]):
+        self._decisions, self._past, self._drives = np.rint(wait / decision), 0, drives
 
     def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], _discounts: NDArray[Any]) -> NDArray[Any]:
-        """Actions for observations (N, o) or (N, V, o)."""
+        """Actions for observations (N, o)."""
         self._past = self._past + 1 if accrued.any() else 0
         return self._drives(observations, self._past >= self._decisions)
 
 
-def blind_turner(action_type: str, *, others: bool) -> Callable[[NDArray[Any], bool], NDArray[Any]]:
-    """Turns left along the lanes and sees nobody on them, alone or as one of two vehicles."""
-    driver = GapDriver(GapRule(gap=0.0), action_type)
+def blind_turner(rule: GapRule, action_type: str, *, meets: bool) -> Callable[[NDArray[Any], Goes], NDArray[Any]]:
+    """Turns left along the lanes and sees nobody on them: alone, or as vehicle 0 that ``meets`` vehicle 1."""
+    driver = GapDriver(rule, action_type)
 
-    def drives(observations: NDArray[Any], goes: bool) -> NDArray[Any]:
+    def drives(observations: NDArray[Any], goes: Goes) -> NDArray[Any]:
         seen = np.asarray(observations, dtype=np.float64)
-        seen = as_in_left_turn(seen[:, 0]) if others else seen
-        actions = driver.actions(seen, np.full(len(seen), goes))
-        return np.stack([actions] * 2, axis=1) if others else actions
+        return driver.actions(as_in_left_turn(seen) if meets else seen, np.broadcast_to(goes, len(seen)))
 
     return drives
 
 
-def blind_follower(speed: float, action_type: str) -> Callable[[NDArray[Any], bool], NDArray[Any]]:
-    """Follows its lane at a constant speed (m/s), and sees nobody on it."""
-    rule = RoundaboutRule(gap=0.0, approach_speed=speed, inside_speed=speed, exit_speed=speed)
+def blind_follower(rule: RoundaboutRule, action_type: str) -> Callable[[NDArray[Any], Goes], NDArray[Any]]:
+    """Follows its lane, and sees nobody on it."""
     driver, waiting = RoundaboutDriver(rule, action_type, blind=True), idle(action_type)
 
-    def drives(observations: NDArray[Any], goes: bool) -> NDArray[Any]:
-        if goes:
-            return driver(observations)
-        return np.broadcast_to(waiting, (*observations.shape[:-1], *waiting.shape)).copy()
+    def drives(observations: NDArray[Any], goes: Goes) -> NDArray[Any]:
+        actions = driver(observations)
+        actions[~np.broadcast_to(goes, len(actions))] = waiting
+        return actions
 
     return drives
 
@@ -89,19 +86,7 @@ def unskilled_policies(config: EnvConfig) -> dict[str, Function]:
     else:
         names = action_names(action_type)
         found |= {f"holds '{name}'": _holding(np.array(i), axes) for i, name in enumerate(names) if i}
-    decision = 1.0 / config.decision_frequency
-    if scenario.lanes:
-        turner = blind_turner(action_type, others=scenario.vehicles > 1)
-        found |= {_timed(wait): Timed(wait, decision, turner) for wait in WAITS}
-    if scenario.name in ROUNDABOUTS:
-        for speed in SPEEDS:
-            follower = blind_follower(speed, action_type)
-            found |= {f"{_timed(wait)} at {speed:g} m/s": Timed(wait, decision, follower) for wait in LONG_WAITS}
     return found
-
-
-def _timed(wait: float) -> str:
-    return f"goes after {wait:g} s" if wait else "goes at once"
 
 
 def _holding(action: NDArray[Any], axes: tuple[int, ...]) -> Function:

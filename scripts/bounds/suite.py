@@ -37,13 +37,14 @@ from mo_deepdrive.evaluation.metrics import (
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
+from scripts.bounds.rule_search import BLIND, SEEING
 from scripts.bounds.suite_bounds import (
     HORIZON,
-    TRIED_IN_ROUNDABOUTS,
+    TRIED,
     ceiling,
     floor,
     plan_task,
-    roundabout_rules,
+    searched,
     with_spare_preferences,
     worth_driving,
     write_plans,
@@ -63,12 +64,11 @@ Driver = tuple[str, str, int | None, Any]  # name, kind, seed of a run, policy
 
 def bounds(task: Task) -> list[Driver]:
     """The drivers that bounds are of: without skill and by rules, of each kind the best on the validation split."""
-    unskilled = unskilled_policies(task.config())
-    found: list[Driver] = [(name, FLOOR, None, unskilled[name]) for name in (STILL, RANDOM)]
-    for prefix, start in (("", "holds "), ("blind, ", "goes ")):
-        name, policy = _best({name: policy for name, policy in unskilled.items() if name.startswith(start)}, task)
-        found.append((prefix + name, FLOOR, None, policy))
-    name, policy = _best(roundabout_rules(), task)
+    unskilled, scenario = unskilled_policies(task.config()), task.config().scenario
+    held = _best({name: policy for name, policy in unskilled.items() if name.startswith("holds ")}, task)
+    floors = [*((name, unskilled[name]) for name in (STILL, RANDOM)), held, searched(BLIND[scenario], task)]
+    found: list[Driver] = [(name, FLOOR, None, policy) for name, policy in floors]
+    name, policy = searched(SEEING[scenario], task)
     return [*found, (name, RULE, None, policy)]
 
 
@@ -115,7 +115,7 @@ def _best(candidates: Mapping[str, Any], task: Task) -> tuple[str, Any]:
     """The candidate whose vehicles have the highest mean utility on the validation split."""
 
     def worth(name: str) -> float:
-        driven = drive(candidates[name], task, TRIED_IN_ROUNDABOUTS, "validation")
+        driven = drive(candidates[name], task, TRIED, "validation")
         return float(driven.team_samples()[MEAN_UTILITY_ESR].mean())
 
     name = max(candidates, key=worth)

@@ -6,16 +6,13 @@ Planned drives are the best that are found in scenarios of the test split, each 
 from __future__ import annotations
 
 import json
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium
 import numpy as np
 
-from algorithms.driving.intersection_rules import make_rule
-from algorithms.driving.left_turn_rules import GapDriver, GapRule
-from algorithms.driving.roundabout_rules import ROUNDABOUTS, RoundaboutDriver, RoundaboutRule
+from algorithms.driving.roundabout_rules import ROUNDABOUTS
 from algorithms.driving.unskilled import unskilled_policies
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.drives import Playback
@@ -25,10 +22,23 @@ from mo_deepdrive.simulation.actions import decode_discrete
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
 from mo_deepdrive.suite.plans import planned, planned_actions, planned_scenarios
 from mo_deepdrive.support.atomic_io import atomic_write
+from mo_deepdrive.utilities import RISK_AVERSE
 from mo_deepdrive.world.action_sequences import decode, encode
 from mo_deepdrive.world.scenarios import SCENARIOS
 from scripts.bounds.best_first_search import solve_scenario
 from scripts.bounds.plans import CRITERIA, Criterion, EvaluatedPlans, PlanEvaluator, random_calm_rules
+from scripts.bounds.rule_search import (
+    BLIND,
+    ROUNDS,
+    SEEING,
+    Family,
+    Objective,
+    Setting,
+    certainty_equivalent,
+    mean_over_vehicles,
+    mean_utility,
+    search,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -250,17 +260,13 @@ def write_plans(task_id: str, task: Task, texts: list[list[str]]) -> None:
 
 # ------------------------------------------------------------------------------------------------- floors and ceilings
 
-TRIED = 24  # episodes of the validation split by which candidates are compared
-TRIED_WITH_PARTNERS = 16  # of each partner
-TRIED_FOR_RISK = 600  # where a rare collision decides
-TRIED_IN_ROUNDABOUTS = 100
+TRIED = 24  # episodes of the validation split by which policies without skill are compared
+DRAWN = 32  # rules of a front
+# Of a search: where a rare collision decides, with partners (episodes are of each of them), and where eight drive.
+ROUNDS_FOR_RISK = ((128, 32), (32, 256), (8, 1024))
+ROUNDS_WITH_PARTNERS = ((256, 2), (64, 6), (16, 24))
+ROUNDS_IN_ROUNDABOUTS = ((128, 8), (32, 32), (8, 128))
 BLIND_SCENARIOS = 16  # of the validation split, in which the best open-loop policy is searched
-GAPS = (4.25, 4.5, 4.75, 5.0)  # s, of rules for the left turn
-SPEEDS = ((2.8, 6.0, 8.0), (3.5, 6.5, 9.0), (2.0, 5.0, 6.0))  # m/s, of the approach, in the crossing and after it
-FRONT_GAPS = (2.0, 3.0, 4.0, 4.5, 5.0, 6.0, 8.0)  # s, of the front of rules
-ENTRY_GAPS = (2.5, 3.0, 3.5, 4.5)  # s, of rules for the roundabout
-ROUNDABOUT_SPEEDS = ((4.2, 4.0, 4.5), (4.2, 4.3, 5.5), (3.5, 3.7, 4.2))  # m/s, before, inside, after
-MEETING_GAPS = (4, 5, 6, 7, 8, 10)  # s, of rules for the intersection
 
 
 class Found(NamedTuple):
@@ -278,20 +284,38 @@ def score_of(policy: Any, task_id: str, **options: Any) -> float:
 
 def best_of(candidates: dict[str, Any], task_id: str) -> Found:
     """The candidate that is best on the validation split, with its score on the test split."""
-    task = suite.load().task(task_id)
-    tried = TRIED_WITH_PARTNERS if task.partners else TRIED
-    tried = TRIED_FOR_RISK if task.score == "certainty_equivalent" else tried
-    tried = TRIED_IN_ROUNDABOUTS if task.config().scenario in ROUNDABOUTS else tried
     start = SPLITS["validation"].start
-    name = max(candidates, key=lambda name: score_of(candidates[name], task_id, episodes=tried, first_episode=start))
+    name = max(candidates, key=lambda name: score_of(candidates[name], task_id, episodes=TRIED, first_episode=start))
     return Found(score_of(candidates[name], task_id), name)
+
+
+def searched(family: Family, task: Task) -> tuple[str, Any]:
+    """The best rule of a family for a task on the validation split: its name, and its policy of all vehicles."""
+    utility, config = task.make_utility(), task.config()
+    objective: Objective = mean_over_vehicles(utility)
+    rounds = ROUNDS_IN_ROUNDABOUTS if config.scenario in ROUNDABOUTS else ROUNDS
+    if task.score == "certainty_equivalent":
+        risk = RISK_AVERSE[task.utility.name]  # type: ignore[union-attr]
+        objective, rounds = certainty_equivalent(utility, risk), ROUNDS_FOR_RISK
+    partners: tuple[str, ...] = ()
+    if task.partners is not None:
+        objective, rounds, partners = mean_utility(utility), ROUNDS_WITH_PARTNERS, tuple(task.partners.names)
+    rule = search(Setting(task.environment.id, task.environment.arguments, partners), family, objective, rounds)
+    return family.name(rule), family.policy(rule, config.action_type)
+
+
+def searched_bound(family: Family, task_id: str) -> Found:
+    """The best rule of a family, with its score on the test split."""
+    name, policy = searched(family, suite.load().task(task_id))
+    return Found(score_of(policy, task_id), name)
 
 
 def floor(task_id: str) -> Found:
     """The floor of a task: the best policy that needs no skill; of unknown utilities, all of them as a front."""
     task = suite.load().task(task_id)
-    candidates = dict(unskilled_policies(task.config()))
+    candidates, blind = dict(unskilled_policies(task.config())), BLIND.get(task.config().scenario)
     if task.utility is None:
+        candidates |= blind.drawn(DRAWN, task.config().action_type) if blind else {}
         policies = f"{len(candidates)} policies without skill"
         by = f"the front of {policies}" if task.preferences is None else f"the best of {policies}, for each preference"
         return Found(score_of(list(candidates.values()), task_id), by)
@@ -299,8 +323,9 @@ def floor(task_id: str) -> Found:
     if not scenario.lanes and not scenario.roads and not task.config().fixed_destination:
         candidates["the best open-loop policy"] = _blind(task)
     still = next(iter(candidates))  # which may be the best of the test split, if not of the other one
-    found = best_of(candidates, task_id)
-    return max(found, Found(score_of(candidates[still], task_id), still), key=lambda each: each.value)
+    found = [best_of(candidates, task_id), Found(score_of(candidates[still], task_id), still)]
+    found += [searched_bound(blind, task_id)] if blind else []
+    return max(found, key=lambda each: each.value)
 
 
 def _blind(task: Task) -> Playback:
@@ -350,47 +375,14 @@ def ceiling(task_id: str) -> Found:
         sequences = [decode(each.actions, config.action_type) for each in shipped(config.scenario, config.action_type)]
         front: list[Any] = [Playback([sequence], config.action_type) for sequence in sequences]
         return Found(score_of(front, task_id, episodes=1), f"the {len(front)} drives of the best-known front")
-    if task.partners is not None:
-        rules = {f"the rule that waits for a gap of {gap} s": meeting_rule(gap) for gap in MEETING_GAPS}
-        return best_of(rules, task_id)
-    if config.scenario == "left_turn":
-        if task.preferences is not None:
-            front = [*unskilled_policies(config).values(), *left_turn_rules(FRONT_GAPS).values()]
-            return Found(score_of(front, task_id), f"the best of {len(front)} rules for each preference")
-        return best_of(left_turn_rules(GAPS), task_id)
-    if config.scenario in ROUNDABOUTS:
-        return best_of(roundabout_rules(), task_id)
+    if config.scenario in BLIND:
+        family = SEEING[config.scenario]
+        if task.preferences is None:
+            return searched_bound(family, task_id)
+        drawn = [each.drawn(DRAWN, config.action_type) for each in (BLIND[config.scenario], family)]
+        front = [policy for policies in (unskilled_policies(config), *drawn) for policy in policies.values()]
+        return Found(score_of(front, task_id), f"the best of {len(front)} rules for each preference")
     scenarios = planned_scenarios(task_id)
     policy = planned(task_id) if task.preferences is None else PlannedForPreferences(task_id)
     by = f"drives that were planned in the first {scenarios} scenarios of the test split"
     return Found(score_of(policy, task_id, episodes=scenarios), by)
-
-
-def left_turn_rules(gaps: Any) -> dict[str, GapDriver]:
-    """Rules for the left turn by name: every gap with every set of speeds."""
-    found = {}
-    for gap, (approach, turn, leave) in product(gaps, SPEEDS):
-        rule = GapRule(gap=gap, approach_speed=approach, turn_speed=turn, exit_speed=leave)
-        name = f"the rule that waits for a gap of {gap:g} s and drives at {approach:g}, {turn:g} and {leave:g} m/s"
-        found[name] = GapDriver(rule)
-    return found
-
-
-def roundabout_rules() -> dict[str, RoundaboutDriver]:
-    """Rules for the roundabout by name: every gap with every set of speeds."""
-    found = {}
-    for gap, (approach, inside, leave) in product(ENTRY_GAPS, ROUNDABOUT_SPEEDS):
-        rule = RoundaboutRule(gap=gap, approach_speed=approach, inside_speed=inside, exit_speed=leave)
-        speeds = f"{approach:g}, {inside:g} and {leave:g} m/s"
-        found[f"the rule that enters with a gap of {gap:g} s and drives at {speeds}"] = RoundaboutDriver(rule)
-    return found
-
-
-def meeting_rule(gap: float) -> Any:
-    """The rule of vehicle 0 at the intersection that waits for a gap, as a function of all vehicles' observations."""
-    driver: Any = make_rule(f"rule:gap_{gap:g}", "discrete")
-
-    def policy(observations: Any, *_: Any) -> Any:
-        return np.stack([driver(observations[:, 0])] * observations.shape[1], axis=1)
-
-    return policy

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
-from algorithms.driving.intersection_rules import SCENARIO, SEEN, as_in_left_turn, make_rule, room_ahead
+from algorithms.driving.intersection_rules import (
+    SCENARIO,
+    SEEN,
+    STRANGERS,
+    TRAINING_PARTNERS,
+    as_in_left_turn,
+    make_rule,
+    room_ahead,
+)
 from algorithms.driving.left_turn_rules import COLUMN
 from algorithms.driving.named_rules import ScriptedPolicy
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -100,3 +110,25 @@ def test_a_script_is_a_policy_of_one_vehicle_and_the_other_idles(actions: str) -
 def test_an_unknown_rule_is_refused_with_the_forms_that_exist(name: str) -> None:
     with pytest.raises(ValueError, match=rf"no scripted driver '{name}'; write rule:gap_NUMBER, rule:straight_NUMBER"):
         make_rule(name, "discrete")
+
+
+def test_families_of_drivers_do_what_they_are_called() -> None:
+    def lengths(name: str) -> Any:
+        return drive("rule:gap_99", name, episodes=20).lengths[:, 1]
+
+    parked = drive("rule:gap_5", "rule:parked_6", episodes=20)
+    assert parked.end_rates(1)["time_limit"] == 1.0
+    assert parked.succeeded[:, 0].mean() > 0.9
+    assert lengths("rule:creeps_0.5").min() > 200 > lengths("rule:late_6").max()
+    assert lengths("rule:waves_4").min() > lengths("rule:straight_4").max()
+    # One that waits for the other to turn comes last; one that only stops before somebody who moves comes first.
+    waits, stops = (drive("rule:gap_5", name, episodes=20).lengths for name in ("rule:courteous_4", "rule:stops_1"))
+    assert (waits[:, 0] < waits[:, 1]).all()
+    assert stops[:, 1].mean() < waits[:, 1].mean()
+
+
+def test_no_family_that_is_trained_with_is_met_as_a_stranger() -> None:
+    families = [{name.rpartition("_")[0] for name in names} for names in (TRAINING_PARTNERS, STRANGERS)]
+    assert not families[0] & families[1]
+    for name in (*TRAINING_PARTNERS, *STRANGERS):
+        assert make_rule(name, "discrete").vehicle == 1

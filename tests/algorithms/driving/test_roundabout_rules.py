@@ -56,7 +56,7 @@ def test_eight_of_a_kind_arrive_and_the_hurried_sooner(name: str) -> None:
 @pytest.mark.slow
 def test_among_strangers_who_gives_way_arrives_and_the_blind_collide() -> None:
     assert drive(RoundaboutDriver(RoundaboutRule()), SOLO).succeeded.mean() > 0.97
-    blind = Timed(0.0, 0.1, blind_follower(4.0, "discrete"))
+    blind = Timed(0.0, 0.1, blind_follower(RoundaboutRule(), "discrete"))
     assert drive(blind, SOLO).end_rates()["collision"] > 0.1
 
 

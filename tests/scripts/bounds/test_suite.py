@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from scripts.bounds import suite
-from scripts.bounds.suite_bounds import roundabout_rules
+from scripts.bounds.rule_search import SEEING
 
 
 @pytest.mark.slow
 def test_the_table_has_the_bounds_in_place_of_older_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "drivers.csv"
-    name, rule = next(iter(roundabout_rules().items()))
+    name, rule = next(iter(SEEING["roundabout"].drawn(1, "discrete").items()))
     monkeypatch.setattr(suite, "bounds", lambda _task: [(name, suite.RULE, None, rule)])
     arguments = ["drivers", "R1", "R2", "--episodes", "4", "--output", str(path)]
     assert suite.main(arguments) == 0
