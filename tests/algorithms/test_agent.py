@@ -14,7 +14,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PPO, ConditionedMOPPO
+from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PPO, ConditionedMOPPO, RulebookPPO
 from algorithms.actor_critic import ActorCritic
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.episodes import evaluate
@@ -174,6 +174,8 @@ RESUMED: dict[str, tuple[str, str, dict[str, Any]]] = {
     "mo_ppo, two vehicles, central": ("clipped", INTERSECTION, {"num_envs": 3, "centralised_critic": True}),
     "mo_a2c, two vehicles, central": ("utility_difference", INTERSECTION, {"centralised_critic": True}),
     "ppo, one policy for all": ("ppo", ROUNDABOUT, {"share_policy": True}),
+    "rulebook_ppo": ("rulebook", STATIC_OBSTACLE, {"num_envs": 4, "steps": 6}),
+    "rulebook_ppo, two vehicles": ("rulebook", INTERSECTION, {"num_envs": 3}),
     "mocac, particles": ("particles", ONE_WAYPOINT, {"steps": 6}),
     "mocac, particles, two vehicles, central": ("particles", INTERSECTION, {"centralised_critic": True}),
     "mocac, grid": ("grid", ONE_WAYPOINT, {"steps": 6}),
@@ -187,6 +189,7 @@ MORE_FORMS: dict[str, tuple[type[Any], dict[str, Any]]] = {
     **FORMS,
     "clipped": (MOPPO, {}),
     "ppo": (PPO, {}),
+    "rulebook": (RulebookPPO, {"multiplier_start": 0.1}),
     "particles": (MOCAC, {"particles": 5}),
     "grid": (MOCAC, {"critic": "categorical", "atoms": 3}),
     "mappo": (MAPPO, {}),

@@ -17,7 +17,7 @@ def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
     loaded = run_python(
         "import sys, algorithms\n"
         "assert sorted(algorithms.ALGORITHMS) == "
-        "['a2c', 'conditioned_mo_ppo', 'mappo', 'mo_a2c', 'mo_ppo', 'mocac', 'pcn', 'ppo']\n"
+        "['a2c', 'conditioned_mo_ppo', 'mappo', 'mo_a2c', 'mo_ppo', 'mocac', 'pcn', 'ppo', 'rulebook_ppo']\n"
         "assert 'pcn' in algorithms.ALGORITHMS and 'dqn' not in algorithms.ALGORITHMS and dir(algorithms)\n"
         "print(sorted(name for name in sys.modules if name.split('.')[0] in ('torch', 'numpy', 'mo_deepdrive', "
         "'gymnasium') or name.startswith('algorithms.')))"
