@@ -63,14 +63,6 @@ MEMORY = 0.99  # decay per episode of the running mean of returns
 WARM_UP = 2  # updates before one is captured: what is compiled or allocated once must not be part of it
 
 
-def update_mean(running: Tensor, episodes: Tensor, values: Tensor, ended: Tensor, memory: float) -> None:
-    """Update a running mean (S, d) after so many ``episodes`` (S,) with values (S, T, N, d) of those that ``ended``."""
-    number = ended.sum((1, 2))
-    mean = values.masked_fill(~ended.unsqueeze(-1), 0.0).sum((1, 2)) / number.clamp(min=1).unsqueeze(-1)
-    keep = torch.where(episodes > 0, memory**number, (number == 0).float()).unsqueeze(-1)
-    running.copy_(keep * running + (1.0 - keep) * mean)
-
-
 class PolicyLearner(Learner):
     """The learner of one policy, an actor and a critic, for S seeds.
 
@@ -93,8 +85,11 @@ class PolicyLearner(Learner):
 
     def update_on_episode_end(self, values: Tensor, ended: Tensor) -> None:
         """Update E[R] with the accrued rewards (S, T, N k, d) of the episodes that ended, where a mask says."""
-        update_mean(self.expected_return, self.episodes, values, ended, MEMORY)
-        self.episodes.add_(ended.sum((1, 2)))
+        number = ended.sum((1, 2))
+        mean = values.masked_fill(~ended.unsqueeze(-1), 0.0).sum((1, 2)) / number.clamp(min=1).unsqueeze(-1)
+        keep = torch.where(self.episodes > 0, MEMORY**number, (number == 0).float()).unsqueeze(-1)
+        self.expected_return.copy_(keep * self.expected_return + (1.0 - keep) * mean)
+        self.episodes.add_(number)
 
     def get_state(self, seed: int = 0) -> dict[str, Tensor]:
         """Networks, optimiser and E[R]."""

@@ -34,7 +34,6 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from algorithms.actor_critic import update_mean
 from algorithms.hyperparameters import AccruedSettings, NonNegative, Positive, PositiveFraction, ProximalSettings
 from algorithms.mo_ppo import MOPPO
 from mo_deepdrive.evaluation.metrics import MULTIPLIER, RUNNING_COST
@@ -111,13 +110,17 @@ class RulebookPPO(MOPPO):
     def move_multipliers(self, learner: PolicyLearner, ended: Tensor, magnitudes: Tensor) -> None:
         """Equations 3 to 5 for a policy, with magnitudes (S, T, N, m) of the episodes that ended, where a mask says."""
         multipliers, means = self.multipliers[:, learner.vehicles[0]], self.running_costs[:, learner.vehicles[0]]
-        before = learner.episodes - ended.sum((1, 2))
-        update_mean(means, before, magnitudes, ended, 1.0 - 1.0 / self.config.cost_episodes)
+        number = ended.sum((1, 2)).unsqueeze(-1)
+        total = learner.episodes.unsqueeze(-1)
+        # The plain mean at first: the earliest ends are those of short episodes, which failed.
+        keep = torch.minimum((1.0 - 1.0 / self.config.cost_episodes) ** number, 1.0 - number / total.clamp(min=1))
+        latest = magnitudes.masked_fill(~ended.unsqueeze(-1), 0.0).sum((1, 2)) / number.clamp(min=1)
+        means.copy_(keep * means + (1.0 - keep) * latest)
         excess = (means / self.limits - 1.0).clamp(max=1.0)  # eq. 3
         broken = (excess > 0.0).int()
         earlier = broken.cumsum(-1) > broken
         excess = torch.where(earlier, excess.clamp(max=0.0), excess)  # eq. 4
-        moving = self._moving * (learner.episodes > 0).unsqueeze(-1)
+        moving = self._moving * (total > 0)
         multipliers.add_(moving * self.rates * excess).clamp_(min=0.0)  # eq. 5
 
     def learn_once(self, learner: PolicyLearner, storage: RolloutStorage) -> dict[str, Tensor]:

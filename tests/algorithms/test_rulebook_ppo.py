@@ -72,6 +72,13 @@ def test_a_later_multiplier_does_not_rise_while_an_earlier_rule_is_broken_but_fa
     assert finish(agent, (0.01, 100.0)) == pytest.approx([1.2, 1.025])
 
 
+def test_the_first_episodes_weigh_alike_in_the_running_mean_and_later_ones_as_many_as_are_remembered() -> None:
+    agent = ruled(cost_episodes=4)
+    for jerk, mean in ((60.0, 60.0), (30.0, 45.0), (0.0, 30.0), (0.0, 22.5), (0.0, 16.875)):
+        finish(agent, (0.0, jerk))
+        assert float(agent.running_costs[0, 0, 1]) == pytest.approx(mean)
+
+
 def test_multipliers_rest_before_the_first_episode_has_ended_and_while_costs_grow() -> None:
     agent = ruled(multiplier_start=1.0, cost_growth=0.5)
     assert finish(agent) == [1.0, 1.0]

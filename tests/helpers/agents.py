@@ -63,7 +63,7 @@ def make_agent(
     adapter = EnvAdapter(made)
     known = [utility or plain_utility(adapter)] if cls.known_utility else []
     if cls is RulebookPPO:
-        rules = [{"objective": adapter.objectives[i], "at_most": 1.0} for i in np.flatnonzero(adapter.costs)[:2]]
+        rules = [{"objective": adapter.objectives[i], "at_most": 1e3} for i in np.flatnonzero(adapter.costs)[:2]]
         hyperparameters = {"rulebook": rules, **hyperparameters}
     return cls(made, *known, seed=seed, **hyperparameters)
 
