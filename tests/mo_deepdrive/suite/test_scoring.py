@@ -52,7 +52,7 @@ def test_rare_disasters_lower_the_certainty_equivalent_and_the_mean_of_the_worst
 @pytest.mark.parametrize(
     ("collisions", "braking", "time", "score"),
     [
-        (0, 0.25, 60.0, 0.0),  # stands still
+        (0, 0.00, 60.0, 0.0),  # stands still
         (1, 0.25, 60.0, 0.0),  # a rule is kept at its limit
         (0, 0.10, BOOK.best, 1.0),
         (0, 0.10, (BOOK.best + BOOK.worst) / 2, 0.5),
