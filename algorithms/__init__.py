@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from algorithms.mocac import MOCAC
     from algorithms.pcn import PCN
     from algorithms.ppo import PPO
+    from algorithms.rulebook_ppo import RulebookPPO
 
 __all__ = [
     "A2C",
@@ -35,6 +36,7 @@ __all__ = [
     "Agent",
     "ConditionedMOPPO",
     "FrontAgent",
+    "RulebookPPO",
 ]
 
 # The classes of the algorithms, each by its name, which is also that of its module; and the module of their bases.
@@ -43,6 +45,7 @@ _CLASSES = {
     "ppo": "PPO",
     "mo_a2c": "MOA2C",
     "mo_ppo": "MOPPO",
+    "rulebook_ppo": "RulebookPPO",
     "mocac": "MOCAC",
     "mappo": "MAPPO",
     "pcn": "PCN",

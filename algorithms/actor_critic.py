@@ -1,4 +1,4 @@
-"""The update of A2C, MO-A2C, PPO, MO-PPO, MOCAC, MAPPO and conditioned MO-PPO, but for their equations.
+"""The update of A2C, MO-A2C, PPO, MO-PPO, rulebook PPO, MOCAC, MAPPO and conditioned MO-PPO, but for their equations.
 
 An :class:`ActorCritic` has one policy per vehicle, or one for all of them, and every algorithm has the same update:
 

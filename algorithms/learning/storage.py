@@ -71,6 +71,7 @@ class Rollout:
     outputs: Tensor  # (T, N, n) of the actor's network when it acted
     expected_return: Tensor  # (d,) E[R], running mean of the accrued rewards of episodes
     ideal: Tensor  # (d,) the best accrued rewards of any episode
+    prices: Any = None  # (d,) by which rewards count beside the utility; None where nothing does
     utility: Any = None  # u of its vehicles; None where none is known
 
     @property

@@ -25,6 +25,7 @@ ALGORITHM_COLOURS = {
     "mo_a2c": "#0072B2",
     "ppo": "#E69F00",
     "mo_ppo": "#56B4E9",
+    "rulebook_ppo": "#DDAA33",
     "mocac": "#7F7F7F",
     "mappo": "#EE3377",
     "pcn": "#009E73",

@@ -64,6 +64,7 @@ POLICY_LOSS, VALUE_LOSS = "loss/policy", "loss/value"
 LEARNING_RATE = "policy/learning_rate"
 ENTROPY, ENTROPY_COEFFICIENT = "policy/entropy", "policy/entropy_coefficient"
 CLIP_FRACTION, APPROX_KL = "policy/clip_fraction", "policy/approx_kl"
+MULTIPLIER, RUNNING_COST = "policy/multiplier/", "policy/running_cost/"  # of an objective with a rule
 COMMAND_ERROR, NON_DOMINATED = "policy/command_error", "policy/non_dominated"
 STEPS_PER_SECOND = "time/steps_per_second"
 

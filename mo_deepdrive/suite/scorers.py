@@ -272,6 +272,28 @@ def worst_partner(_task: Task) -> Statistic:
     return lambda samples: float(samples.mean(axis=0).min())
 
 
+def lexicographic(task: Task) -> Statistic:
+    """Minus the excess of the first rule that is broken, at most 1; else what counts after the rules, from 0 on."""
+    assert task.rulebook is not None
+    book = task.rulebook
+
+    def judged(samples: NDArray[np.float64]) -> float:
+        costs = mean_costs(task, samples)
+        for rule in book.rules:
+            if (excess := costs[rule.objective] / rule.at_most - 1.0) > 0.0:
+                return -min(excess, 1.0)
+        return max(0.0, (book.worst - costs[book.then]) / (book.worst - book.best))
+
+    return judged
+
+
+def mean_costs(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
+    """The mean magnitudes per episode of what a rulebook is about."""
+    assert task.rulebook is not None
+    means = dict(zip(task.objectives(), samples.mean(axis=0).tolist(), strict=True))
+    return {name: -means[name] for name in (*(rule.objective for rule in task.rulebook.rules), task.rulebook.then)}
+
+
 def controllability(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
     """Spearman's correlation of weight and mean return over the preferences, of each objective, and their mean.
 
@@ -302,6 +324,7 @@ SCORERS: dict[str, Scorer] = {
     "hypervolume": Scorer(returns_of_front, {SCORE: dominated_volume}),
     "mean_over_preferences": Scorer(returns_by_preference, {SCORE: mean_over_preferences}, controllability),
     "mean_over_changing_preferences": Scorer(values_under_changes, {SCORE: mean_over_preferences}),
+    "rulebook": Scorer(returns, {SCORE: lexicographic}, mean_costs),
     "mean_over_partners": Scorer(utilities_by_partner, {SCORE: mean, WORST: worst_partner}),
 }
 

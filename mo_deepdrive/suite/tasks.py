@@ -17,7 +17,15 @@ from pydantic import Field
 
 from mo_deepdrive.support.names import nearest
 from mo_deepdrive.utilities import Utility, make_utility
-from mo_deepdrive.world.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse, parse_arguments
+from mo_deepdrive.world.config import (
+    EnvConfig,
+    EnvironmentSettings,
+    Rulebook,
+    Settings,
+    UtilityChoice,
+    parse,
+    parse_arguments,
+)
 from mo_deepdrive.world.objectives import scales
 from mo_deepdrive.world.params import chosen_objectives
 
@@ -98,6 +106,19 @@ class Partners(Settings):
     """Their names."""
 
 
+class Lexicographic(Settings):
+    """Rules in the order of their importance, and a cost that counts where none is broken."""
+
+    rules: Rulebook
+    """The rules."""
+    then: str
+    """The objective that counts after them, a cost."""
+    worst: float
+    """Its mean magnitude per episode that counts as 0, as does all that is worse."""
+    best: float
+    """That which counts as 1."""
+
+
 class Task(Settings):
     """One task of the suite."""
 
@@ -117,6 +138,8 @@ class Task(Settings):
     """The utility, where it is known while learning."""
     preferences: HiddenPreferences | None = None
     """The preferences, where the utility is not known while learning."""
+    rulebook: Lexicographic | None = None
+    """What the scorer of that name judges by."""
     vehicle: int = 0
     """The vehicle whose driver is scored."""
     partners: Partners | None = None

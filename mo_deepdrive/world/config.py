@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
@@ -129,6 +129,27 @@ class UtilityChoice(Settings):
             if name in value:
                 raise ValueError(f"{name!r} is set by the environment, or is not an argument")
         return value
+
+
+class Rule(Settings):
+    """A limit on what an objective costs in the mean over episodes, one rule of a rulebook."""
+
+    objective: str
+    """An objective that is a cost."""
+    at_most: float = Field(gt=0.0)
+    """The largest mean of its undiscounted magnitude per episode."""
+
+
+def _once_each(rules: list[Rule]) -> list[Rule]:
+    names = [rule.objective for rule in rules]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{name!r} has {names.count(name)} rules; it must have one")
+    return rules
+
+
+# Rules in the order of their importance, the most important first (Censi et al. 2019).
+Rulebook = Annotated[list[Rule], Field(min_length=1), pydantic.AfterValidator(_once_each)]
 
 
 class EnvConfig(Settings):

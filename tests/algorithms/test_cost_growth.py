@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms import A2C, MAPPO, MOA2C, MOPPO, PPO
+from algorithms import A2C, MAPPO, MOA2C, MOPPO, PPO, RulebookPPO
 from algorithms.actor_critic import ActorCritic
 from tests.helpers.agents import INTERSECTION, MINECART, SEA, make_agent, same, state
 
-ALL = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO, MAPPO])
+ALL = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO, RulebookPPO, MAPPO])
 # distance, destination, g-force, collision, jerk, lane violation
 COSTS = np.array([False, False, True, True, True, True])
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms import A2C, MOA2C, MOPPO, PPO
+from algorithms import A2C, MOA2C, MOPPO, PPO, RulebookPPO
 from algorithms.actor_critic import ActorCritic
 from algorithms.agent import Agent
 from algorithms.learning.storage import Rollout
@@ -25,7 +25,7 @@ SEA = "deep-sea-treasure-v0"
 MINECART = "minecart-v0"
 CONTINUOUS = {"action_type": "continuous"}
 
-CLASSES = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO])
+CLASSES = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO, RulebookPPO])
 # Every algorithm in every form of its advantage.
 FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
     "a2c": (A2C, {}),
@@ -60,7 +60,11 @@ def make_agent(
     **hyperparameters: Any,
 ) -> Any:
     made = make_env(env_id, num_envs, env)
-    known = [utility or plain_utility(EnvAdapter(made))] if cls.known_utility else []
+    adapter = EnvAdapter(made)
+    known = [utility or plain_utility(adapter)] if cls.known_utility else []
+    if cls is RulebookPPO:
+        rules = [{"objective": adapter.objectives[i], "at_most": 1e3} for i in np.flatnonzero(adapter.costs)[:2]]
+        hyperparameters = {"rulebook": rules, **hyperparameters}
     return cls(made, *known, seed=seed, **hyperparameters)
 
 

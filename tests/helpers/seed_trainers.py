@@ -20,6 +20,7 @@ LEARNERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
     "mo_ppo": ("mo_ppo", ONE_WAYPOINT, {}, {"minibatches": 3, "cost_growth": 0.5}),
     "mo_ppo, gradient": ("mo_ppo", ONE_WAYPOINT, CONTINUOUS, {"advantage": "utility_gradient"}),
     "mo_ppo, expected utility": ("mo_ppo", INTERSECTION, {}, {"advantage": "expected_utility"}),
+    "rulebook_ppo": ("rulebook_ppo", INTERSECTION, {}, {"rulebook": [{"objective": "jerk", "at_most": 1.0}]}),
     "mocac": ("mocac", ONE_WAYPOINT, {}, {"particles": 4}),
     "mocac, grid, two vehicles": ("mocac", INTERSECTION, {}, {"critic": "categorical", "atoms": 2}),
     "mappo": ("mappo", INTERSECTION, {}, {}),

@@ -15,7 +15,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PCN, PPO, ConditionedMOPPO
+from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PCN, PPO, ConditionedMOPPO, RulebookPPO
 from algorithms.learning.checkpoints import write_checkpoint
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.support.faults import NotFinite
@@ -47,6 +47,7 @@ KINDS: dict[str, Callable[[], Any]] = {
     "a2c": lambda: small(A2C, env=SHORT),
     "ppo": lambda: small(PPO, minibatches=1, epochs=1, env=SHORT),
     "mo_ppo": lambda: small(MOPPO, minibatches=1, epochs=1, env=SHORT),
+    "rulebook_ppo": lambda: small(RulebookPPO, minibatches=1, epochs=1, env=SHORT),
     "mocac": lambda: small(MOCAC, env=SHORT),
     "mappo": lambda: small(MAPPO, INTERSECTION, minibatches=1, epochs=1, env=SHORT),
     "conditioned_mo_ppo": small_conditioned,

@@ -14,6 +14,7 @@ from mo_deepdrive.suite import Row
 from mo_deepdrive.suite.scorers import SCORERS, controllability
 
 TASKS = suite.load().tasks
+BOOK: Any = TASKS["R5"].rulebook
 
 
 def still(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
@@ -46,6 +47,28 @@ def test_rare_disasters_lower_the_certainty_equivalent_and_the_mean_of_the_worst
     assert number("K5", "score", utilities) == pytest.approx(expected)
     assert number("K5", "score", utilities) < values.mean()
     assert number("K5", "cvar10", utilities) == pytest.approx(-16.0)
+
+
+@pytest.mark.parametrize(
+    ("collisions", "braking", "time", "score"),
+    [
+        (0, 0.00, 60.0, 0.0),  # stands still
+        (1, 0.25, 60.0, 0.0),  # a rule is kept at its limit
+        (0, 0.10, BOOK.best, 1.0),
+        (0, 0.10, (BOOK.best + BOOK.worst) / 2, 0.5),
+        (0, 0.30, BOOK.best, -0.2),  # breaks the second rule by a fifth
+        (2, 9.00, BOOK.best, -1.0),  # the first rule that is broken counts alone
+        (9, 0.00, BOOK.best, -1.0),
+    ],
+)
+def test_a_rulebook_scores_the_first_rule_that_is_broken_or_else_the_time(
+    collisions: int, braking: float, time: float, score: float
+) -> None:
+    names = TASKS["R5"].objectives()
+    returns = np.zeros((200, len(names)))
+    returns[:collisions, names.index("collision")] = -1.0
+    returns[:, names.index("right_of_way")], returns[:, names.index("time")] = -braking, -time
+    assert number("R5", "score", returns) == pytest.approx(score, abs=1e-6)
 
 
 def test_the_worst_partner_is_the_one_with_the_least_mean() -> None:
