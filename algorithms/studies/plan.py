@@ -1,8 +1,8 @@
 """From a sweep or study to its runs, which are known batch by batch where scores decide which settings are next.
 
 A sweep has a cell for every combination of its grid, or the points that Optuna chooses in each. A study has arms, each
-a learner on a task: first the settings that are tried, then the runs that count with the best of them. What is chosen
-depends on scores alone, not on which run is faster.
+a learner on a task: first the settings that are tried, rung by rung, then the runs that count with the best of them.
+What is chosen depends on scores alone, not on which run is faster.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from algorithms.runs.config import CONFIGS, find_algorithm, find_config
 from algorithms.studies import ALL, CORE, REFERENCE
@@ -30,6 +28,7 @@ from algorithms.studies.settings import (
     SEED_KEYS,
     Learner,
     StudyTask,
+    Tuning,
     key_problems,
     keys_in,
     learners_in,
@@ -201,9 +200,9 @@ class Arm:
     label: str
     metric: str  # of the final evaluation, by which settings are chosen and learners are compared
     values: dict[str, Any]  # the sections of its experiment
-    points: tuple[dict[str, Any], ...]  # values by key that are tried for it
-    tuning_share: float
+    candidates: tuple[dict[str, Any], ...]  # values by key that are tried for it, or for the arm that it ablates
     seeds: tuple[int, ...]
+    ablation_of: str | None  # the learner on the same task whose chosen candidate it takes
 
     @property
     def key(self) -> tuple[str, str]:
@@ -213,23 +212,18 @@ class Arm:
 
 @dataclass(frozen=True)
 class ArmRuns:
-    """The runs of an arm that are known by now: those of every point of its tuning, and the final ones, which count."""
+    """The runs of an arm that are known by now: those of every rung of its tuning, and the final ones, which count."""
 
     arm: Arm
-    tuning: tuple[list[ManifestRow], ...]
-    scores: tuple[float | None, ...]  # the mean of every point; None if a run of it failed, NaN if one has not ended
-    chosen: int | None  # index of the best point; None while it is not known, or if the study does not tune
+    tuning: list[ManifestRow]  # rung by rung, whose number is in their cells
+    chosen: int | None  # index of the best candidate; None while it is not known, or if the study does not tune
     final: list[ManifestRow]
+    given_up: bool = False  # whether no candidate can be chosen, because none that was tried in a rung has a score
 
     @property
     def rows(self) -> list[ManifestRow]:
         """All of them."""
-        return [*(row for rows in self.tuning for row in rows), *self.final]
-
-    @property
-    def given_up(self) -> bool:
-        """Whether no settings can be chosen, because none of those that were tried has a score."""
-        return bool(self.tuning) and all(score is None for score in self.scores)
+        return [*self.tuning, *self.final]
 
 
 class StudyPlan(Plan):
@@ -254,8 +248,13 @@ class StudyPlan(Plan):
             known = dict.fromkeys(arm.key[i] for arm in self.arms)
             for name in (name for name in given or () if name not in known):
                 raise ValueError(f"{option} {name}: {missing[i]}; {nearest(name, known)}")
-        on_tasks = [arm.key for arm in self.arms if tasks is None or arm.task in tasks]
-        self.selected = {key for key in on_tasks if learners is None or key[1] in learners}
+        on_tasks = [arm for arm in self.arms if tasks is None or arm.task in tasks]
+        self._tuning = study.tuning or Tuning()
+        if study.tuning is not None:
+            self._check_candidates(on_tasks)
+        chosen = [arm for arm in on_tasks if learners is None or arm.learner in learners]
+        # Without what it ablates an ablation says nothing.
+        self.selected = {(arm.task, name) for arm in chosen for name in (arm.learner, arm.ablation_of) if name}
         for name in learners or ():
             if not any(name == key[1] for key in self.selected):
                 raise ValueError(f"learner {name!r} fits none of the tasks {', '.join(tasks or study.tasks)}")
@@ -266,24 +265,42 @@ class StudyPlan(Plan):
 
     def runs(self, scores: Scores | None = None) -> list[ArmRuns]:
         """The runs that are known by now, by arm."""
-        return [self._runs_of(arm, scores or Scores()) for arm in self.arms]
+        scores = scores or Scores()
+        tuned = {arm.key: self._runs_of(arm, scores) for arm in self.arms if arm.ablation_of is None}
+        return [
+            tuned[arm.key] if arm.ablation_of is None else self._ablation(arm, tuned[arm.task, arm.ablation_of])
+            for arm in self.arms
+        ]
 
     def rows(self, scores: Scores) -> list[ManifestRow]:
         """As of the base class: those of the tuning first; a run that arms share is one of a selected arm."""
         arms = sorted(self.runs(scores), key=lambda runs: runs.arm.key not in self.selected)
-        self._check_columns([runs.rows[0] for runs in arms])
-        tuning = [row for arm in arms for rows in arm.tuning for row in rows]
-        return _once([*tuning, *(row for arm in arms for row in arm.final)])
+        self._check_columns([row for arm in arms for row in arm.rows[:1]])
+        return _once([*(row for arm in arms for row in arm.tuning), *(row for arm in arms for row in arm.final)])
 
     def announcement(self) -> list[str]:
         """As of the base class: all runs of the arms that are to be trained now, in a line."""
         arms = [arm for arm in self.arms if arm.key in self.selected]
-        tried = sum(len(arm.points) for arm in arms) * len(self.study.tuning.seeds if self.study.tuning else ())
+        tuned, seeds = [arm for arm in arms if arm.ablation_of is None], len(self._tuning.seeds)
+        rungs = [rung for arm in tuned for rung in self._tuning.rungs(len(arm.candidates))]
+        tried, length = seeds * sum(size for _, size in rungs), seeds * sum(share * size for share, size in rungs)
         counted = sum(len(arm.seeds) for arm in arms)
         learners, tasks = (", ".join(dict.fromkeys(arm.key[i] for arm in arms)) for i in (1, 0))
-        runs = f"{tried} runs of tuning, then {counted}" if tried else f"{counted} runs, without tuning,"
+        tuning = f"{tried} runs of tuning, as long as {length:g} full ones, then {counted}"
+        runs = tuning if tried else f"{counted} runs, without tuning,"
         replaced = replaced_keys((learner.config for _, learner in learners_in(self.study)), ELSEWHERE)
         return [*replaced, f"{runs} that count: {learners} on {tasks}"]
+
+    def _check_candidates(self, arms: Sequence[Arm]) -> None:
+        """Refuse arms of a task with more or fewer candidates than others, since all else of their tuning is equal."""
+        for task in dict.fromkeys(arm.task for arm in arms):
+            numbers = {arm.learner: len(arm.candidates) for arm in arms if (arm.task, arm.ablation_of) == (task, None)}
+            wanted = self._tuning.candidates or max(1, *numbers.values())
+            if {*numbers.values()} != {wanted}:
+                listed = ", ".join(f"{learner} {number}" for learner, number in numbers.items())
+                hint = "tuning.values, or the tuning of a learner, must have as many combinations"
+                needed = f"every learner must have the same number of candidates, {wanted}, not {listed}"
+                raise ValueError(f"task {task!r}: {needed}; {hint}")
 
     def _check_columns(self, rows: Sequence[ManifestRow]) -> None:
         """Refuse a column that no run has, of arms that are to be trained now or, if need be, of others."""
@@ -300,29 +317,44 @@ class StudyPlan(Plan):
                 raise ValueError(f"columns has {column!r}, which no run has; the nearest ones: {near}")
 
     def _runs_of(self, arm: Arm, scores: Scores) -> ArmRuns:
-        tuning = tuple(self._rows_of(arm, point, trial) for trial, point in enumerate(arm.points))
-        if not tuning:
-            return ArmRuns(arm, (), (), None, self._rows_of(arm, {}))
-        tried = [row for rows in tuning for row in rows]
-        refuse_duplicates(tried)
-        means = tuple(scores.mean(rows, arm.metric) for rows in tuning)
-        known = [score for score in means if score is not None]
-        if known and not np.isnan(known).any():
-            chosen = means.index((min if lower_is_better(arm.metric) else max)(known))
-            final = self._rows_of(arm, arm.points[chosen])
-            if scores.settle(tried, final):
-                return ArmRuns(arm, tuning, means, chosen, final)
-        return ArmRuns(arm, tuning, means, None, [])
+        if not arm.candidates:
+            return ArmRuns(arm, [], None, self._rows_of(arm, {}))
+        tried: list[ManifestRow] = []
+        last: list[ManifestRow] = []  # of them, those of the last rung
+        best_first = [*range(len(arm.candidates))]
+        for number, (_, size) in enumerate(self._tuning.rungs(len(arm.candidates))):
+            by_candidate = {i: self._rows_of(arm, arm.candidates[i], i, number) for i in best_first[:size]}
+            rung = [row for rows in by_candidate.values() for row in rows]
+            refuse_duplicates(rung)
+            if not scores.settle(last, rung):
+                return ArmRuns(arm, tried, None, [])
+            last, tried = rung, [*tried, *rung]
+            means = {i: scores.mean(rows, arm.metric) for i, rows in by_candidate.items()}
+            known = {i: mean for i, mean in means.items() if mean is not None}
+            if not known or any(map(math.isnan, known.values())):
+                return ArmRuns(arm, tried, None, [], given_up=not known)
+            best_first = sorted(known, key=known.__getitem__, reverse=not lower_is_better(arm.metric))
+        final = self._rows_of(arm, arm.candidates[best_first[0]])
+        settled = scores.settle(last, final)
+        return ArmRuns(arm, tried, best_first[0] if settled else None, final if settled else [])
 
-    def _rows_of(self, arm: Arm, point: dict[str, Any], trial: int | None = None) -> list[ManifestRow]:
-        """The rows of a point that is tried, or those that count with the chosen point."""
-        cell, seeds = {TASK: arm.task, LEARNER: arm.learner, **point}, arm.seeds
+    def _ablation(self, arm: Arm, ablated: ArmRuns) -> ArmRuns:
+        """The runs of an ablation, with what was chosen for the arm that it ablates; they are checked before that."""
+        theirs, rows = (self._rows_of(of, [*of.candidates, {}][ablated.chosen or 0]) for of in (ablated.arm, arm))
+        refuse_duplicates([*theirs, *rows])
+        return ArmRuns(arm, [], ablated.chosen, rows if ablated.final else [], ablated.given_up)
+
+    def _rows_of(
+        self, arm: Arm, candidate: dict[str, Any], trial: int | None = None, rung: int = 0
+    ) -> list[ManifestRow]:
+        """The rows of a candidate that is tried in a rung, or those that count with the chosen one."""
+        cell, seeds = {TASK: arm.task, LEARNER: arm.learner, **candidate}, arm.seeds
         split = "test" if trial is None else "validation"
-        values = overridden(arm.values, {**point, "evaluation.split": split}, cell)
-        if trial is not None and self.study.tuning is not None:
-            seeds = tuple(self.study.tuning.seeds)
+        values = overridden(arm.values, {**candidate, "evaluation.split": split}, cell)
+        if trial is not None:
+            cell, seeds = {**cell, "rung": rung}, tuple(self._tuning.seeds)
             if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
-                values["training"]["total_timesteps"] = max(1, round(arm.tuning_share * steps))
+                values["training"]["total_timesteps"] = max(1, round(self._tuning.shares[rung] * steps))
         build_once = arm.key in self.selected  # others may need what is not installed here
         return self._cell(cell, trial, values=values, seeds=seeds, metric=arm.metric, build_once=build_once)
 
@@ -330,13 +362,17 @@ class StudyPlan(Plan):
 def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str]]:
     """The arms of a study, and what has no effect."""
     arms: list[Arm] = []
-    unused = {*overrides, *study.help, *(key for task in study.tasks.values() for key in task.help)}
+    tuning = study.tuning or Tuning()
+    unused = {*overrides, *study.help, *tuning.values, *(key for task in study.tasks.values() for key in task.help)}
     known: set[str] = set()
     learners: set[str] = set()
     for name, task in study.tasks.items():
-        for key, learner in study.learners_of(name).items():
+        of_task = study.learners_of(name)
+        for key, own in of_task.items():
             learners.add(key)
             where = f"learner {key!r} on task {name!r}"
+            tuned = of_task[own.ablation_of or key]
+            learner = tuned.with_changes(own)
             values = _base(learner, where)
             entry = find_algorithm(values["algorithm"]["name"], where)
             if task.task is not None and entry.known_utility != (suite.load().task(task.task).utility is not None):
@@ -347,23 +383,24 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
                 {setting: value for setting, value in settings.items() if _has(entry, setting)}
                 for settings in ({**study.help, **task.help}, overrides)
             )
-            unused -= {*help_, *given}
+            tried = {setting: options for setting, options in tuning.values.items() if _has(entry, setting)}
+            unused -= {*help_, *given, *tried}
             known |= {f"algorithm.{setting}" for setting in entry.Config.model_fields}
             values = _on_task(values, task)
             for changes in (study.overrides, task.overrides, help_, learner.overrides, given):
                 values = overridden(values, changes, {TASK: name, LEARNER: key})
-            points, seeds = tuple(study.points(learner)), tuple(task.seeds or study.seeds)
-            for tried in points[0] if points else ():
-                if not _has(entry, tried):
-                    hint = "give it values of its own that are tried, or train it without learners that are tuned"
-                    raise ValueError(f"{where}: the study tunes {tried!r}, a setting that it does not have; {hint}")
-                if tried in given:
-                    raise ValueError(f"{tried} = {given[tried]!r}: the study tunes it for {where}")
+            tried |= tuned.tuning
+            for setting in given.keys() & tried.keys():
+                raise ValueError(f"{setting} = {given[setting]!r}: the study tunes it for {where}")
+            candidates, seeds = tuning.candidates_of(tried), tuple(task.seeds or study.seeds)
+            if own.ablation_of is not None:
+                fixed = keys_in(own.overrides)
+                candidates = [{key: value for key, value in point.items() if key not in fixed} for point in candidates]
             of_suite = task.task and f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
             if (metric := task.metric or of_suite or study.metric) is None:
                 raise ValueError(f"task {name!r} has no metric; give one to it or to the study")
-            share = learner.tuning_share or (study.tuning.share if study.tuning else 1.0)
-            arms.append(Arm(name, key, learner.label or key, metric, values, points, share, seeds))
+            label = study.labels.get(key, key)
+            arms.append(Arm(name, key, label, metric, values, tuple(candidates), seeds, own.ablation_of))
     if not arms:
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
     idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners - {arm.learner for arm in arms})]
@@ -438,7 +475,9 @@ def plan_of(
         raise ValueError(f"--seeds {seeds} must be at least 1")
     wanted = selected_tasks(tasks)
     reference, names = load_study(REFERENCE), short_names(learners)
-    planned = {key for task in reference.tasks for key in reference.learners_of(task)} & {*learners}
+    known = {key: its for task in reference.tasks for key, its in reference.learners_of(task).items()}
+    planned = {*learners} & known.keys()
+    planned |= {ablated for key in planned if (ablated := known[key].ablation_of)}
     trained = {name: learner for name, learner in reference.learners.items() if name in planned}
     for name in (name for name in learners if name not in planned):
         trained[names[name]] = Learner(overrides={"algorithm.name": name}) if ":" in name else Learner(config=name)

@@ -14,6 +14,7 @@ from algorithms.reporting.run_records import experiment_record, read_evaluation
 from algorithms.reporting.tables import markdown, write_table
 from algorithms.runs.run_directory import read_status
 from algorithms.runs.suite_entries import rows_of
+from algorithms.studies.execution import read_score
 from algorithms.studies.manifest import label
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
@@ -92,18 +93,17 @@ def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> 
 
 
 def tuning_rows(runs: Sequence[ArmRuns], directory: Path) -> list[list[Any]]:
-    """A row per run of the tuning: its settings and state, the mean score of these, and whether they were chosen."""
-    rows: list[list[Any]] = [
-        ["task", "learner", "trial", "settings", "seed", "state", "metric", "mean_score", "chosen"]
-    ]
-    for arm in runs:
-        for trial, (of_point, score) in enumerate(zip(arm.tuning, arm.scores, strict=True)):
-            known = "" if score is None or np.isnan(score) else f"{score:.7g}"
-            settings = json.dumps(arm.arm.points[trial], sort_keys=True)
-            for run in of_point:
-                state = read_status(directory / run.directory).get("state", WAITING)
-                about = [*arm.arm.key, trial, settings, run.seed, state]
-                rows.append([*about, arm.arm.metric, known, int(trial == arm.chosen)])
+    """A row per run of the tuning: its settings, rung and score, its price, and whether the settings were chosen."""
+    about = ["task", "learner", "candidate", "settings", "rung", "steps", "seed"]
+    rows: list[list[Any]] = [[*about, "state", "metric", "score", "cpu_seconds", "chosen"]]
+    for arm, run in ((its, run) for its in runs for run in its.tuning):
+        settings = json.dumps(arm.arm.candidates[run.trial or 0], sort_keys=True)
+        path, metric = directory / run.directory, arm.arm.metric
+        status, score = read_status(path), read_score(path, metric)
+        tried = [run.trial, settings, run.cell["rung"], run.config["training"]["total_timesteps"], run.seed]
+        ended = [status.get("state", WAITING), metric, "" if score is None or np.isnan(score) else f"{score:.7g}"]
+        price = status.get("cpu_seconds", "")
+        rows.append([*arm.arm.key, *tried, *ended, price, int(run.trial == arm.chosen)])
     return rows
 
 
@@ -137,7 +137,7 @@ def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row
             count = f"{len(runs_of_arm)}" + (f" ({others})" if others else "")
             minutes = f"{seconds.mean() / 60:.1f}" if len(seconds) else ""
             texts = [mean(values.to_numpy()).text() if len(values) else "" for values in scores]
-            chosen = "" if arm.chosen is None else label(arm.arm.points[arm.chosen])
+            chosen = "" if arm.chosen is None else label(arm.arm.candidates[arm.chosen])
             rows.append([arm.arm.label, count, minutes, *texts, chosen])
         tables.append(StudyTable(task.title or name, rows, _to_cite(task.task, arms)))
     return tables

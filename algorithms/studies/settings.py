@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import product
+import math
+from collections import Counter
+from itertools import pairwise, product
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from algorithms.runs.config import Count, UtilitySettings, find_config
+from mo_deepdrive.support.names import nearest
 from mo_deepdrive.support.yaml import read_mapping
 from mo_deepdrive.world.config import EnvironmentSettings, Settings, parse
 
@@ -15,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-MAX_TUNING_RUNS = 12  # of a learner on a task
 # Experiment keys that are set elsewhere, and where; in a study, and beside it, some more.
 SEED_KEYS = dict.fromkeys(("seed", "training.seed", "training.seeds"), "set seeds with the key 'seeds'")
 ELSEWHERE = {
@@ -48,8 +51,15 @@ def _distinct(values: list[Any]) -> list[Any]:
     return values
 
 
+def _increasing(values: list[float]) -> list[float]:
+    if any(first >= second for first, second in pairwise(values)):
+        raise ValueError("it must increase")
+    return values
+
+
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 Seeds = Annotated[list[Seed], BeforeValidator(_as_seeds), Field(min_length=1), AfterValidator(_distinct)]
+Share = Annotated[float, Field(gt=0.0, le=1.0)]
 Values = dict[str, Annotated[list[Any], Field(min_length=1)]]
 
 
@@ -238,10 +248,11 @@ class Learner(Settings):
     study's own file, or the name of a shipped one."""
     overrides: dict[str, Any] = {}
     """Values of experiment keys."""
-    tuning: Values | None = None
-    """Values of experiment keys that are tried, instead of those of the study; every combination is tried."""
-    tuning_share: float | None = Field(default=None, gt=0.0, le=1.0)
-    """Share of a run's environment steps that a run of its tuning takes, instead of the study's."""
+    tuning: Values = {}
+    """Values of experiment keys that are tried beside those of the study, or instead of those of the same key."""
+    ablation_of: str | None = None
+    """The learner whose config, overrides and chosen settings it takes, with its own overrides in place of them: it is
+    not tuned itself, so that only what it lacks makes a difference."""
 
     def with_changes(self, other: Learner) -> Learner:
         """The learner with what ``other`` sets: its overrides are added, anything else is replaced."""
@@ -250,14 +261,47 @@ class Learner(Settings):
 
 
 class Tuning(Settings):
-    """How the settings of every arm are chosen: tried on the validation split, the best mean over the seeds wins."""
+    """How the settings of every arm are chosen: by the mean score over seeds on the validation split, rung by rung.
+
+    This is successive halving (K. Jamieson and A. Talwalkar, "Non-stochastic best arm identification and hyperparameter
+    optimization", AISTATS 2016). The candidates of every rung are trained anew, since schedules follow a run's length.
+    """
 
     values: Values = {}
-    """Values of experiment keys that are tried, for learners that name none; every combination is tried."""
-    seeds: Seeds = [100]
-    """Seeds of each combination, none of which may be a seed that counts; a number is short for that many from 0 on."""
-    share: float = Field(default=1.0, gt=0.0, le=1.0)
-    """Share of a run's environment steps that a run of the tuning takes."""
+    """Values of experiment keys that are tried, for all learners that have the setting."""
+    candidates: Count | None = None
+    """Number of combinations that are drawn, the values of a key about equally often; None for all of them."""
+    seeds: Seeds = [100, 101, 102]
+    """Seeds of each candidate, none of which may be a seed that counts; a number is short for that many from 0 on."""
+    shares: Annotated[list[Share], Field(min_length=1), AfterValidator(_increasing)] = [1.0]
+    """Share of a run's environment steps that a run of each rung takes."""
+    reduction_factor: float = Field(default=2.0, gt=1)
+    """One in so many candidates is in the next rung, at least one."""
+
+    def rungs(self, candidates: int) -> list[tuple[float, int]]:
+        """The share of the steps and the number of candidates of each rung."""
+        return [(share, math.ceil(candidates / self.reduction_factor**i)) for i, share in enumerate(self.shares)]
+
+    def candidates_of(self, values: Values) -> list[dict[str, Any]]:
+        """The candidates of a learner: values by key; fewer than it should have if there are no more combinations."""
+        combinations = [*product(*(range(len(options)) for options in values.values()))] if values else []
+        if self.candidates is not None:
+            combinations = _balanced(combinations, min(self.candidates, len(combinations)))
+        return [
+            {key: values[key][i] for key, i in zip(values, combination, strict=True)} for combination in combinations
+        ]
+
+
+def _balanced(combinations: list[tuple[int, ...]], number: int) -> list[tuple[int, ...]]:
+    """As many of the combinations, drawn so that every number is at its place about equally often."""
+    left = [combinations[i] for i in np.random.default_rng(0).permutation(len(combinations))]
+    drawn: list[tuple[int, ...]] = []
+    used: Counter[tuple[int, int]] = Counter()  # how often each number was drawn, by place
+    for _ in range(number):
+        drawn.append(min(left, key=lambda combination: sum(used[at] for at in enumerate(combination))))
+        left.remove(drawn[-1])
+        used.update(enumerate(drawn[-1]))
+    return drawn
 
 
 class StudyTask(Settings):
@@ -319,12 +363,6 @@ class Study(PlanSettings):
             for name in {**self.learners, **changes}
         }
 
-    def points(self, learner: Learner) -> list[dict[str, Any]]:
-        """The settings that are tried for a learner: values of experiment keys; none if the study does not tune."""
-        values = (self.tuning.values if learner.tuning is None else learner.tuning) if self.tuning else {}
-        combinations = product(*values.values()) if values else ()
-        return [dict(zip(values, combination, strict=True)) for combination in combinations]
-
     @model_validator(mode="after")
     def _check(self) -> Study:
         if problems := problems_of(self):
@@ -351,19 +389,23 @@ def problems_of(study: Study) -> list[str]:
         counted[f"{place}.seeds"] = task.seeds or []
         if task.task is not None and task.environment is not None:
             problems.append(f"{place}.environment: the suite's task {task.task!r} has an environment of its own")
-        runs = {key: len(study.points(learner)) * len(tuning.seeds) for key, learner in study.learners_of(name).items()}
-        if not runs:
+        learners = study.learners_of(name)
+        tuned = {key for key, learner in learners.items() if learner.ablation_of is None}
+        if not learners:
             problems.append(f"task {name!r} has no learners")
-        elif len(set(runs.values())) > 1:
-            numbers = ", ".join(f"{key} {number}" for key, number in runs.items())
-            problems.append(f"task {name!r}: every learner must have the same number of tuning runs, not {numbers}")
-        elif study.tuning is not None and 0 in runs.values():
-            problems.append(f"task {name!r}: tuning without values; give tuning.values, or those of the learners")
-        if (most := max(runs.values(), default=0)) > MAX_TUNING_RUNS:
-            problems.append(f"task {name!r}: {most} tuning runs of a learner; at most {MAX_TUNING_RUNS} are allowed")
+        for key, learner in learners.items():
+            where, ablated = f"learner {key!r} on task {name!r}", learner.ablation_of
+            if ablated is not None and ablated not in tuned:
+                problems.append(
+                    f"{where}: ablation_of = {ablated!r}, which is no learner there; {nearest(ablated, tuned)}"
+                )
+            elif ablated is not None and (learner.config or learner.tuning or "algorithm.name" in learner.overrides):
+                problems.append(
+                    f"{where}: an ablation has config, algorithm.name and tuning of {ablated!r}, not its own"
+                )
     for place, learner in learners_in(study):
-        keys |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": keys_in(learner.tuning or {})}
-        if study.tuning is None and {"tuning", "tuning_share"} & learner.model_fields_set:
+        keys |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": keys_in(learner.tuning)}
+        if learner.tuning and study.tuning is None:
             problems.append(f"{place} has a tuning of its own, which has no effect in a study without tuning")
     problems += key_problems(keys, ELSEWHERE)
     for place, seeds in counted.items() if study.tuning else ():

@@ -22,8 +22,9 @@ Script = Callable[..., int]  # calls a script with arguments and returns its exi
 
 @dataclass(frozen=True)
 class MadeUpBackend(Backend):
-    """A backend whose runs end at once: with their learning rate as score, or failed if ``fails`` says so."""
+    """A backend whose runs end at once: with a score, or failed if ``fails`` says so."""
 
+    score: Callable[[Job], float] = lambda job: job.experiment.algorithm.config.learning_rate
     fails: Callable[[Job], bool] = lambda _job: False
     batches: list[list[str | None]] = field(default_factory=list)  # the ids of the runs that were trained together
 
@@ -37,7 +38,7 @@ class MadeUpBackend(Backend):
             if self.fails(job):
                 failed[job] = "made to fail"
                 state = {"state": "failed", "reason": failed[job]}
-            score = {"utility_esr": {"value": job.experiment.algorithm.config.learning_rate}}
+            score = {"utility_esr": {"value": self.score(job)}}
             (job.path / "config.yaml").write_text("")
             (job.path / "status.json").write_text(json.dumps(state))
             (job.path / "evaluation.json").write_text(json.dumps({"policies": {"stochastic": score}}))

@@ -38,7 +38,7 @@ def write_study(folder: Path, **changes: Any) -> Path:
             "mo": {"config": "base.yaml"},
             "plain": {"config": "base.yaml", "overrides": {"algorithm.name": "a2c"}},
         },
-        "tuning": {"values": {RATE: [0.001, 0.003]}},
+        "tuning": {"seeds": [100], "values": {RATE: [0.001, 0.003]}},
         "metric": "stochastic/utility_esr",
         "seeds": 2,
         "overrides": {"evaluation": VALUES["evaluation"], "logging": VALUES["logging"]},
@@ -75,7 +75,7 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
     assert made_up(tmp_path, write_study(tmp_path), backend, console) == 0
     assert printed(console).splitlines()[:2] == [
         f"{tmp_path / 'base.yaml'}: training.seed is not used; set seeds with the key 'seeds'",
-        "4 runs of tuning, then 4 that count: mo, plain on short",
+        "4 runs of tuning, as long as 4 full ones, then 4 that count: mo, plain on short",
     ]
     assert sizes(backend) == [4, 4]
     rows = read_manifest(tmp_path / "study")
@@ -94,6 +94,99 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
     again = MadeUpBackend()
     assert made_up(tmp_path, tmp_path / "short.yaml", again) == 0
     assert again.batches == []
+
+
+def test_halving_gives_more_steps_to_the_better_half_by_its_mean_and_a_killed_study_resumes_to_identical_files(
+    tmp_path: Path,
+) -> None:
+    def score(job: Job) -> float:
+        """Short runs like low rates; then the higher one is better, but for one seed."""
+        training, rate = job.experiment.training, job.experiment.algorithm.config.learning_rate
+        if training.total_timesteps == 240:
+            return -float(rate)
+        return 0.0035 if (training.seed, rate) == (100, 0.001) else float(rate)
+
+    def killed(job: Job) -> float:
+        if (job.experiment.training.total_timesteps, job.experiment.training.seed) == (480, 102):
+            raise KeyboardInterrupt
+        return score(job)
+
+    tuning = {"values": {RATE: [0.001, 0.002, 0.003, 0.004]}, "shares": [0.25, 0.5, 1.0]}
+    folders = tmp_path / "whole", tmp_path / "killed"
+    for folder in folders:
+        folder.mkdir()
+        file = write_study(folder, tuning=tuning)
+        if folder.name == "killed":
+            with pytest.raises(KeyboardInterrupt):
+                made_up(folder, file, MadeUpBackend(score=killed))
+        backend = MadeUpBackend(score=score)
+        assert made_up(folder, file, backend) == 0
+        assert sizes(backend) == ([24, 12, 6, 4] if folder.name == "whole" else [10, 6, 4])
+    for name in ("manifest.jsonl", "tuning.csv", "results.csv"):
+        assert (folders[0] / "study" / name).read_bytes() == (folders[1] / "study" / name).read_bytes()
+    with (folders[0] / "study" / "tuning.csv").open() as file_of_tuning:
+        lines = [line for line in csv.DictReader(file_of_tuning) if line["learner"] == "mo"]
+    rungs = [(line["rung"], line["steps"], line["settings"], line["seed"]) for line in lines]
+    assert rungs == [
+        (str(rung), str(steps), f'{{"{RATE}": {rate}}}', str(seed))
+        for rung, steps, rates in ((0, 240, (0.001, 0.002, 0.003, 0.004)), (1, 480, (0.001, 0.002)), (2, 960, (0.002,)))
+        for rate in rates
+        for seed in (100, 101, 102)
+    ]
+    assert {line["settings"] for line in lines if line["chosen"] == "1"} == {f'{{"{RATE}": 0.002}}'}
+    assert [line["score"] for line in lines[12:15]] == ["0.0035", "0.001", "0.001"]
+    assert {line["cpu_seconds"] for line in lines} == {"60.0"}
+
+
+def test_learners_with_more_to_tune_have_as_many_candidates_which_try_every_value_about_equally_often(
+    tmp_path: Path,
+) -> None:
+    """Linear prices are tried beside what all learners try, at the same price."""
+    prices = {"utility.arguments.weights.jerk": [0.0, 0.01, 0.1], "utility.arguments.weights.time": [0.1, 0.2]}
+    linear = {"utility": {"name": "linear", "arguments": {"weights": {"distance": 1}}}}
+    file = write_study(
+        tmp_path,
+        tuning={
+            "values": {RATE: [0.001, 0.003, 0.01], "algorithm.gamma": [0.9, 0.99], "algorithm.accrued_discount": [1.0]},
+            "candidates": 6,
+            "shares": [0.5, 1.0],
+            "reduction_factor": 3,
+        },
+        learners={
+            "mo": {"config": "base.yaml"},
+            "linear": {
+                "config": "base.yaml",
+                "overrides": {"algorithm.name": "a2c", **linear},
+                "tuning": {**prices, RATE: [0.1, 0.2, 0.3]},
+            },
+        },
+    )
+    plan = StudyPlan(load_study(file))
+    assert plan.announcement()[-1].startswith("48 runs of tuning, as long as 30 full ones, then 4 that count")
+    with_prices, mo = plan.arms
+    assert (len(mo.candidates), len(with_prices.candidates)) == (6, 6)
+    assert {*mo.candidates[0]} == {RATE, "algorithm.gamma", "algorithm.accrued_discount"}
+    assert {*with_prices.candidates[0]} == {RATE, "algorithm.gamma", *prices}, "A2C has no accrued reward to discount"
+    for key, values in {**prices, RATE: [0.1, 0.2, 0.3], "algorithm.gamma": [0.9, 0.99]}.items():
+        tried = [candidate[key] for candidate in with_prices.candidates]
+        assert [tried.count(value) for value in values] == [6 // len(values)] * len(values)
+
+
+def test_an_ablation_takes_the_settings_of_what_it_ablates_and_only_differs_in_what_it_lacks(tmp_path: Path) -> None:
+    task = {key: VALUES[key] for key in ("environment", "utility")}
+    blind = {"ablation_of": "mo", "overrides": {"algorithm.observe_accrued": False, "algorithm.gamma": 0.5}}
+    tasks = {"short": {**task, "steps": 960, "learners": {"blind": blind}}}
+    tuning = {"seeds": [100], "values": {RATE: [0.001, 0.003], "algorithm.gamma": [0.9]}}
+    backend = MadeUpBackend()
+    study = load_study(write_study(tmp_path, tasks=tasks, tuning=tuning))
+    assert train(tmp_path, StudyPlan(study, None, ["blind"]), backend) == 0
+    assert sizes(backend) == [2, 4], "what it ablates is trained, too, and it is not tuned"
+    final = [row.config["algorithm"] for row in read_manifest(tmp_path / "study") if row.trial is None]
+    settings = [(values["learning_rate"], values["observe_accrued"], values["gamma"]) for values in final]
+    assert settings == [(0.003, True, 0.9)] * 2 + [(0.003, False, 0.5)] * 2
+    assert {row.learner for row in read_rows(tmp_path / "study" / "results.csv")} == {"mo", "blind"}
+    with (tmp_path / "study" / "tuning.csv").open() as file:
+        assert {line["learner"] for line in csv.DictReader(file)} == {"mo"}
 
 
 def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_chosen(tmp_path: Path) -> None:
@@ -147,7 +240,7 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
         tmp_path,
         tasks=["K1", "U2"],
         metric=None,
-        tuning={"values": {"utility.name": ["linear"]}, "share": 0.5},
+        tuning={"seeds": [100], "values": {"utility.name": ["linear"]}, "shares": [0.5]},
         learners={"mo": {"config": "base.yaml", "overrides": {"utility.arguments.weights": {"distance": 1}}}},
     )
     plan = StudyPlan(load_study(file))
@@ -157,17 +250,31 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
     assert row.config["evaluation"]["task"] == "K1"
     assert row.config["utility"]["name"] == "linear"
     assert row.config["training"]["total_timesteps"] == 1_500_000
-    learners = {"mo": {"config": "base.yaml", "tuning_share": 1.0, "tuning": {RATE: [0.1]}}}
-    (row,) = StudyPlan(load_study(write_study(tmp_path, tasks=["K1"], metric=None, learners=learners))).rows(Scores())
-    assert row.config["training"]["total_timesteps"] == 3_000_000
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"seeds": [0, 100]}, "seeds has 100, a seed of the tuning"),
-        ({"tuning": {"values": {RATE: [0.1] * 13}}}, "13 tuning runs of a learner; at most 12"),
-        ({"learners": {"a": {"tuning": {RATE: [0.1]}}, "b": {}}}, "the same number of tuning runs, not a 1, b 2"),
+        ({"tuning": {"shares": [0.5, 0.25], "values": {RATE: [0.1]}}}, r"shares' = \[0.5, 0.25\]: it must increase"),
+        (
+            {"tuning": {"candidates": 3, "values": {RATE: [0.1, 0.2]}}},
+            "must have the same number of candidates, 3, not mo 2, plain 2",
+        ),
+        ({"tuning": {}}, "candidates, 1, not mo 0, plain 0; tuning.values, or the tuning of a learner, must"),
+        ({"tuning": {"values": {RATE: [0.1], "algorithm.gama": [1]}}}, "no learner has the setting 'algorithm.gama'"),
+        (
+            {"learners": {"mo": {"config": "base.yaml"}, "no": {"ablation_of": "mi"}}},
+            "learner 'no' on task 'short': ablation_of = 'mi', which is no learner there; known: mo",
+        ),
+        (
+            {"learners": {"mo": {"config": "base.yaml"}, "no": {"ablation_of": "mo", "tuning": {RATE: [0.1, 0.2]}}}},
+            "an ablation has config, algorithm.name and tuning of 'mo', not its own",
+        ),
+        (
+            {"learners": {"mo": {"config": "base.yaml"}, "no": {"ablation_of": "mo", "overrides": {RATE: 0.001}}}},
+            "have the same run .* they do not differ in anything",
+        ),
         ({"learners": {"a": {}}}, "learner 'a' on task 'short' has no algorithm"),
         ({"tasks": ["K1"]}, "metric has no effect: every task has its own"),
         (
@@ -185,8 +292,8 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
         ),
         ({"tuning": {"values": {RATE: [0.001, 1e-3]}}}, "have the same run"),
         (
-            {"tuning": {"values": {"algorithm.accrued_discount": [1.0]}}},
-            "'plain' on task 'short': the study tunes 'algorithm.accrued_discount', a setting that it does not have",
+            {"tuning": {"values": {"algorithm.accrued_discount": [0.9, 1.0]}}},
+            "task 'short': every learner must have the same number of candidates, 2, not mo 2, plain 0",
         ),
         ({"metric": "stochastic/utility_ers"}, "metric 'stochastic/utility_ers' is unknown; the nearest ones: stoch"),
         ({"columns": ["success", "arrivals"]}, "columns has 'arrivals', which no run has; the nearest ones: "),
