@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from itertools import pairwise, product
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
@@ -18,6 +17,8 @@ from mo_deepdrive.world.config import EnvironmentSettings, Settings, parse
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 # Experiment keys that are set elsewhere, and where; in a study, and beside it, some more.
 SEED_KEYS = dict.fromkeys(("seed", "training.seed", "training.seeds"), "set seeds with the key 'seeds'")
@@ -284,23 +285,22 @@ class Tuning(Settings):
 
     def candidates_of(self, values: Values) -> list[dict[str, Any]]:
         """The candidates of a learner: values by key; fewer than it should have if there are no more combinations."""
-        combinations = [*product(*(range(len(options)) for options in values.values()))] if values else []
+        sizes = [len(options) for options in values.values()]
+        combinations = np.array([*product(*map(range, sizes))] if values else [])
         if self.candidates is not None:
             combinations = _balanced(combinations, min(self.candidates, len(combinations)))
-        return [
-            {key: values[key][i] for key, i in zip(values, combination, strict=True)} for combination in combinations
-        ]
+        places = [dict(zip(values, combination, strict=True)) for combination in combinations]
+        return [{key: values[key][i] for key, i in place.items()} for place in places]
 
 
-def _balanced(combinations: list[tuple[int, ...]], number: int) -> list[tuple[int, ...]]:
-    """As many of the combinations, drawn so that every number is at its place about equally often."""
-    left = [combinations[i] for i in np.random.default_rng(0).permutation(len(combinations))]
-    drawn: list[tuple[int, ...]] = []
-    used: Counter[tuple[int, int]] = Counter()  # how often each number was drawn, by place
+def _balanced(combinations: NDArray[np.intp], number: int) -> NDArray[np.intp]:
+    """(number, k) of the (n, k) combinations, drawn so that every value of a column comes about equally often."""
+    left = np.random.default_rng(0).permutation(combinations)
+    drawn, used = left[:0], np.zeros_like(left)  # how often the value at each place of what is left was drawn
     for _ in range(number):
-        drawn.append(min(left, key=lambda combination: sum(used[at] for at in enumerate(combination))))
-        left.remove(drawn[-1])
-        used.update(enumerate(drawn[-1]))
+        best = np.argmin(used.sum(axis=1))
+        drawn = np.vstack([drawn, left[best]])
+        left, used = (np.delete(array, best, axis=0) for array in (left, used + (left == left[best])))
     return drawn
 
 

@@ -71,10 +71,18 @@ def test_an_own_learner_gets_the_help_of_all_and_no_tuning() -> None:
     plan = plan_of(["suite/mo_ppo"], ["core"], 2)
     assert {task for task, _ in plan.selected} == {"K1", "K3", "K5", "V1"}
     k5 = next(arm for arm in plan.arms if arm.task == "K5")
-    assert (k5.learner, k5.seeds, k5.points) == ("mo_ppo", (0, 1), ())
+    assert (k5.learner, k5.seeds, k5.candidates) == ("mo_ppo", (0, 1), ())
     assert k5.values["algorithm"]["gamma"] == 0.9995
     tuned = plan_of(["lintune"], ["K3"], 2)
-    assert [len(arm.points) for arm in tuned.arms if arm.key in tuned.selected] == [12]
+    assert [len(arm.candidates) for arm in tuned.arms if arm.key in tuned.selected] == [12]
+
+
+def test_all_learners_of_a_task_meet_the_same_partners_but_for_its_ablation() -> None:
+    plan = plan_of(["ppo", "mappo", "self_play"], ["V1"], 1)
+    partners = {arm.learner: arm.values["training"]["partners"] for arm in plan.arms if arm.key in plan.selected}
+    assert partners.pop("self_play") == {}
+    assert partners.keys() == {"ppo", "mappo", "mo_ppo"}, "what an ablation ablates is trained, too"
+    assert all(len(its["vehicle_1"]) == 11 for its in partners.values())
 
 
 def test_an_own_learner_beside_one_of_the_reference_is_tuned_by_the_same_rule_and_takes_overrides(
@@ -86,10 +94,13 @@ def test_an_own_learner_beside_one_of_the_reference_is_tuned_by_the_same_rule_an
     plan = plan_of(["mo_ppo", "own_ppo:OwnPPO"], ["K1"], 3, {"algorithm.kappa": 0.2})
     arms = {arm.learner: arm for arm in plan.arms if arm.key in plan.selected}
     assert arms.keys() == {"mo_ppo", "OwnPPO"}
-    assert arms["OwnPPO"].points == arms["mo_ppo"].points
+    assert arms["OwnPPO"].candidates == arms["mo_ppo"].candidates
     assert arms["OwnPPO"].values["algorithm"]["kappa"] == 0.2
     assert "kappa" not in arms["mo_ppo"].values["algorithm"]
-    assert plan.announcement()[-1] == "24 runs of tuning, then 6 that count: mo_ppo, OwnPPO on K1"
+    assert (
+        plan.announcement()[-1]
+        == "108 runs of tuning, as long as 27 full ones, then 6 that count: mo_ppo, OwnPPO on K1"
+    )
     for overrides, message in (
         ({"algorithm.kapa": 0.2}, "no learner has the setting 'algorithm.kapa'; did you mean 'algorithm.kappa'"),
         ({"algorithm.learning_rate": 0.2}, "learning_rate = 0.2: the study tunes it for learner 'mo_ppo'"),
@@ -127,10 +138,10 @@ def test_the_manifest_of_suite_run_holds_what_was_asked_for(
         (["ppo", "ppo"], ["K1"], 1, "--learner ppo is given twice"),
         (["ppo", "conditioned_mo_ppo"], ["K1"], 1, "learner 'conditioned_mo_ppo' fits none of the tasks K1"),
         (
-            ["ppo", "suite/pcn"],
-            ["U1", "K1"],
+            ["conditioned_mo_ppo", "suite/envelope"],
+            ["U2"],
             1,
-            "the study tunes 'algorithm.entropy_start', a setting that it does not",
+            "every learner must have the same number of candidates, 12, not conditioned_mo_ppo 12, envelope 4",
         ),
         (["suite/ppo"], ["K1"], 0, "--seeds 0 must be at least 1"),
     ],
