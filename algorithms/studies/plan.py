@@ -339,8 +339,11 @@ class StudyPlan(Plan):
         return ArmRuns(arm, tried, best_first[0] if settled else None, final if settled else [])
 
     def _ablation(self, arm: Arm, ablated: ArmRuns) -> ArmRuns:
-        """The runs of an ablation, with what was chosen for the arm that it ablates; they are checked before that."""
-        theirs, rows = (self._rows_of(of, [*of.candidates, {}][ablated.chosen or 0]) for of in (ablated.arm, arm))
+        """The runs of an ablation, with what was chosen for the arm that it ablates; before that they are checked."""
+        chosen = ablated.chosen or 0
+        theirs, rows = (
+            self._rows_of(its, its.candidates[chosen] if its.candidates else {}) for its in (ablated.arm, arm)
+        )
         refuse_duplicates([*theirs, *rows])
         return ArmRuns(arm, [], ablated.chosen, rows if ablated.final else [], ablated.given_up)
 
@@ -399,8 +402,7 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
             of_suite = task.task and f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
             if (metric := task.metric or of_suite or study.metric) is None:
                 raise ValueError(f"task {name!r} has no metric; give one to it or to the study")
-            label = study.labels.get(key, key)
-            arms.append(Arm(name, key, label, metric, values, tuple(candidates), seeds, own.ablation_of))
+            arms.append(Arm(name, key, own.label or key, metric, values, tuple(candidates), seeds, own.ablation_of))
     if not arms:
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
     idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners - {arm.learner for arm in arms})]
