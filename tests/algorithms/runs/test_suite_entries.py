@@ -136,6 +136,7 @@ ROW = "K1,a,0,greedy,score,1.0,0.9,1.1,policy.py,finished,,1\n"
         (ROW.replace("score", "scorre"), "column = 'scorre' is unknown; did you mean 'score'"),
         (ROW.replace("K1", "Popen"), "task = 'Popen' is unknown"),
         (ROW.replace(",1\n", ",99\n"), "version 99 of the suite; this is version 1"),
+        (ROW.replace(",1\n", ",0\n").replace("K1", "K0"), "version 0 of the suite"),  # what it had is gone
         (ROW.replace("policy.py", ""), "does not say which run or policy was scored"),
         (ROW.replace("finished", "failed"), "line 2: value = 1.0 of a run that failed"),
         (ROW.replace("1.0,0.9,1.1", ",,"), "has no scores"),
