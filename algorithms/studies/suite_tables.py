@@ -181,8 +181,8 @@ class Scoreboard:
             for learner, its in scores.items():
                 minutes = self._minutes.get((name, learner))
                 about = [learner, its.mean.estimate.text(), its.seeds, f"{median(minutes):.1f}" if minutes else ""]
-                found = differences.get(learner)
-                about += [found.mean.estimate.text(), f"{found.p:.3f}"] if found else ["", ""]
+                difference = differences.get(learner)
+                about += [difference.mean.estimate.text(), f"{difference.p:.3f}"] if difference else ["", ""]
                 rows.append((its.mean.value, [*about, ("tie" if tied[1:] else "best") if learner in tied else ""]))
             rows.append((0.0, ["floor", f"0 ({task.floor.value:.4g})"]))
             lines = [[*row, *[""] * (len(header) - len(row))] for _, row in sorted(rows, key=lambda item: -item[0])]
@@ -207,9 +207,9 @@ class Scoreboard:
         scores, differences = [["task", *shown]], [["task", *(f"{learner} - {other}" for learner in others)]]
         for name, means in lines.items():
             scores.append([name, *(mean.estimate.text() for mean in means.values())])
-            found = [means[learner] - means[other] for learner in others]
-            stars = [" *" if p < SIGNIFICANT else "" for p in holm([mean.p for mean in found])]
-            texts = [mean.estimate.text() + star for mean, star in zip(found, stars, strict=True)]
+            gaps = [means[learner] - means[other] for learner in others]
+            stars = [" *" if p < SIGNIFICANT else "" for p in holm([gap.p for gap in gaps])]
+            texts = [gap.estimate.text() + star for gap, star in zip(gaps, stars, strict=True)]
             differences.append([name, *texts])
         return scores, differences
 

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 FAILED = "failed"  # the state of a run that has the lowest score
-ROUNDING = 1e-3  # by which a normalised score and that of its samples, in single precision, may differ
+SIGNIFICANT_BITS = 13  # of the samples that are kept
+ROUNDING = 1e-3  # by which a normalised score and that of its samples may differ
 Samples = dict[tuple[str, str, int], NDArray[np.float32]]  # of the ranked score, (E, k), by task, learner and seed
 
 
@@ -140,6 +141,13 @@ def write_samples(path: str | Path, samples: Samples) -> None:
         np.savez_compressed(buffer, **parts)  # type: ignore[arg-type]  # the names are no arguments of it
         file.parent.mkdir(exist_ok=True)
         atomic_write(file, buffer.getvalue())
+
+
+def rounded(samples: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Samples as they are kept: to SIGNIFICANT_BITS, so that they are compressed by half."""
+    mantissa, exponent = np.frexp(samples)
+    scale = 2.0**SIGNIFICANT_BITS
+    return np.ldexp(np.round(mantissa * scale) / scale, exponent).astype(np.float32)
 
 
 def read_samples(path: str | Path) -> Samples:

@@ -211,12 +211,12 @@ def utilities_by_partner(drives: Drives, policy: Any) -> NDArray[np.float64]:
 # mo_deepdrive.suite.results), and any resample of it is scored by a matrix product.
 
 
-def each(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+def scenario_means(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
     """(E, 1) the mean of the samples of each scenario."""
-    return samples.reshape(len(samples), -1).mean(axis=1, keepdims=True)
+    return np.asarray(samples.reshape(len(samples), -1).mean(axis=1, keepdims=True))
 
 
-def flat(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+def flattened(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
     """(E, k) all samples of each scenario."""
     return samples.reshape(len(samples), -1)
 
@@ -230,7 +230,7 @@ def gains(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
     assert preferences is not None
     worth = (samples * task.hidden_weights()).sum(axis=2) if samples.ndim > 2 else samples
     blind, planned = np.array(preferences.blind), np.array(preferences.planned)
-    return each(task, (worth - blind) / (planned - blind))
+    return scenario_means(task, (worth - blind) / (planned - blind))
 
 
 def costs(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -265,8 +265,8 @@ def dominated_volume(task: Task, means: NDArray[np.float64]) -> NDArray[np.float
     config = task.config()
     corner = reference_point(config.scenario, config.action_type, 1.0, task.objectives()).values
 
-    def volume(flattened: NDArray[np.float64]) -> float:
-        points = flattened.reshape(-1, len(corner))
+    def volume(point_row: NDArray[np.float64]) -> float:
+        points = point_row.reshape(-1, len(corner))
         return float(hypervolume(points, corner)) if (points > corner).all(axis=1).any() else 0.0
 
     return np.apply_along_axis(volume, -1, means)
@@ -341,14 +341,14 @@ class Scorer:
 
 
 SCORERS: dict[str, Scorer] = {
-    "mean_utility": Scorer(utilities, each, mean),
-    "utility_of_mean": Scorer(returns, flat, utility_of_mean),
-    "certainty_equivalent": Scorer(utilities, each, certainty_equivalent, {CVAR: conditional_value_at_risk}),
-    "hypervolume": Scorer(returns_of_front, flat, dominated_volume),
+    "mean_utility": Scorer(utilities, scenario_means, mean),
+    "utility_of_mean": Scorer(returns, flattened, utility_of_mean),
+    "certainty_equivalent": Scorer(utilities, scenario_means, certainty_equivalent, {CVAR: conditional_value_at_risk}),
+    "hypervolume": Scorer(returns_of_front, flattened, dominated_volume),
     "mean_over_preferences": Scorer(returns_by_preference, gains, mean, details=controllability),
     "mean_over_changing_preferences": Scorer(values_under_changes, gains, mean),
     "rulebook": Scorer(returns, costs, lexicographic, details=mean_costs),
-    "mean_over_partners": Scorer(utilities_by_partner, each, mean, {WORST: worst_partner}),
+    "mean_over_partners": Scorer(utilities_by_partner, scenario_means, mean, {WORST: worst_partner}),
 }
 
 

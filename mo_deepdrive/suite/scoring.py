@@ -13,7 +13,7 @@ from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.policy import AccruedReward, FunctionPolicy
 from mo_deepdrive.evaluation.splits import SPLITS, first_seed
 from mo_deepdrive.evaluation.statistics import Estimate, of_mean, resample
-from mo_deepdrive.suite.results import Row
+from mo_deepdrive.suite.results import Row, rounded
 from mo_deepdrive.suite.scorers import SCORE, SCORERS, open_drives, policies_of, single
 from mo_deepdrive.suite.tasks import load
 from mo_deepdrive.support.importing import failure
@@ -83,7 +83,7 @@ def score(
                 details = scorer.details(task, collected) if scorer.details is not None else {}
                 numbers |= {column: Estimate(value) for column, value in details.items()}
                 if samples is not None:
-                    samples[task_id, learner, seed] = part.astype(np.float32)
+                    samples[task_id, learner, seed] = rounded(part)
             for column, number in numbers.items():
                 place = task_id, learner, seed, kind, column
                 rows.append(Row(*place, number.value, number.low, number.high, version=suite.version))
