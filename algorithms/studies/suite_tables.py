@@ -6,7 +6,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from functools import cache
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from algorithms.studies.results import FINISHED
 from mo_deepdrive import suite
@@ -79,28 +79,17 @@ class Scores:
     unfinished: int  # further runs, which have no score yet
 
     @property
-    def failed(self) -> int:
-        """How many seeds are not above the floor."""
-        return sum(score <= 0.0 for score in self.by_seed.values())
-
-    @property
-    def seeds(self) -> str:
-        """How many seeds have failed, and are not finished."""
+    def failed(self) -> str:
+        """How many seeds are not above the floor, and how many are not finished."""
         missing = f" ({self.unfinished} unfinished)" if self.unfinished else ""
-        return f"{self.failed} of {len(self.by_seed)}{missing}"
+        return f"{sum(score <= 0.0 for score in self.by_seed.values())} of {len(self.by_seed)}{missing}"
 
 
-@dataclass(frozen=True)
-class Difference:
+class Difference(NamedTuple):
     """What a learner scores more than another one on the same scenarios."""
 
     mean: Resampled
     p: float  # corrected for all that the other one is compared with
-
-    @property
-    def significant(self) -> bool:
-        """Whether it is not a tie."""
-        return self.p < SIGNIFICANT
 
 
 class Scoreboard:
@@ -142,19 +131,15 @@ class Scoreboard:
     def differences(self, task: str, other: str | None = None) -> dict[str, Difference]:
         """What the learners score more on a task than another one, by default than the best."""
         scores = self.scores(task)
-        other = other or next(iter(scores))
+        other = other or next(iter(scores), "")
         means = {learner: its.mean - scores[other].mean for learner, its in scores.items() if learner != other}
         corrected = holm([mean.p for mean in means.values()])
         return {learner: Difference(mean, p) for (learner, mean), p in zip(means.items(), corrected, strict=True)}
 
     def best(self, task: str) -> list[str]:
         """The learner with the highest mean on a task, and those that are not told apart from it."""
-        differences = self.differences(task)
-        return [
-            learner
-            for learner in self.scores(task)
-            if learner not in differences or not differences[learner].significant
-        ]
+        tied = [learner for learner, difference in self.differences(task).items() if difference.p >= SIGNIFICANT]
+        return [next(iter(self.scores(task))), *tied] if self.scores(task) else []
 
     def _reference(self, learner: str | None) -> str:
         """The learner that others are compared with: the one that is named, or else :data:`BASELINE`, or the first."""
@@ -180,7 +165,7 @@ class Scoreboard:
             tied = self.best(name)
             for learner, its in scores.items():
                 minutes = self._minutes.get((name, learner))
-                about = [learner, its.mean.estimate.text(), its.seeds, f"{median(minutes):.1f}" if minutes else ""]
+                about = [learner, its.mean.estimate.text(), its.failed, f"{median(minutes):.1f}" if minutes else ""]
                 difference = differences.get(learner)
                 about += [difference.mean.estimate.text(), f"{difference.p:.3f}"] if difference else ["", ""]
                 rows.append((its.mean.value, [*about, ("tie" if tied[1:] else "best") if learner in tied else ""]))
@@ -217,23 +202,15 @@ class Scoreboard:
         """Draw the learners of every task, the best on top: the mean with its interval, and every seed."""
         from matplotlib.figure import Figure
 
-        from algorithms.reporting.style import (
-            DIM,
-            FAINT,
-            algorithm_colours,
-            figure_style,
-            grid_shape,
-            save_figure,
-            surround,
-        )
+        from algorithms.reporting import style
 
         tasks = [name for name in self.tasks if self.scores(name)]
         if not tasks:
             raise ValueError("no run has ended yet")
-        colours = algorithm_colours(self.learners)
-        rows, columns = grid_shape(len(tasks))
+        colours = style.algorithm_colours(self.learners)
+        rows, columns = style.grid_shape(len(tasks))
         tallest = max(len(self.scores(name)) for name in tasks)
-        with figure_style({"axes.grid.axis": "x"}):
+        with style.figure_style({"axes.grid.axis": "x"}):
             figure = Figure(figsize=(3.6 * columns, (0.9 + 0.24 * tallest) * rows))
             panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
             for axes in panels[len(tasks) :]:
@@ -242,18 +219,18 @@ class Scoreboard:
                 scores = self.scores(name)
                 for y, (learner, its) in enumerate(scores.items()):
                     values, colour = [*its.by_seed.values()], colours[learner]
-                    axes.plot(values, [y] * len(values), "|", color=FAINT, markersize=9)
+                    axes.plot(values, [y] * len(values), "|", color=style.FAINT, markersize=9)
                     mean = its.mean.estimate
                     if mean.low is not None:
                         axes.plot([mean.low, mean.high], [y, y], color=colour, linewidth=2)
                     axes.plot([mean.value], [y], "o", color=colour, markersize=5)
                 for bound in (0.0, 1.0):
-                    axes.axvline(bound, color=DIM, linewidth=0.8, linestyle=":")
+                    axes.axvline(bound, color=style.DIM, linewidth=0.8, linestyle=":")
                 axes.set_yticks(range(len(scores)), [labels.get(learner, learner) for learner in scores])
                 axes.set(title=name, ylim=(tallest - 0.5, -0.5))
                 axes.xaxis.set_tick_params(labelbottom=True)
             note = (
                 "Means with 95% intervals over seeds and scenarios; a stroke is a seed. Dotted: floor (0), ceiling (1)."
             )
-            surround(figure, "Scores of the learners by task", [note])
-            save_figure(figure, path)
+            style.surround(figure, "Scores of the learners by task", [note])
+            style.save_figure(figure, path)

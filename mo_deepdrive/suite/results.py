@@ -196,7 +196,8 @@ def check_of_suite(row: Row) -> None:
     The ValueError names the attribute, its value and what is allowed.
     """
     suite = load()
-    if row.value is not None and row.version != suite.version:  # before what another version may not have
+    # Before what another version may not have; a run without a score may have no version.
+    if row.version != suite.version and (row.version or row.value is not None):
         raise ValueError(f"version {row.version} of the suite; this is version {suite.version}")
     if row.task not in suite.tasks:
         raise ValueError(f"task = {row.task!r} is unknown; {nearest(row.task, list(suite.tasks))}")
