@@ -5,9 +5,9 @@
 A table after ``<!-- table: SELECT ... -->``, a query of SQLite, is made whole: its header has the names of the columns
 of the query, its rows are the results. ``docs/results/runs.csv`` is the table ``runs``, a file in a folder has the name
 ``folder_file``, and what follows an empty line in ``scores.csv`` is ``scores_1``. Of the suite there are the tables
-``suite_tasks``, ``suite_learners``, ``suite_normalised`` (a score of every run) and ``suite_board`` (as ``suite table``
-prints it); views of ``docs/results/views.sql`` are tables, too. Below a table of results is a line with the commits
-whose code made them, from ``docs/results/provenance.csv``.
+``suite_tasks``, ``suite_learners``, ``suite_normalised`` (a score of every run) and ``suite_best`` (the best learner of
+every task, and those that are tied with it); views of ``docs/results/views.sql`` are tables, too. Below a table of
+results is a line with the commits whose code made them, from ``docs/results/provenance.csv``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import sqlite3
 import sys
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from benchmark import REPOSITORY
 
 from algorithms.runs.cli import Command
@@ -30,7 +29,6 @@ from algorithms.studies.settings import load_study
 from algorithms.studies.suite_tables import Scoreboard, minutes_per_run
 from algorithms.zoo import ZOO
 from mo_deepdrive import suite
-from mo_deepdrive.evaluation.statistics import interquartile_mean
 from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
@@ -42,22 +40,7 @@ MADE = re.compile(
     r"(?P<comment><!-- table:(?P<query>.*?)-->\n\n)((\|[^\n]*\n)+\n?)*(Results of commits? `[^\n]*\n\n?)?", re.DOTALL
 )
 PROVENANCE = REPOSITORY / "docs" / "provenance.md"
-FROM_SUITE = ("suite_normalised", "suite_board")  # tables of what docs/results/suite.csv has
-
-
-class InterquartileMean:
-    """The mean of the middle half of a column, as an aggregate of SQLite."""
-
-    def __init__(self) -> None:
-        self.values: list[float] = []
-
-    def step(self, value: float | None) -> None:
-        """Add the value of a row; one that is missing does not count."""
-        self.values += [] if value is None else [value]
-
-    def finalize(self) -> float | None:
-        """The number."""
-        return float(interquartile_mean(np.array(self.values))) if self.values else None
+FROM_SUITE = ("suite_normalised", "suite_best")  # tables of what docs/results/suite.csv has
 
 
 def open_results() -> sqlite3.Connection:
@@ -77,8 +60,6 @@ def open_results() -> sqlite3.Connection:
     commits = {path.parent.name: json.loads(path.read_bytes())["commit"] for path in sorted(ZOO.glob("*/about.json"))}
     fill(database, "zoo", ["policy", "commit"], [*commits.items()])
     database.create_function("decimals", 2, lambda value, places: None if value is None else f"{value:.{places}f}")
-    aggregate: Any = InterquartileMean
-    database.create_aggregate("interquartile_mean", 1, aggregate)
     database.executescript((folder / "views.sql").read_text(encoding="utf-8"))
     return database
 
@@ -94,14 +75,16 @@ def fill_suite(database: sqlite3.Connection, results: list[suite.Row]) -> None:
         tasks.append([name, *(getattr(task, field) for field in fields), *values, minutes.get(name)])
         if task.counted and name in board.tasks:
             by_learner = board.scores(name)
-            scores += [[key, name, task.track, score] for key, its in by_learner.items() for score in its.values]
+            scores += [
+                [key, name, task.track, score] for key, its in by_learner.items() for score in its.by_seed.values()
+            ]
     bounds = ["floor", "floor_by", "ceiling", "ceiling_by", "kind", "minutes"]
     fill(database, "suite_tasks", ["task", *fields, *bounds], tasks)
     fill(database, "suite_normalised", ["learner", "task", "track", "score"], scores)
     labels = load_study(REFERENCE).labels
     fill(database, "suite_learners", ["learner", "label"], [[name, labels.get(name, name)] for name in board.learners])
-    header, *rows = board.task_table()
-    fill(database, "suite_board", header, rows)
+    best = [[name, key, k] for name in board.tasks for k, key in enumerate(board.best(name))]
+    fill(database, "suite_best", ["task", "learner", "place"], best)
 
 
 def fill(database: sqlite3.Connection, table: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:

@@ -6,7 +6,7 @@ mo-deepdrive suite verify scores.csv --scenarios 20260101        # again, and on
 mo-deepdrive suite run --learner suite/ppo                       # train a learner on the core tasks
 mo-deepdrive suite run --learner my_package.my_module:MyAgent mo_ppo --tasks K1 K3 --seeds 5 --algorithm.gamma=0.98
 mo-deepdrive suite table                                         # the reference results
-mo-deepdrive suite table runs/studies/suite-ppo/results.csv --figure profile.png
+mo-deepdrive suite table runs/studies/suite-ppo/results.csv --figure scores.png
 
 Where a learner of the reference study is trained, all beside it are tuned by its rule. A key of an experiment, such as
 --algorithm.gamma=0.98, is for every learner that has the setting.
@@ -69,12 +69,13 @@ def suite_score(options: Options) -> int:
     if options.output and (twice := [run for run, count in runs.items() if count > 1]):
         same = "two policies are {1!r} with seed {2} on {0}".format(*twice[0])
         raise ValueError(f"--output {options.output!r}: {same}; a file for each")
-    console, rows = make_console(), []
+    console, rows, samples = make_console(), [], suite.Samples()
     with compilation_noted(lambda text: print_line(console, text)):
         policies = [entry.policy(task_id) for entry, task_id in pairs]
         for (entry, task_id), policy in zip(pairs, policies, strict=True):
             with console.status(f"{entry.source} on {task_id}"):
-                scores = entry.score(policy, task_id, episodes=options.episodes, perturbed=not options.no_perturbations)
+                how = {"episodes": options.episodes, "perturbed": not options.no_perturbations, "samples": samples}
+                scores = entry.score(policy, task_id, **how)
             table = [["column", "policy", "value, 95% interval", "normalised"]]
             for row in scores:
                 value = "" if row.value is None else Estimate(row.value, row.low, row.high).text()
@@ -84,6 +85,7 @@ def suite_score(options: Options) -> int:
             rows += scores
             if options.output:
                 suite.write_rows(options.output, rows)
+                suite.write_samples(options.output, samples)
     if options.output:
         print(f"written: {options.output}")
     return 0
@@ -157,18 +159,17 @@ def suite_table(options: Options) -> int:
     check_file("--output", options.output, *FORMATS)
     if options.published and options.results is None:
         raise ValueError("--published puts results of yours beside the reference results: name their CSV")
-    results = read_results(options.results or PUBLISHED)
+    results, samples = read_results(options.results or PUBLISHED)
     learners: set[str] = set()  # those of the user, beside the reference results
     if options.published:
-        learners, reference = {row.learner for row in results}, read_results(PUBLISHED)
+        learners, (reference, of_reference) = {row.learner for row in results}, read_results(PUBLISHED)
         if both := learners & {row.learner for row in reference}:
             raise ValueError(
                 f"{str(options.results)!r} has the learner {min(both)!r}, as the reference results; rename"
             )
-        results += reference
-    console, board = make_console(), Scoreboard(results)
-    tables = [*board.track_tables(options.against), ("Tasks", board.task_table())]
-    tables.append(("Tasks, by the policy that is not ranked", board.task_table(ranked=False)))
+        results, samples = [*results, *reference], {**samples, **of_reference}
+    console, board = make_console(), Scoreboard(results, samples)
+    tables = board.task_tables(options.baseline)
     scores, differences = board.comparison(options.baseline, learners)
     tables += [("Scores", scores), ("Differences", differences)] if options.published or options.baseline else []
     for title, rows in tables:
@@ -176,7 +177,7 @@ def suite_table(options: Options) -> int:
     console.print(NOTE, highlight=False)
     written: list[Path] = []
     if options.figure is not None:
-        board.draw_profiles(options.figure, load_study(REFERENCE).labels)
+        board.draw(options.figure, load_study(REFERENCE).labels)
         written.append(options.figure)
     if options.output is not None and options.output.suffix == ".md":
         text = "\n".join(f"## {title}\n\n{markdown(rows, 1, NOTE)}" for title, rows in tables)
@@ -218,10 +219,9 @@ RUN_OPTIONS = (
 )
 TABLE_OPTIONS = (
     option("results", "RESULTS.csv", "of a study (default: the reference results)", nargs="?", type=Path),
-    option("--against", "LEARNER", "whom the others are compared with (default: lintune)"),
-    option("--figure", "FILE.png", "draw the performance profiles", type=Path),
+    option("--figure", "FILE.png", "draw the scores with their intervals", type=Path),
     flag("--published", "beside the reference results"),
-    option("--baseline", "LEARNER", "whom the others are compared with task by task, over the tasks of all"),
+    option("--baseline", "LEARNER", "whom the others are compared with, task by task and over the tasks of all"),
     option("--output", "FILE", "write the tables (.md), or scores and differences (.tex, .csv)", type=Path),
 )
 ACTIONS = (
@@ -235,6 +235,6 @@ ACTIONS = (
         suite_run,
         takes_keys=True,
     ),
-    Command("suite table", "normalised scores per task and learner, and per track", TABLE_OPTIONS, suite_table),
+    Command("suite table", "normalised scores per task and learner, and their differences", TABLE_OPTIONS, suite_table),
 )
 main = CommandGroup("suite", __doc__, ACTIONS)

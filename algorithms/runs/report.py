@@ -92,8 +92,8 @@ def final_metric_names(experiment: Experiment) -> list[str]:
         measured = indicators(point, reference_point=settings.reference_point, reference_front=best_known)
         known = [f"{FRONT}/{metric}" for metric in (*measured, SUCCESS)]
     if settings.task is not None:
-        numbers_of_task = SCORERS[suite.load().task(settings.task).score].numbers
-        known += [f"{policy}/{SUITE}{column}" for policy in POLICIES for column in numbers_of_task]
+        columns = SCORERS[suite.load().task(settings.task).score].columns
+        known += [f"{policy}/{SUITE}{column}" for policy in POLICIES for column in columns]
     return known
 
 

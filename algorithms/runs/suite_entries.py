@@ -257,11 +257,17 @@ def scorable(agent: Any, experiment: Experiment) -> Any:
 
 
 def score_run(run: Run, policy: Any) -> None:
-    """Add the scores of a policy on a run's task to its final evaluation, on the test split with perturbations."""
-    settings = run.experiment.evaluation
+    """Add the scores of a policy on a run's task to its final evaluation; on the test split with perturbations.
+
+    The samples of the score of the test split are kept beside it.
+    """
+    settings, samples = run.experiment.evaluation, suite.Samples()
     path, perturbed = run.path / EVALUATION_FILE, settings.split == "test"
-    values = json.loads(path.read_bytes())
-    for row in suite.score(policy, str(settings.task), first_episode=settings.final_seed, perturbed=perturbed):
+    values, task = json.loads(path.read_bytes()), str(settings.task)
+    rows = suite.score(policy, task, first_episode=settings.final_seed, perturbed=perturbed, samples=samples)
+    if perturbed:
+        suite.write_samples(path, samples)
+    for row in rows:
         scores = values["policies"].setdefault(row.policy, {})
         scores[SUITE + row.column] = {"value": row.value, "low": row.low, "high": row.high}
     write_json(path, {**values, "suite_version": suite.load().version})

@@ -79,10 +79,22 @@ def _rows_of_run(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> l
     return rows_of(evaluation, key, arm.arm.metric.partition("/")[2], *plan.study.columns, **about)
 
 
+def samples_of_runs(runs: Sequence[ArmRuns], directory: Path) -> suite.Samples:
+    """The samples of the scores of the runs that count, as far as they are kept."""
+    return {
+        (*arm.arm.key, run.seed): part
+        for arm in runs
+        for run in arm.final
+        for (task, *_), part in suite.read_samples(directory / run.directory / EVALUATION_FILE).items()
+        if task == run.config["evaluation"].get("task")
+    }
+
+
 def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[StudyTable]:
     """Write the results of a study into its directory; returns its tables."""
     results = results_of(plan, runs, directory)
     write_rows(own_path(directory, RESULTS_FILE), results)
+    suite.write_samples(own_path(directory, RESULTS_FILE), samples_of_runs(runs, directory))
     if plan.study.tuning is not None:
         write_table(own_path(directory, TUNING_FILE), tuning_rows(runs, directory), 4, "")
     tables = study_tables(plan, runs, results)

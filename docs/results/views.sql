@@ -2,14 +2,14 @@
 
 CREATE VIEW suite_tracks AS -- README: learners by tracks
 WITH cells AS (
-  SELECT learner, track, printf('%.2f (%d)', interquartile_mean(score), count(DISTINCT task)) AS cell
+  SELECT learner, track, printf('%.2f (%d)', avg(score), count(DISTINCT task)) AS cell
   FROM suite_normalised GROUP BY learner, track)
 SELECT label AS learner,
   max(CASE track WHEN 'known utility' THEN cell END) AS "known utility",
   max(CASE track WHEN 'unknown utility' THEN cell END) AS "unknown utility",
   max(CASE track WHEN 'many vehicles' THEN cell END) AS "many vehicles"
 FROM cells JOIN suite_learners USING (learner) GROUP BY learner
-ORDER BY (SELECT interquartile_mean(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
+ORDER BY (SELECT avg(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
 
 CREATE VIEW suite_list AS -- scoreboard: what the tasks are
 SELECT '`' || task || '`' AS task, CASE core WHEN 1 THEN 'core' ELSE '' END AS " ", title, tests AS "what it tests",
@@ -17,16 +17,16 @@ SELECT '`' || task || '`' AS task, CASE core WHEN 1 THEN 'core' ELSE '' END AS "
 FROM suite_tasks WHERE counted;
 
 CREATE VIEW suite_bounds AS -- scoreboard: floors, ceilings and the best learner of each task
-WITH means AS (
-  SELECT task, learner, interquartile_mean(score) AS score, count(*) AS seeds
+WITH means AS (SELECT task, learner, avg(score) AS score, count(*) AS seeds, sum(score <= 0) AS failed
   FROM suite_normalised GROUP BY task, learner),
-best AS (SELECT task, label, max(score) AS score, seeds FROM means JOIN suite_learners USING (learner) GROUP BY task)
+best AS (SELECT b.task, max(CASE place WHEN 0 THEN label END) AS label, group_concat(CASE WHEN place > 0 THEN label END, ', ') AS tied,
+  max(CASE place WHEN 0 THEN score END) AS score, max(CASE place WHEN 0 THEN failed || ' of ' || seeds END) AS failed
+  FROM suite_best AS b JOIN means USING (task, learner) JOIN suite_learners USING (learner) GROUP BY b.task)
 SELECT '`' || task || '`' AS task, printf('%.4g', t.floor) || ' (' || floor_by || ')' AS floor,
   printf('%.4g', t.ceiling) || ' (' || CASE kind WHEN 'best known' THEN ceiling_by ELSE kind END || ')' AS ceiling,
-  best.label AS "best learner",
-  decimals(best.score, 2) AS "its score", CASE WHEN best.label IS NULL THEN NULL WHEN board."clearly best" = '' THEN 'no'
-    ELSE 'yes' END AS "clearly best", seeds, decimals(minutes, 1) AS "CPU minutes a run"
-FROM suite_tasks AS t LEFT JOIN best USING (task) LEFT JOIN suite_board AS board USING (task) WHERE counted;
+  label AS "best learner", decimals(score, 2) AS "its score", tied AS "tied with", failed AS "its failed seeds",
+  decimals(minutes, 1) AS "CPU minutes a run"
+FROM suite_tasks AS t LEFT JOIN best USING (task) WHERE counted;
 
 CREATE VIEW suite_core AS -- README: the tasks to begin with
 SELECT list.task, title, "what it tests", steps, "best learner", "its score"
@@ -34,7 +34,7 @@ FROM suite_list AS list JOIN suite_bounds USING (task) WHERE " " = 'core';
 
 CREATE VIEW suite_scores AS -- scoreboard: learners by tasks
 WITH cells AS (
-  SELECT learner, task, printf('%.2f', round(interquartile_mean(score), 2) + 0.0) AS cell FROM suite_normalised GROUP BY learner, task)
+  SELECT learner, task, printf('%.2f', round(avg(score), 2) + 0.0) AS cell FROM suite_normalised GROUP BY learner, task)
 SELECT label AS learner, max(CASE task WHEN 'K1' THEN cell END) AS K1, max(CASE task WHEN 'K2' THEN cell END) AS K2,
   max(CASE task WHEN 'K3' THEN cell END) AS K3, max(CASE task WHEN 'K4' THEN cell END) AS K4,
   max(CASE task WHEN 'K5' THEN cell END) AS K5, max(CASE task WHEN 'K6-ESR' THEN cell END) AS "K6-ESR",
@@ -42,17 +42,17 @@ SELECT label AS learner, max(CASE task WHEN 'K1' THEN cell END) AS K1, max(CASE 
   max(CASE task WHEN 'U2' THEN cell END) AS U2, max(CASE task WHEN 'U3' THEN cell END) AS U3,
   max(CASE task WHEN 'V1' THEN cell END) AS V1
 FROM cells JOIN suite_learners USING (learner) GROUP BY learner
-ORDER BY (SELECT interquartile_mean(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
+ORDER BY (SELECT avg(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
 
 CREATE VIEW suite_generalisation AS -- scoreboard: scores of the best learners where nobody has trained
 WITH scored AS (
   SELECT task, learner, suite."column" AS setting, max(-1.0, (value - floor) / (ceiling - floor)) AS score
   FROM suite JOIN suite_tasks USING (task, policy) WHERE value <> '' AND counted)
 SELECT '`' || scored.task || '`' AS task, label AS learner,
-  decimals(interquartile_mean(CASE setting WHEN 'score' THEN score END), 2) AS "as trained",
-  decimals(interquartile_mean(CASE setting WHEN 'yaw_friction' THEN score END), 2) AS "less grip",
-  decimals(interquartile_mean(CASE setting WHEN 'action_delay' THEN score END), 2) AS "delayed actions",
-  decimals(interquartile_mean(CASE setting WHEN 'hidden_car' THEN score END), 2) AS "a hidden car"
+  decimals(avg(CASE setting WHEN 'score' THEN score END), 2) AS "as trained",
+  decimals(avg(CASE setting WHEN 'yaw_friction' THEN score END), 2) AS "less grip",
+  decimals(avg(CASE setting WHEN 'action_delay' THEN score END), 2) AS "delayed actions",
+  decimals(avg(CASE setting WHEN 'hidden_car' THEN score END), 2) AS "a hidden car"
 FROM scored JOIN suite_learners USING (learner)
 JOIN suite_bounds AS bounds ON bounds.task = '`' || scored.task || '`' AND bounds."best learner" = label GROUP BY scored.task;
 

@@ -16,7 +16,7 @@ import yaml
 
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.splits import describe_episodes, split_of
-from mo_deepdrive.evaluation.statistics import Estimate, mean_or_rate, utility_of_mean
+from mo_deepdrive.evaluation.statistics import Estimate, mean_or_rate, of_mean
 from mo_deepdrive.evaluation.team import generalised_gini, total, worst_off
 from mo_deepdrive.support.atomic_io import atomic_folder, atomic_write, csv_bytes, own_path, write_json
 from mo_deepdrive.utilities import make_utility
@@ -275,7 +275,7 @@ class Evaluation:
                 (metrics.DISCOUNTED_UTILITY_ESR, metrics.DISCOUNTED_UTILITY_SER, discounted),
             ):
                 yield _mean_of(esr, np.asarray(utility(vectors)))
-                yield Measure(ser, float(utility(vectors.mean(axis=0))), partial(utility_of_mean, vectors, utility))
+                yield Measure(ser, float(utility(vectors.mean(axis=0))), partial(of_mean, vectors, utility))
         yield _mean_of(metrics.SUCCESS, self.succeeded[:, v])
         ends = self.ends[:, v]
         for reason in sorted(metrics.end_rates(ends), key=lambda reason: reason not in metrics.USUAL_FAILURES):

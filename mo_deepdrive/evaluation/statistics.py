@@ -2,11 +2,12 @@
 
 Runs are compared by means and interquartile means, their difference and the probability of improvement, each with a
 bootstrap interval over the seeds (Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical
-precipice").
+precipice"); scores of the suite by their means, with seeds and scenarios resampled together.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cache
@@ -115,10 +116,10 @@ def resample(samples: NDArray[Any], statistic: Callable[[NDArray[Any]], float]) 
     if n < MIN_SAMPLES:
         return Estimate(value)
     draws = np.random.default_rng(0).integers(n, size=(RESAMPLES, n))
-    return _between_tails(value, [statistic(samples[rows]) for rows in draws])
+    return between_tails(value, [statistic(samples[rows]) for rows in draws])
 
 
-def _between_tails(value: float, resampled: Any) -> Estimate:
+def between_tails(value: float, resampled: Any) -> Estimate:
     """An estimate with the percentile interval of the statistic's values in resamples."""
     tail = (1.0 - LEVEL) / 2.0
     # Interpolating between two infinite values would give NaN.
@@ -139,16 +140,81 @@ def mean_or_rate(samples: NDArray[Any]) -> Estimate:
     return rate(samples) if samples.dtype == np.bool_ else mean(samples)
 
 
-def utility_of_mean(returns: NDArray[np.float64], utility: Callable[[Any], Any]) -> Estimate:
-    """SER: ``utility`` of the mean of ``returns`` (n, d), with its bootstrap interval."""
-    generator = np.random.default_rng(0)
-    value = float(utility(returns.mean(axis=0)))
-    n = len(returns)
-    if n < MIN_SAMPLES:
-        return Estimate(value)
-    # Resampled means from the number of times that each episode is drawn: a matrix product.
-    counts = generator.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
-    return _between_tails(value, np.asarray(utility(counts @ returns / n)))
+def of_mean(samples: NDArray[Any], function: Callable[[Any], Any]) -> Estimate:
+    """A function (...) of the mean (..., k) of ``samples`` (n, k) with its bootstrap interval; of a utility: SER."""
+    value, n = float(function(samples.mean(axis=0))), len(samples)
+    return between_tails(value, function(shares(n) @ samples)) if n >= MIN_SAMPLES else Estimate(value)
+
+
+def shares(n: int, drawn: int | None = None, stream: str = "") -> NDArray[np.float64]:
+    """(RESAMPLES, n) the share of each of n samples in a resample of ``drawn`` (n by default).
+
+    Resamples are the same whenever n, ``drawn`` and ``stream`` are. The mean of a resample is a product with them.
+    """
+    drawn = n if drawn is None else drawn
+    rows = np.random.default_rng(zlib.crc32(stream.encode())).integers(n, size=(RESAMPLES, drawn))
+    counts = np.bincount((rows + n * np.arange(RESAMPLES)[:, None]).ravel(), minlength=RESAMPLES * n)
+    return counts.reshape(RESAMPLES, n) / drawn
+
+
+@dataclass(frozen=True)
+class Resampled:
+    """A number and its values in resamples, of which intervals, differences and p-values are made."""
+
+    value: float
+    resamples: NDArray[np.float64] | None = None  #: (RESAMPLES,); None where there are too few samples
+
+    @classmethod
+    def over_seeds(cls, scores: Sequence[tuple[float, ArrayLike]], stream: str) -> Resampled:
+        """The mean of scores over seeds, which are resampled, too.
+
+        Of each seed the score and (RESAMPLES,) its values in resamples of the scenarios, the same for all seeds and
+        for all that it will be compared with; or one value, where the scenarios are not known. This is the pigeonhole
+        bootstrap (Owen 2007, "The pigeonhole bootstrap", Annals of Applied Statistics 1). Of S seeds S - 1 are drawn,
+        which makes the variance of their mean the unbiased one (Rao and Wu 1988, "Resampling inference with complex
+        survey data", JASA 83).
+        """
+        n, value = len(scores), float(np.mean([score for score, _ in scores]))
+        if n < MIN_SAMPLES:
+            return cls(value)
+        resampled = np.stack([np.broadcast_to(values, RESAMPLES) for _, values in scores], axis=1)
+        return cls(value, (shares(n, n - 1, stream) * resampled).sum(axis=1))
+
+    @classmethod
+    def mean(cls, numbers: Sequence[Resampled]) -> Resampled:
+        """The mean of independent numbers."""
+        resamples = [number.resamples for number in numbers if number.resamples is not None]
+        known = np.mean(resamples, axis=0) if len(resamples) == len(numbers) else None
+        return cls(float(np.mean([number.value for number in numbers])), known)
+
+    def __sub__(self, other: Resampled) -> Resampled:
+        known = self.resamples is not None and other.resamples is not None
+        return Resampled(self.value - other.value, self.resamples - other.resamples if known else None)  # type: ignore[operator]
+
+    @property
+    def estimate(self) -> Estimate:
+        """The number with its interval."""
+        return Estimate(self.value) if self.resamples is None else between_tails(self.value, self.resamples)
+
+    @property
+    def p(self) -> float:
+        """The two-sided p-value of 0; 1 where it is not known."""
+        if self.resamples is None:
+            return 1.0
+        beyond = min((self.resamples <= 0.0).sum(), (self.resamples >= 0.0).sum())
+        return min(1.0, 2.0 * (float(beyond) + 1.0) / (RESAMPLES + 1.0))
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """P-values corrected for the number of comparisons.
+
+    The probability that any of those below a level is there by chance is at most the level (Holm 1979, "A simple
+    sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6).
+    """
+    order = np.argsort(p, kind="stable")
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(np.sort(p) * np.arange(len(p), 0, -1)))
+    return adjusted.tolist()
 
 
 def iqm(samples: NDArray[Any]) -> Estimate:
@@ -204,21 +270,6 @@ def spread_ratio_power(runs: int, ratio: float) -> float:
     return float(np.mean([high is not None and high < 1.0 for high in highs]))
 
 
-def iqm_over_tasks(samples: Sequence[NDArray[Any]]) -> Estimate:
-    """The interquartile mean of the scores of several tasks, (n,) each, together; resampled within each task."""
-    return _resampled(samples, lambda *tasks: interquartile_mean(np.concatenate(tasks, axis=-1), axis=-1))
-
-
-def improvement_over_tasks(first: Sequence[NDArray[Any]], second: Sequence[NDArray[Any]]) -> Estimate:
-    """The mean over tasks, in the same order, of :func:`probability_of_improvement`; resampled within each task."""
-
-    def statistic(*samples: Any) -> Any:
-        pairs = zip(samples[: len(first)], samples[len(first) :], strict=True)
-        return np.mean([_improvement(x, y) for x, y in pairs], axis=0)
-
-    return _resampled([*first, *second], statistic)
-
-
 def _improvement(x: Any, y: Any) -> Any:
     return (np.sign(x[..., :, None] - y[..., None, :]).mean((-2, -1)) + 1.0) / 2.0
 
@@ -231,4 +282,4 @@ def _resampled(samples: Sequence[NDArray[Any]], statistic: Callable[..., Any]) -
         return Estimate(value)
     generator = np.random.default_rng(0)
     resamples = (generator.choice(sample, (COMPARISON_RESAMPLES, len(sample))) for sample in samples)
-    return _between_tails(value, statistic(*resamples))
+    return between_tails(value, statistic(*resamples))

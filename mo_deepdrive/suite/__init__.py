@@ -6,12 +6,22 @@ suite.score(policy, "K1")
 """
 
 from mo_deepdrive.suite.plans import planned
-from mo_deepdrive.suite.results import Row, check_of_suite, read_rows, write_rows
+from mo_deepdrive.suite.results import (
+    Row,
+    Samples,
+    check_of_suite,
+    read_rows,
+    read_samples,
+    samples_of,
+    write_rows,
+    write_samples,
+)
 from mo_deepdrive.suite.scoring import check_policy, score
 from mo_deepdrive.suite.tasks import Suite, Task, load
 
 __all__ = [
     "Row",
+    "Samples",
     "Suite",
     "Task",
     "check_of_suite",
@@ -19,6 +29,9 @@ __all__ = [
     "load",
     "planned",
     "read_rows",
+    "read_samples",
+    "samples_of",
     "score",
     "write_rows",
+    "write_samples",
 ]

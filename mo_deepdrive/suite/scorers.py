@@ -1,14 +1,14 @@
 """The scorers: what is measured of a policy's episodes in a task, and the numbers that are made of it.
 
-A scorer has two parts. The first drives and gives samples (E, ...), one row per scenario; the second makes a number of
-any resample of the rows, so that every number has a bootstrap interval over the scenarios.
+A scorer drives and gives samples (E, ...), one row per scenario, and makes numbers of any resample of the rows, so that
+every number has a bootstrap interval over the scenarios.
 """
 
 from __future__ import annotations
 
 import inspect
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -206,25 +206,85 @@ def utilities_by_partner(drives: Drives, policy: Any) -> NDArray[np.float64]:
     return np.asarray(task.make_utility()(np.stack(met, axis=1)))
 
 
-# ------------------------------------------------------------------------------------------------------------- numbers
-# Each makes, of a task, what makes the number of samples.
+# -------------------------------------------------------------------------------------------------------------- scores
+# Every score is made of the mean over scenarios of a part (E, k) of the samples. That part is kept (see
+# mo_deepdrive.suite.results), and any resample of it is scored by a matrix product.
 
 
-def mean(_task: Task) -> Statistic:
-    """The mean of all samples."""
-    return lambda samples: float(samples.mean())
+def scenario_means(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(E, 1) the mean of the samples of each scenario."""
+    return np.asarray(samples.reshape(len(samples), -1).mean(axis=1, keepdims=True))
 
 
-def utility_of_mean(task: Task) -> Statistic:
+def flattened(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(E, k) all samples of each scenario."""
+    return samples.reshape(len(samples), -1)
+
+
+def gains(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(E, 1) what is gained over the best policy that is blind to the preferences, their mean; planned drives are 1.
+
+    Samples are returns (E, P, d), or what they are worth (E, P).
+    """
+    preferences = task.preferences
+    assert preferences is not None
+    worth = (samples * task.hidden_weights()).sum(axis=2) if samples.ndim > 2 else samples
+    blind, planned = np.array(preferences.blind), np.array(preferences.planned)
+    return scenario_means(task, (worth - blind) / (planned - blind))
+
+
+def costs(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(E, k) the magnitudes of what the rules of a rulebook are about, in their order, and of what counts then."""
+    names = task.objectives()
+    return -samples[:, [names.index(name) for name in _of_rulebook(task)]]
+
+
+def _of_rulebook(task: Task) -> list[str]:
+    assert task.rulebook is not None
+    return [*(rule.objective for rule in task.rulebook.rules), task.rulebook.then]
+
+
+def mean(_task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The mean itself."""
+    return means[..., 0]
+
+
+def utility_of_mean(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
     """The utility of the mean return (SER)."""
-    utility = task.make_utility()
-    return lambda samples: float(utility(samples.mean(axis=0)))
+    return np.asarray(task.make_utility()(means))
 
 
-def certainty_equivalent(task: Task) -> Statistic:
+def certainty_equivalent(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
     """The certain value that is worth as much as these episodes."""
     risk = RISK_AVERSE[task.utility.name]  # type: ignore[union-attr]
-    return lambda samples: float(risk.certainty_equivalent(samples.mean()))
+    return np.asarray(risk.certainty_equivalent(means[..., 0]))
+
+
+def dominated_volume(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The hypervolume of the mean returns of a front."""
+    config = task.config()
+    corner = reference_point(config.scenario, config.action_type, 1.0, task.objectives()).values
+
+    def volume(point_row: NDArray[np.float64]) -> float:
+        points = point_row.reshape(-1, len(corner))
+        return float(hypervolume(points, corner)) if (points > corner).all(axis=1).any() else 0.0
+
+    return np.apply_along_axis(volume, -1, means)
+
+
+def lexicographic(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Minus the excess of the first rule that is broken, at most 1; else what counts after the rules, from 0 on."""
+    assert task.rulebook is not None
+    book = task.rulebook
+    excess = means[..., :-1] / np.array([rule.at_most for rule in book.rules]) - 1.0
+    broken = excess > 0.0
+    first = np.take_along_axis(excess, broken.argmax(axis=-1, keepdims=True), axis=-1)[..., 0]
+    after = np.maximum(0.0, (book.worst - means[..., -1]) / (book.worst - book.best))
+    return np.where(broken.any(axis=-1), -np.minimum(first, 1.0), after)
+
+
+# ------------------------------------------------------------------------------------------------- further columns
+# Each makes, of a task, what makes the number of samples.
 
 
 def conditional_value_at_risk(task: Task) -> Statistic:
@@ -238,60 +298,14 @@ def conditional_value_at_risk(task: Task) -> Statistic:
     return worst_tenth
 
 
-def dominated_volume(task: Task) -> Statistic:
-    """The hypervolume of the mean returns of a front."""
-    config = task.config()
-    corner = reference_point(config.scenario, config.action_type, 1.0, task.objectives()).values
-
-    def volume(samples: NDArray[np.float64]) -> float:
-        points = samples.mean(axis=0)
-        return float(hypervolume(points, corner)) if (points > corner).all(axis=1).any() else 0.0
-
-    return volume
-
-
-def mean_over_preferences(task: Task) -> Statistic:
-    """The mean over the preferences of what is gained over the best policy that is blind to them; planned drives are 1.
-
-    Samples are returns (E, P, d), or what they are worth (E, P).
-    """
-    weights, preferences = task.hidden_weights(), task.preferences
-    assert preferences is not None
-    blind, planned = np.array(preferences.blind), np.array(preferences.planned)
-
-    def gain(samples: NDArray[np.float64]) -> float:
-        means = samples.mean(axis=0)
-        worth = (means * weights).sum(axis=1) if means.ndim > 1 else means
-        return float(((worth - blind) / (planned - blind)).mean())
-
-    return gain
-
-
 def worst_partner(_task: Task) -> Statistic:
     """The mean utility with the partner with whom it is least."""
     return lambda samples: float(samples.mean(axis=0).min())
 
 
-def lexicographic(task: Task) -> Statistic:
-    """Minus the excess of the first rule that is broken, at most 1; else what counts after the rules, from 0 on."""
-    assert task.rulebook is not None
-    book = task.rulebook
-
-    def judged(samples: NDArray[np.float64]) -> float:
-        costs = mean_costs(task, samples)
-        for rule in book.rules:
-            if (excess := costs[rule.objective] / rule.at_most - 1.0) > 0.0:
-                return -min(excess, 1.0)
-        return max(0.0, (book.worst - costs[book.then]) / (book.worst - book.best))
-
-    return judged
-
-
 def mean_costs(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
     """The mean magnitudes per episode of what a rulebook is about."""
-    assert task.rulebook is not None
-    means = dict(zip(task.objectives(), samples.mean(axis=0).tolist(), strict=True))
-    return {name: -means[name] for name in (*(rule.objective for rule in task.rulebook.rules), task.rulebook.then)}
+    return dict(zip(_of_rulebook(task), costs(task, samples).mean(axis=0).tolist(), strict=True))
 
 
 def controllability(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
@@ -309,23 +323,32 @@ def controllability(task: Task, samples: NDArray[np.float64]) -> dict[str, float
 
 @dataclass(frozen=True)
 class Scorer:
-    """How a task is scored."""
+    """How a task is scored: ``score(task, part(task, samples).mean(axis=0))``."""
 
     collect: Callable[[Drives, Any], NDArray[np.float64]]  #: drives a policy; samples (E, ...), one row per scenario
-    numbers: Mapping[str, Callable[[Task], Statistic]]  #: by column; "score" is the one that is normalised
+    part: Callable[
+        [Task, NDArray[np.float64]], NDArray[np.float64]
+    ]  #: (E, k) of samples, of whose mean the score is made
+    score: Callable[[Task, NDArray[np.float64]], NDArray[np.float64]]  #: (...) of means (..., k)
+    further: Mapping[str, Callable[[Task], Statistic]] = field(default_factory=dict)  #: numbers by column
     #: Further columns, which have no intervals; None for none.
     details: Callable[[Task, NDArray[np.float64]], dict[str, float]] | None = None
 
+    @property
+    def columns(self) -> list[str]:
+        """The columns that have intervals; "score" is the one that is normalised."""
+        return [SCORE, *self.further]
+
 
 SCORERS: dict[str, Scorer] = {
-    "mean_utility": Scorer(utilities, {SCORE: mean}),
-    "utility_of_mean": Scorer(returns, {SCORE: utility_of_mean}),
-    "certainty_equivalent": Scorer(utilities, {SCORE: certainty_equivalent, CVAR: conditional_value_at_risk}),
-    "hypervolume": Scorer(returns_of_front, {SCORE: dominated_volume}),
-    "mean_over_preferences": Scorer(returns_by_preference, {SCORE: mean_over_preferences}, controllability),
-    "mean_over_changing_preferences": Scorer(values_under_changes, {SCORE: mean_over_preferences}),
-    "rulebook": Scorer(returns, {SCORE: lexicographic}, mean_costs),
-    "mean_over_partners": Scorer(utilities_by_partner, {SCORE: mean, WORST: worst_partner}),
+    "mean_utility": Scorer(utilities, scenario_means, mean),
+    "utility_of_mean": Scorer(returns, flattened, utility_of_mean),
+    "certainty_equivalent": Scorer(utilities, scenario_means, certainty_equivalent, {CVAR: conditional_value_at_risk}),
+    "hypervolume": Scorer(returns_of_front, flattened, dominated_volume),
+    "mean_over_preferences": Scorer(returns_by_preference, gains, mean, details=controllability),
+    "mean_over_changing_preferences": Scorer(values_under_changes, gains, mean),
+    "rulebook": Scorer(returns, costs, lexicographic, details=mean_costs),
+    "mean_over_partners": Scorer(utilities_by_partner, scenario_means, mean, {WORST: worst_partner}),
 }
 
 

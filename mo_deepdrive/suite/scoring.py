@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,16 +12,14 @@ from mo_deepdrive.evaluation.episodes import as_policy
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.policy import AccruedReward, FunctionPolicy
 from mo_deepdrive.evaluation.splits import SPLITS, first_seed
-from mo_deepdrive.evaluation.statistics import Estimate, resample
-from mo_deepdrive.suite.results import Row
+from mo_deepdrive.evaluation.statistics import Estimate, of_mean, resample
+from mo_deepdrive.suite.results import Row, rounded
 from mo_deepdrive.suite.scorers import SCORE, SCORERS, open_drives, policies_of, single
 from mo_deepdrive.suite.tasks import load
 from mo_deepdrive.support.importing import failure
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mo_deepdrive.suite.scorers import Drives, Scorer
+    from mo_deepdrive.suite.results import Samples
     from mo_deepdrive.suite.tasks import Task
 
 
@@ -33,6 +32,7 @@ def score(
     episodes: int | None = None,
     first_episode: int | None = None,
     perturbed: bool = True,
+    samples: Samples | None = None,
 ) -> list[Row]:
     """Score a policy on a task.
 
@@ -49,6 +49,8 @@ def score(
         episodes: E; the task's by default.
         first_episode: seed of the first episode; that of the test split by default.
         perturbed: also score it under the perturbations of the task.
+        samples: to which those of the score of the policy that is ranked are added, by task, learner and seed, for
+            :func:`mo_deepdrive.suite.write_samples`.
 
     Returns:
         The rows: of the policy that is ranked (an agent's greedy or stochastic one, as the task declares) and, for
@@ -73,21 +75,19 @@ def score(
             settings |= {name: suite.perturbations[name] for name in task.columns}
         for name, arguments in settings.items():
             with open_drives(task, arguments, start, episodes, greedy=kind == GREEDY) as drives:
-                for column, number in _numbers(scorer, drives, policy, everything=name == SCORE and ranked):
-                    place = task_id, learner, seed, kind, name if column == SCORE else column
-                    rows.append(Row(*place, number.value, number.low, number.high, version=suite.version))
+                collected = scorer.collect(drives, policy)
+            part = scorer.part(task, collected)
+            numbers = {name: of_mean(part, partial(scorer.score, task))}
+            if name == SCORE and ranked:
+                numbers |= {column: resample(collected, number(task)) for column, number in scorer.further.items()}
+                details = scorer.details(task, collected) if scorer.details is not None else {}
+                numbers |= {column: Estimate(value) for column, value in details.items()}
+                if samples is not None:
+                    samples[task_id, learner, seed] = rounded(part)
+            for column, number in numbers.items():
+                place = task_id, learner, seed, kind, column
+                rows.append(Row(*place, number.value, number.low, number.high, version=suite.version))
     return rows
-
-
-def _numbers(scorer: Scorer, drives: Drives, policy: Any, *, everything: bool) -> Iterator[tuple[str, Estimate]]:
-    """The columns of a scorer, or its score alone."""
-    samples = scorer.collect(drives, policy)
-    for column, number in scorer.numbers.items():
-        if column == SCORE or everything:
-            yield column, resample(samples, number(drives.task))
-    if scorer.details is not None and everything:
-        for column, value in scorer.details(drives.task, samples).items():
-            yield column, Estimate(value)
 
 
 def _members(policy: Any, task: Task) -> list[Any]:

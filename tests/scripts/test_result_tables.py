@@ -84,7 +84,7 @@ def test_the_scoreboard_normalises_and_counts_failed_runs(script: ModuleType) ->
     results += [suite.Row(**run, seed=0, policy="greedy", column="score", value=100.0)]
     results += [suite.Row(**{**run, "state": "failed", "cpu_seconds": None}, seed=2, policy="", column="", value=None)]
     database = script.open_results()
-    for table in ("tasks", "normalised", "learners", "board"):
+    for table in ("tasks", "normalised", "learners", "best"):
         database.execute(f"DROP TABLE suite_{table}")
     script.fill_suite(database, results)
     scores = database.execute("SELECT learner, score FROM suite_normalised").fetchall()

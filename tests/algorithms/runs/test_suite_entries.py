@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from algorithms.command_line import run
 from algorithms.commands.suite import main
+from algorithms.reporting.run_records import read_evaluation
 from algorithms.runs.config import make_experiment
 from algorithms.runs.suite_entries import (
     check_experiment,
     disagreement,
     fresh_seed,
     recorded_rows,
+    rows_of,
+    score_run,
 )
+from algorithms.studies.results import samples_of_runs
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
 from mo_deepdrive.suite import Row
@@ -136,6 +143,7 @@ ROW = "K1,a,0,greedy,score,1.0,0.9,1.1,policy.py,finished,,1\n"
         (ROW.replace("score", "scorre"), "column = 'scorre' is unknown; did you mean 'score'"),
         (ROW.replace("K1", "Popen"), "task = 'Popen' is unknown"),
         (ROW.replace(",1\n", ",99\n"), "version 99 of the suite; this is version 1"),
+        (ROW.replace(",1\n", ",0\n").replace("K1", "K0"), "version 0 of the suite"),  # what it had is gone
         (ROW.replace("policy.py", ""), "does not say which run or policy was scored"),
         (ROW.replace("finished", "failed"), "line 2: value = 1.0 of a run that failed"),
         (ROW.replace("1.0,0.9,1.1", ",,"), "has no scores"),
@@ -170,10 +178,31 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
     verify = ["verify", "scores.csv", "--scenarios", "7", "--trust"]
     assert run("suite", verify) == 0
     assert capsys.readouterr().out.count("reproduced") == 1
+    assert [*suite.read_samples(tmp_path / "scores.csv")] == [("K6-ESR", "policy", 0)]
     table = (tmp_path / "scores.csv").read_text()
     (tmp_path / "scores.csv").write_text(table.replace("score,0.0,0.0,0.0", "score,0.5,0.4,0.6"))
     assert run("suite", verify) == 1
     assert "policy.py on K6-ESR, score (stochastic), test split: its value = 0.5, found 0.0" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_samples_of_a_run_s_score_are_kept_and_collected_for_the_table_of_its_study(tmp_path: Path) -> None:
+    evaluation = SimpleNamespace(task="K1", split="test", final_seed=SPLITS["test"].start)
+    place = tmp_path / "runs" / "still"
+    place.mkdir(parents=True)
+    (place / "evaluation.json").write_text('{"policies": {}}')
+    run_of_study: Any = SimpleNamespace(path=place, experiment=SimpleNamespace(evaluation=evaluation))
+    score_run(run_of_study, lambda observations, *_: np.zeros(len(observations), dtype=np.int64))
+    scored = read_evaluation(place)
+    assert scored is not None
+    job = SimpleNamespace(seed=3, directory="runs/still", config={"evaluation": {"task": "K1"}})
+    arm: Any = SimpleNamespace(arm=SimpleNamespace(key=("K1", "mine")), final=[job])
+    samples = samples_of_runs([arm], tmp_path)
+    assert suite.samples_of(rows_of(scored, ("K1", "mine", 3)), samples).keys() == {("K1", "mine", 3)}
+    evaluation.split, evaluation.final_seed = "validation", SPLITS["validation"].start
+    shutil.rmtree(place / "evaluation_samples")
+    score_run(run_of_study, lambda observations, *_: np.zeros(len(observations), dtype=np.int64))
+    assert samples_of_runs([arm], tmp_path) == {}
 
 
 @pytest.mark.parametrize(

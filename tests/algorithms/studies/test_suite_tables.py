@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from algorithms.commands.suite import main
@@ -33,38 +34,107 @@ def results() -> list[Row]:
     return [*rows, *other[:-1]]
 
 
-def test_scores_lie_between_floor_and_ceiling_and_failures_count_as_the_lowest_score() -> None:
-    header, *rows = Scoreboard(results()).task_table()
-    table = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
-    assert table["K1"]["lintune"] == "0.410 [0.400, 0.420]"
-    assert table["K1"]["clearly best"] == "mo_ppo"
-    assert table["K3"]["mo_ppo"].endswith("(1 failed)")
-    assert table["K3"]["clearly best"] == ""
-    assert Scoreboard(results()).scores("K3")["mo_ppo"].values.tolist() == pytest.approx([0.8, 0.81, -1.0])
+def with_samples(scores: dict[str, list[float]]) -> tuple[list[Row], suite.Samples]:
+    """Learners on K1 by their mean scores, one of a seed each, and samples of these that differ most by scenario."""
+    task, rows, samples = suite.load().task("K1"), [], suite.Samples()
+    generator = np.random.default_rng(0)
+    scenarios = generator.normal(0.0, 1.5, (task.episodes, 1))
+    scenarios -= scenarios.mean()
+    for learner, means in scores.items():
+        for seed, mean in enumerate(means):
+            row = scored("K1", learner, mean, seed)
+            assert row.value is not None
+            rows.append(replace(row, cpu_seconds=60.0 * (seed + 1)))
+            samples["K1", learner, seed] = (row.value + scenarios).astype(np.float32)
+    return rows, samples
 
 
-def test_a_track_has_a_row_per_learner_the_best_first_with_its_worst_task() -> None:
-    ((track, (header, first, second)),) = Scoreboard(results()).track_tables()
-    assert track == "known utility"
-    best = dict(zip(header, first, strict=True))
-    assert (best["learner"], best["tasks"], best["runs"], best["failed"]) == ("mo_ppo", "2 of 7", "6", "1")
-    assert best["worst task"].startswith("K3")
-    # On K1 every run is better; on K3, two of three.
-    assert best["P(better than lintune)"].startswith("0.83")
-    assert second[0] == "lintune"
-    with pytest.raises(ValueError, match="--against nobody: there are no results of it"):
-        Scoreboard(results()).track_tables("nobody")
+def by_name(rows: list[list[str]]) -> dict[str, dict[str, str]]:
+    return {row[0]: dict(zip(rows[0], row, strict=True)) for row in rows[1:]}
+
+
+def test_a_task_has_its_learners_between_floor_and_ceiling_and_a_failed_run_has_the_lowest_score() -> None:
+    (title, rows), (_, of_k3) = Scoreboard(results()).task_tables()
+    assert title.startswith("K1: ")
+    assert [row[0].partition(" ")[0] for row in rows[1:]] == ["ceiling", "mo_ppo", "lintune", "floor"]
+    table = by_name(rows)
+    assert table["lintune"]["score"] == "0.410 [0.400, 0.420]"
+    assert table["lintune"]["difference from mo_ppo"].startswith("-0.400 [")
+    assert table["mo_ppo"]["failed seeds"] == "0 of 3"
+    assert by_name(of_k3)["mo_ppo"]["failed seeds"] == "1 of 3"
+    assert Scoreboard(results()).scores("K3")["mo_ppo"].by_seed == pytest.approx({0: 0.8, 1: 0.81, 2: -1.0})
+
+
+def test_seeds_at_the_floor_have_failed_though_their_runs_finished() -> None:
+    rows, samples = with_samples({"ppo": [0.9, 0.9, -0.01, 0.0]})
+    ((_, table),) = Scoreboard(rows, samples).task_tables()
+    assert by_name(table)["ppo"]["failed seeds"] == "2 of 4"
+    assert by_name(table)["ppo"]["CPU minutes"] == "2.5"
+
+
+def test_learners_are_told_apart_on_the_same_scenarios_though_their_intervals_overlap() -> None:
+    means = [0.70, 0.71, 0.72, 0.70, 0.71, 0.72]
+    rows, samples = with_samples({
+        "first": means, "close": [mean - 0.005 * (-1) ** seed for seed, mean in enumerate(means)],
+        "behind": [mean - 0.08 for mean in means],
+    })  # fmt: skip
+    board = Scoreboard(rows, samples)
+    first, behind = (board.scores("K1")[learner].mean.estimate for learner in ("first", "behind"))
+    assert first.low is not None
+    assert behind.high is not None
+    assert behind.high > first.low
+    assert sorted(board.best("K1")) == ["close", "first"]
+    assert board.differences("K1", "first")["behind"].p < 0.01
+    ((_, table),) = board.task_tables()
+    assert [row[-1] for row in table[1:]] == ["", "tie", "tie", "", ""]
+    # Without samples the interval is of the seeds alone, which are nearly equal.
+    alone = Scoreboard(rows).scores("K1")["first"].mean.estimate
+    assert alone.low is not None
+    assert first.low < alone.low - 0.02
+
+
+def test_a_difference_among_many_needs_a_smaller_p_value_than_a_single_one() -> None:
+    ahead, behind = [0.5, 0.9, 0.9, 0.9, 0.9], [0.4, 0.5, 0.6, 0.7, 0.8]
+    rows, samples = with_samples({"ahead": ahead, "behind": behind})
+    (alone,) = Scoreboard(rows, samples).differences("K1").values()
+    assert alone.p == pytest.approx(alone.mean.p)
+    rows, samples = with_samples({"ahead": ahead, "behind": behind, **{f"same {k}": ahead for k in range(4)}})
+    assert Scoreboard(rows, samples).differences("K1", "ahead")["behind"].p == pytest.approx(5.0 * alone.p)
+
+
+def test_differences_are_from_a_baseline_where_one_is_named_and_over_the_tasks_of_all() -> None:
+    board = Scoreboard(results())
+    scores, differences = board.comparison("mo_ppo")
+    assert [row[0] for row in scores] == ["task", "K1", "K3", "mean"]
+    assert differences[0] == ["task", "lintune - mo_ppo"]
+    assert differences[1][1].startswith("-0.400")
+    assert differences[1][1].endswith(" *")
+    assert not differences[2][1].endswith(" *")
+    ((_, rows), _) = board.task_tables("lintune")
+    assert "difference from lintune" in rows[0]
+    for make in (board.comparison, board.task_tables):
+        with pytest.raises(ValueError, match="--baseline nobody: there are no results of it"):
+            make("nobody")
 
 
 def test_the_command_prints_the_tables_and_writes_page_and_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_rows(tmp_path / "results.csv", results())
-    page, picture = tmp_path / "scoreboard.md", tmp_path / "profile.png"
-    assert main(["table", str(tmp_path / "results.csv"), "--output", str(page), "--figure", str(picture)]) == 0
-    assert "IQM over tasks" in capsys.readouterr().out
-    assert "| K3 |" in page.read_text()
+    rows, samples = with_samples({"ppo": [0.2, 0.3, 0.4], "mo_ppo": [0.8, 0.8, 0.9]})
+    write_rows(tmp_path / "results.csv", rows)
+    suite.write_samples(tmp_path / "results.csv", samples)
+    page, picture = tmp_path / "scoreboard.md", tmp_path / "scores.png"
+    command = ["table", str(tmp_path / "results.csv"), "--output", str(page), "--figure", str(picture)]
+    assert main(command) == 0
+    assert "difference from" in capsys.readouterr().out
+    assert "| mo_ppo | " in page.read_text()
     assert picture.read_bytes().startswith(b"\x89PNG")
+    write_rows(tmp_path / "results.csv", [replace(row, version=VERSION + 1) for row in rows])
+    with pytest.raises(SystemExit):
+        main(command)
+    assert (
+        capsys.readouterr().err.strip().endswith(f"has version {VERSION + 1} of the suite; this is version {VERSION}")
+    )
 
 
 def test_an_own_learner_gets_the_help_of_all_and_no_tuning() -> None:

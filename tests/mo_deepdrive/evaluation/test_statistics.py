@@ -9,16 +9,19 @@ import pytest
 
 from mo_deepdrive.evaluation.statistics import (
     Estimate,
+    Resampled,
     bootstrap,
+    holm,
     iqm,
     iqm_difference,
     mann_whitney_p,
     mean,
     mean_difference,
+    of_mean,
     probability_of_improvement,
     rate,
+    shares,
     spread_ratio,
-    utility_of_mean,
 )
 
 
@@ -42,7 +45,7 @@ def test_bootstrap_intervals_cover_the_mean_as_often_as_they_should() -> None:
 
 def test_one_sample_has_a_value_and_no_interval() -> None:
     assert mean(np.array([2.0])) == Estimate(2.0)
-    assert utility_of_mean(np.array([[3.0, 1.0]]), square) == Estimate(9.0)
+    assert of_mean(np.array([[3.0, 1.0]]), square) == Estimate(9.0)
     assert np.isnan(bootstrap(np.ones((1, 3)))[0]).all()
 
 
@@ -55,7 +58,7 @@ def test_rates_of_0_and_1_have_an_interval() -> None:
 
 def test_the_utility_of_the_mean_lies_in_its_interval_and_bootstraps_episodes() -> None:
     returns = np.random.default_rng(0).normal(3.0, 1.0, (200, 1))
-    found = utility_of_mean(returns, square)
+    found = of_mean(returns, square)
     assert found.value == pytest.approx(returns.mean() ** 2)
     low, high = interval(found)
     assert low < found.value < high
@@ -130,3 +133,44 @@ def test_the_difference_of_equal_samples_is_zero_within_its_interval() -> None:
     low, high = interval(found)
     assert low < 0.0 < high
     assert mann_whitney_p(sample, sample) > 0.9
+
+
+def over_seeds_and_scenarios(samples: Any, stream: str) -> Resampled:
+    """The mean of samples (seeds, scenarios)."""
+    drawn = shares(samples.shape[1])
+    return Resampled.over_seeds([(seed.mean(), drawn @ seed) for seed in samples], stream)
+
+
+def test_intervals_over_seeds_and_scenarios_cover_the_mean_of_all_of_both() -> None:
+    generator, covered = np.random.default_rng(0), []
+    for _ in range(200):
+        seeds, scenarios = generator.normal(0.0, 0.2, (10, 1)), generator.normal(0.0, 1.0, (1, 64))
+        samples = seeds + scenarios + generator.normal(0.0, 0.5, (10, 64))
+        low, high = interval(over_seeds_and_scenarios(samples, "a").estimate)
+        covered.append(low <= 0.0 <= high)
+    assert 0.9 <= np.mean(covered) <= 0.99
+
+
+def test_a_small_difference_on_the_same_scenarios_is_found_where_scenarios_differ_much() -> None:
+    generator = np.random.default_rng(0)
+    scenarios = generator.normal(0.0, 5.0, 100)
+    first, second = (scenarios + mean + generator.normal(0.0, 0.1, (10, 100)) for mean in (0.0, 0.3))
+    one, two = over_seeds_and_scenarios(first, "a"), over_seeds_and_scenarios(second, "b")
+    assert interval(one.estimate)[1] > interval(two.estimate)[0]  # the intervals overlap by far
+    difference = two - one
+    assert interval(difference.estimate) == pytest.approx((0.3, 0.3), abs=0.05)
+    assert difference.p < 0.01
+    assert (one - one).p == 1.0
+
+
+def test_two_seeds_have_no_interval_and_differ_from_nothing() -> None:
+    few = over_seeds_and_scenarios(np.array([[1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]), "a")
+    many = over_seeds_and_scenarios(np.arange(12.0).reshape(4, 3), "b")
+    assert few.estimate == Estimate(2.5)
+    assert (few - many).p == Resampled.mean([few, many]).p == 1.0
+
+
+def test_several_comparisons_need_smaller_p_values_as_holm_has_it() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+    assert holm([]) == []

@@ -26,8 +26,11 @@ def faster(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
 
 
 def number(task_id: str, column: str, samples: Any) -> float:
-    task = TASKS[task_id]
-    return SCORERS[task.score].numbers[column](task)(np.asarray(samples, dtype=np.float64))
+    task, collected = TASKS[task_id], np.asarray(samples, dtype=np.float64)
+    scorer = SCORERS[task.score]
+    if column in scorer.further:
+        return scorer.further[column](task)(collected)
+    return float(scorer.score(task, scorer.part(task, collected).mean(axis=0)))
 
 
 def test_a_mixture_of_drives_is_worth_more_than_its_members_where_the_mean_counts_alone() -> None:
@@ -160,3 +163,55 @@ def test_another_file_is_not_read(content: bytes, message: str, tmp_path: Path) 
     (tmp_path / "other.csv").write_bytes(content)
     with pytest.raises(ValueError, match=f"other.csv' is not a table of scores: {message}"):
         suite.read_rows(tmp_path / "other.csv")
+
+
+K1 = TASKS["K1"]
+
+
+def kept(seed: int = 0, episodes: int = K1.episodes) -> suite.Samples:
+    return {("K1", "mine/a", seed): np.random.default_rng(seed).normal(3.0, 1.0, (episodes, 1)).astype(np.float32)}
+
+
+def row_of(samples: suite.Samples) -> Row:
+    ((task, learner, seed), part) = next(iter(samples.items()))
+    return Row(task, learner, seed, K1.policy, "score", float(part.mean()), version=suite.load().version)
+
+
+def test_samples_of_scores_are_kept_beside_a_table_in_a_small_file_per_task(tmp_path: Path) -> None:
+    samples = kept(1) | kept(2) | {("K5", "ppo", 3): np.ones((9, 1), np.float32)}
+    suite.write_samples(tmp_path / "results.csv", samples)
+    again = suite.read_samples(tmp_path / "results.csv")
+    assert again.keys() == samples.keys()
+    assert all(np.array_equal(part, samples[key]) for key, part in again.items())
+    assert sorted(file.name for file in (tmp_path / "results_samples").iterdir()) == ["K1.npz", "K5.npz"]
+    assert (tmp_path / "results_samples" / "K1.npz").stat().st_size < 2 * (4 * K1.episodes + 400)
+    assert suite.read_samples(tmp_path / "other.csv") == {}
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        (np.array([[np.nan]], np.float32), r"'a/0' must be finite numbers \(scenarios, k\) of type float32"),
+        (np.array([1.0], np.float32), "'a/0' must be finite"),
+        (np.array([[print]]), "Object arrays cannot be loaded"),
+        (b"PK\x03\x04 and no more", "File is not a zip file"),
+        (b"", "No data left in file"),
+    ],
+)
+def test_a_broken_file_of_samples_is_refused_and_runs_no_code(tmp_path: Path, part: Any, message: str) -> None:
+    file = tmp_path / "results_samples" / "K1.npz"
+    file.parent.mkdir()
+    if isinstance(part, bytes):
+        file.write_bytes(part)
+    else:
+        np.savez(file, **{"a/0": part})
+    with pytest.raises(ValueError, match=f"K1.npz' is not a file of samples: {message}"):
+        suite.read_samples(tmp_path / "results.csv")
+
+
+def test_samples_belong_to_the_row_whose_score_they_have_and_to_all_scenarios_of_the_task() -> None:
+    samples, fewer = kept(), kept(episodes=8)
+    assert suite.samples_of([row_of(samples)], samples).keys() == samples.keys()
+    assert suite.samples_of([row_of(fewer)], fewer) == {}  # they cannot be compared with others' on the same scenarios
+    with pytest.raises(ValueError, match="the samples of mine/a, seed 0, on K1 have the score"):
+        suite.samples_of([row_of(fewer)], samples)
