@@ -187,6 +187,8 @@ class Front:
             about = json.loads((Path(directory) / EVALUATION_FILE).read_text())
             with path.open(newline="") as file:
                 header, *rows = csv.reader(file)
+            if not rows:
+                raise ValueError(f"{FRONT_FILE} has no policy")
             if len(set(header)) < len(header):
                 raise ValueError(f"{FRONT_FILE} has two columns of the same name")
             columns = dict(zip(header, np.array(rows, dtype=np.float64).reshape(len(rows), -1).T, strict=True))
