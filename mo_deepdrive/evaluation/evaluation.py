@@ -177,9 +177,10 @@ class Evaluation:
                 about = json.loads(str(file["about"]))
             objectives, provenance = tuple(about["objectives"]), Provenance(**about["provenance"])
             known = [(str(name), arguments) for name, arguments in about["utilities"]]
-            episodes, vehicles, d = arrays["returns"].shape
+            episodes, vehicles, _ = arrays["returns"].shape
             for name, array in arrays.items():
-                if array.shape[:2] != (episodes, vehicles) or array.shape[2:] not in ((), (d,)) or len(objectives) != d:
+                vectors = (len(objectives),) if name in ("returns", "discounted", "largest") else ()
+                if array.shape != (episodes, vehicles, *vectors):
                     raise ValueError(f"its arrays do not fit together: {name} has the shape {array.shape}")
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
             raise ValueError(f"{str(path)!r} is not a saved evaluation: {error}") from None
