@@ -26,6 +26,7 @@ from algorithms.runs.config import (
     is_peer,
     load_experiment,
 )
+from algorithms.runs.run_directory import entry_in
 from algorithms.studies.settings import Learner, Study, StudyTask, SweepSettings
 from mo_deepdrive.world.config import EnvConfig, is_ours
 
@@ -112,13 +113,6 @@ def _type_text(schema: Mapping[str, Any]) -> str:
     return f"{_TYPES.get(str(kind), str(kind or 'any'))} {', '.join(bounds)}".rstrip()
 
 
-def _setting(values: Any, name: str) -> Any:
-    """The value of a dotted key in nested sections; ``...`` where it is not set."""
-    for part in name.split("."):
-        values = values.get(part, ...) if isinstance(values, dict) else ...
-    return values
-
-
 def list_keys(options: cli.Options) -> int:
     """Print the keys of one algorithm, of an experiment's, or of all, of sweeps and of studies."""
     from algorithms.runs.console import make_console, print_line
@@ -144,7 +138,7 @@ def list_keys(options: cli.Options) -> int:
         console.print(f"{title}\n", style="bold", markup=False, highlight=False)
         for key in keys:
             default = {"": "", "required": ", required"}.get(key.default, f", default {key.default}")
-            value = _setting(values, key.name)
+            value = entry_in(values, *key.name.split("."), absent=...)
             has_keys = any(other.name.startswith(f"{key.name}.") for other in keys)
             set_here = value is not ... and not has_keys and json.dumps(value) != key.default
             here = f"; here {json.dumps(value)}" if set_here else ""

@@ -185,12 +185,12 @@ def read_status(path: Path) -> dict[str, Any]:
 
 def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
     """What an experiment, which need not be valid, names to be imported: "package.module:name" by its key."""
-    vehicles = _entry(values, "utility", "vehicles")
+    vehicles = entry_in(values, "utility", "vehicles")
     places = (
         *(("environment", "id"), ("algorithm", "name"), ("algorithm", "network"), ("utility", "name")),
         *(("utility", "vehicles", vehicle, "name") for vehicle in (vehicles if isinstance(vehicles, dict) else ())),
     )
-    names = {".".join(map(str, place)): _entry(values, *place) for place in places}
+    names = {".".join(map(str, place)): entry_in(values, *place) for place in places}
     paths = {key: name for key, name in names.items() if isinstance(name, str) and ":" in name}
     # These modules are imported in any case. Split as Gymnasium does: "gymnasium:evil:ID" is of "gymnasium:evil".
     if paths.get("environment.id", "").rpartition(":")[0] in ("gymnasium", "mo_deepdrive", "mo_gymnasium"):
@@ -198,10 +198,10 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
     return paths
 
 
-def _entry(values: Any, *names: str) -> Any:
-    """What is in nested sections under these names; None where there is no such section."""
+def entry_in(values: Any, *names: str, absent: Any = None) -> Any:
+    """What is in nested sections under these names; ``absent`` where there is nothing."""
     for name in names:
-        values = values.get(name) if isinstance(values, Mapping) else None
+        values = values.get(name, absent) if isinstance(values, Mapping) else absent
     return values
 
 

@@ -366,9 +366,9 @@ def export_policies(runs: Sequence[ArmRuns], results: PaperResults, directory: P
         shown = (HYPERVOLUME, metrics.CARDINALITY) if of_task.is_front else (SUCCESS, metric)
         for zoo_name, seed, why in wanted:
             main_scores: dict[str, dict[str, float]] = {}
-            for policy, metric in product(metrics.POLICIES, shown):
-                if (score := of_task.by_seed(learner, metric, policy).get(seed)) is not None:
-                    main_scores.setdefault(policy, {})[metric] = score
+            for policy, score_name in product(metrics.POLICIES, shown):
+                if (score := of_task.by_seed(learner, score_name, policy).get(seed)) is not None:
+                    main_scores.setdefault(policy, {})[score_name] = score
             export(rows[seed].job(directory).open(), zoo_name, about={"chosen": why, "scores": main_scores})
             exported.append(zoo_name)
     return exported

@@ -177,7 +177,11 @@ class Evaluation:
                 about = json.loads(str(file["about"]))
             objectives, provenance = tuple(about["objectives"]), Provenance(**about["provenance"])
             known = [(str(name), arguments) for name, arguments in about["utilities"]]
-            vehicles = arrays["returns"].shape[1]
+            episodes, vehicles, _ = arrays["returns"].shape
+            for name, array in arrays.items():
+                vectors = (len(objectives),) if name in ("returns", "discounted", "largest") else ()
+                if array.shape != (episodes, vehicles, *vectors):
+                    raise ValueError(f"its arrays do not fit together: {name} has the shape {array.shape}")
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
             raise ValueError(f"{str(path)!r} is not a saved evaluation: {error}") from None
         if utilities is None:

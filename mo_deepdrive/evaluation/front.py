@@ -187,20 +187,18 @@ class Front:
             about = json.loads((Path(directory) / EVALUATION_FILE).read_text())
             with path.open(newline="") as file:
                 header, *rows = csv.reader(file)
+            if not rows:
+                raise ValueError(f"{FRONT_FILE} has no policy")
             if len(set(header)) < len(header):
                 raise ValueError(f"{FRONT_FILE} has two columns of the same name")
             columns = dict(zip(header, np.array(rows, dtype=np.float64).reshape(len(rows), -1).T, strict=True))
-            for name, column in columns.items():
-                bad = column[~(np.abs(column) <= LARGEST)]
-                if len(bad) and name != SUCCESS:  # which may be unknown
-                    raise ValueError(f"{name} = {bad[0]:g} must be between {-LARGEST:g} and {LARGEST:g}")
             objectives = tuple(about["objectives"])
             names = tuple(name.removeprefix(CONDITION) for name in header if name.startswith(CONDITION))
 
             def block(prefix: str, of: tuple[str, ...], end: str = "") -> NDArray[np.float64]:
                 return np.stack([columns[f"{prefix}{name}{end}"] for name in of], axis=1)
 
-            return cls(
+            front = cls(
                 objectives=objectives,
                 returns=block(RETURN, objectives),
                 low=block(RETURN, objectives, "/low"),
@@ -214,10 +212,31 @@ class Front:
                 episodes=int(about["episodes"]),
                 seed=int(about["seed"]),
             )
+            front._check()
+            return front
         except FileNotFoundError as error:
             raise ValueError(f"{str(directory)!r} holds no front: there is no {Path(error.filename).name}") from None
         except (OSError, LookupError, ArithmeticError, TypeError, ValueError, RecursionError, csv.Error) as error:
             raise ValueError(f"the front in {str(directory)!r} is broken: {type(error).__name__}: {error}") from None
+
+    def _check(self) -> None:
+        """Refuse numbers that no evaluation gives."""
+        allowed = dict.fromkeys(self._columns(), (-LARGEST, LARGEST))
+        allowed |= {SUCCESS: (0.0, 1.0), LENGTH: (1.0, LARGEST)}
+        for name, column in zip(self._columns(), self._table().T, strict=True):
+            low, high = allowed[name]
+            wrong = ~((column >= low) & (column <= high))
+            if name == SUCCESS:
+                wrong &= ~np.isnan(column)
+            if wrong.any():
+                raise ValueError(f"{name} = {column[wrong][0]:g} must be between {low:g} and {high:g}")
+        for name, value, low, high in (
+            ("gamma", self.gamma, 0.0, 1.0),
+            ("episodes", self.episodes, 1, LARGEST),
+            ("seed", self.seed, 0, LARGEST),
+        ):
+            if not low <= value <= high:
+                raise ValueError(f"{name} = {value:g} must be between {low:g} and {high:g}")
 
 
 def indicators(

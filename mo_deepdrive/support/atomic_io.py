@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 TEMPORARY = ".*.tmp"
 # Errors by which a file system says that it lacks an operation, besides those of permission.
 UNSUPPORTED = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL, errno.ENOLCK, errno.ENOTTY)
+FORMULA = tuple("=+-@\t\r\n")  # how a cell begins that a spreadsheet evaluates
 
 
 @contextlib.contextmanager
@@ -157,7 +158,20 @@ def read_json_object(path: str | Path) -> dict[str, Any]:
 
 
 def csv_bytes(rows: Iterable[Sequence[Any]]) -> bytes:
-    """``rows`` as the text of a CSV file, with plain newlines."""
+    """``rows`` as the text of a CSV file, with plain newlines; what a spreadsheet would evaluate begins with an '."""
     buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerows(rows)
+    csv.writer(buffer, lineterminator="\n").writerows([_plain(cell) for cell in row] for row in rows)
     return buffer.getvalue().encode()
+
+
+def _plain(cell: Any) -> Any:
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA) and not _is_number(cell) else cell
+
+
+def _is_number(text: str) -> bool:
+    """Whether ``text`` is a number as Python writes it, which includes "nan" and "-inf"."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text

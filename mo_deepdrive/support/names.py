@@ -17,10 +17,8 @@ _FORM = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 def nearest(name: object, known: Iterable[str]) -> str:
     """A hint with the known name nearest to ``name``, and all known names."""
     names = sorted(known)
-    close = difflib.get_close_matches(str(name), names, n=1)
-    close = [
-        known_name for known_name in names if known_name.lower() == str(name).lower()
-    ] or close  # another case is the nearest
+    in_another_case = [candidate for candidate in names if candidate.lower() == str(name).lower()]
+    close = in_another_case or difflib.get_close_matches(str(name), names, n=1)
     guess = f"did you mean {close[0]!r}? " if close else ""
     return f"{guess}known: {', '.join(names)}"
 

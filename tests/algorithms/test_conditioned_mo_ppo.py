@@ -80,6 +80,7 @@ CONCAVE = [[1.0, 0.0], [0.4, 0.4], [0.0, 1.0]]
 WEIGHTS = [(0.95, 0.05), (0.5, 0.5), (0.05, 0.95)]
 
 
+@pytest.mark.slow
 def test_chebyshev_weights_find_the_arm_of_a_concave_front_that_linear_weights_do_not() -> None:
     linear = trained_on(CONCAVE, concentration=1.0)
     grid = np.linspace(0.02, 0.98, 25).tolist()
@@ -90,6 +91,7 @@ def test_chebyshev_weights_find_the_arm_of_a_concave_front_that_linear_weights_d
     assert arms == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_a_larger_budget_buys_a_better_arm() -> None:
     arms = [[0.0, 0.0], [1.0, -1.0], [3.0, -3.0]]
     entropy = {"entropy_start": 0.3, "entropy_end": 0.01}
@@ -98,6 +100,7 @@ def test_a_larger_budget_buys_a_better_arm() -> None:
     assert [chosen_arm(agent, "comfort_budget", budgets={"cost": b}) for b in (0.2, 1.8, 3.8)] == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_one_network_serves_a_mixture_and_its_front_is_the_concave_one() -> None:
     mixture = {"linear": 0.5, "chebyshev": 0.5}
     agent = trained_on(CONCAVE, 16_000, families=mixture, concentration=1.0, max_policies=40)

@@ -54,6 +54,7 @@ def stopped(agent: Any) -> str:
     return message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("continuous", [False, True], ids=["discrete", "continuous"])
 @pytest.mark.parametrize("algorithm", [name for name in ALGORITHMS if name != "mappo"])
 def test_what_an_environment_hands_over_is_named(algorithm: str, continuous: bool) -> None:

@@ -107,6 +107,7 @@ def make_two_agents(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(algorithms.agent, "EnvAdapter", lambda env: env)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("two_agents")
 @pytest.mark.parametrize(("joint", "choice"), [("sum", TAKE), ("worst_off", GIVE), ("gini", GIVE)])
 @pytest.mark.parametrize("gae_lambda", [0.5, 1.0])

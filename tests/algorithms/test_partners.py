@@ -29,6 +29,7 @@ def experiment_with(partners: Any, algorithm: str = "ppo", **training: Any) -> A
     return pair_experiment(algorithm, partners=partners, **training)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ppo", "mo_ppo", "a2c", "mo_a2c", "mocac", "mappo"])
 def test_one_vehicle_learns_and_the_other_is_driven(name: str) -> None:
     experiment = experiment_with(PARTNERS, name)
@@ -74,6 +75,7 @@ def saved_run(path: Path, experiment: Any) -> Run:
     return run
 
 
+@pytest.mark.slow
 def test_a_run_drives_the_vehicle_that_it_learnt_whatever_became_of_its_partners(tmp_path: Path) -> None:
     pair = saved_run(tmp_path / "pair", experiment_with({}))
     role = saved_run(tmp_path / "role", experiment_with({"vehicle_1": [str(pair.path)]}))

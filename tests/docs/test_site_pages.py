@@ -91,6 +91,7 @@ def test_the_overview_has_every_environment_and_algorithm() -> None:
 # ---------------------------------------------------------------------------------------------------------- reference
 
 
+@pytest.mark.slow
 def test_the_reference_has_every_module_once() -> None:
     pages = reference.pages()
     named = re.findall(r"^\.\. automodule:: (\S+)$", "".join(pages.values()), flags=re.MULTILINE)

@@ -72,6 +72,7 @@ def typing(monkeypatch: pytest.MonkeyPatch) -> Iterator[Typist]:
     pygame.display.quit()
 
 
+@pytest.mark.slow
 def test_an_episode_in_the_window_ends_as_it_was_driven(
     play: ModuleType, typing: Typist, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -125,6 +125,7 @@ def refused(agent: Any, path: Path, *parts: str) -> None:
     assert same(agent.get_state(), before)
 
 
+@pytest.mark.slow
 def test_a_truncated_checkpoint_is_refused(saved: tuple[str, Path], tmp_path: Path) -> None:
     kind, path = saved
     agent, whole = KINDS[kind](), path.read_bytes()

@@ -122,6 +122,7 @@ def test_a_run_is_not_resumed_with_another_guide(tmp_path: Path) -> None:
         other.load(tmp_path / "run", policy_only=True)  # of which the guide is no part
 
 
+@pytest.mark.slow
 def test_a_policy_needs_no_guide(tmp_path: Path) -> None:
     pair = Run.create(experiment_with({}), tmp_path / "pair")
     trained(pair.experiment).save(pair.checkpoint)

@@ -31,6 +31,7 @@ def stopped_job(folder: Path, step: int = 320) -> Job:
     return wanted
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 @pytest.mark.parametrize(("algorithm", "method"), [("mo_a2c", "evaluate"), ("mo_a2c", "update"), ("pcn", "update")])
 def test_a_run_that_is_interrupted_in_the_middle_resumes_to_the_same_run(
@@ -59,6 +60,7 @@ def test_a_run_that_is_interrupted_in_the_middle_resumes_to_the_same_run(
     assert_same_run(whole.path, wanted.path, ("evaluation.json", *rest))
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_after_its_checkpoint_is_resumed_silently(tmp_path: Path) -> None:
     wanted = stopped_job(tmp_path / "killed")
     with (wanted.path / "metrics.csv").open("a") as file:

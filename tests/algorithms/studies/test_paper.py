@@ -45,6 +45,7 @@ def arm_of(row: ManifestRow) -> tuple[str, str]:
 # -------------------------------------------------------------------------------------------------------------- plan
 
 
+@pytest.mark.slow
 def test_every_run_of_the_study_is_scored_on_the_test_split_with_a_seed_of_no_other_table(
     whole: list[ManifestRow],
 ) -> None:
@@ -70,6 +71,7 @@ def test_both_algorithms_of_a_protocol_have_the_same_budget_networks_and_environ
                 assert one["algorithm"].get(name) == other["algorithm"].get(name), (key, name)
 
 
+@pytest.mark.slow
 def test_a_quick_reproduction_differs_only_in_length_and_seeds(whole: list[ManifestRow]) -> None:
     quick = final_rows(paper_plan(paper(), TASKS, quick=True))
     configs = {arm_of(row): row.config for row in whole}
@@ -219,6 +221,7 @@ def test_truncated_results_are_refused(tmp_path: Path) -> None:
         PaperResults.read(paper(), tmp_path)
 
 
+@pytest.mark.slow
 def test_the_published_report_follows_from_the_published_results_which_cover_the_whole_study(
     whole: list[ManifestRow], tmp_path: Path
 ) -> None:

@@ -122,6 +122,7 @@ def test_a_task_requests_the_resources_of_all_its_concurrent_runs(tmp_path: Path
     assert "mem" not in slurm.sbatch_options(load_sweep(write_sweep(tmp_path)), "name")
 
 
+@pytest.mark.slow
 def test_a_task_imports_the_package_even_where_the_working_directory_has_one_of_its_name(tmp_path: Path) -> None:
     (tmp_path / "algorithms").mkdir()
     (tmp_path / "algorithms" / "__init__.py").write_text("raise SystemExit('the wrong package')")

@@ -79,6 +79,7 @@ def test_only_what_is_needed_to_act_is_written_and_read(trained: Trained, kind: 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mo_ppo, centralised critic", "pcn", CONDITIONED])
 def test_a_folder_describes_the_origin_of_its_policy(trained: Trained, kind: str, tmp_path: Path) -> None:
     run = trained(kind)

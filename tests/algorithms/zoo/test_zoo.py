@@ -77,6 +77,7 @@ def test_a_human_can_play_against_a_policy_by_name(trained: Trained, home: Path)
     assert contents(home) == before
 
 
+@pytest.mark.slow
 @EVERY_KIND
 def test_training_cannot_be_resumed_from_the_zoo(trained: Trained, home: Path, call: Call, kind: str) -> None:
     path = export(trained(kind), "policy")

@@ -165,6 +165,7 @@ def test_the_first_reset_seeds_all_worlds_whatever_its_options(make_vector: Make
     assert pinned.np_random_seed == plain.np_random_seed == (5, 6, 7)
 
 
+@pytest.mark.slow
 def test_a_forked_child_steps_with_threads_of_its_own(run_python: Callable[[str], str]) -> None:
     # A child that waits for the threads of its parent is killed by its alarm.
     snippet = """

@@ -128,3 +128,13 @@ def test_files_that_are_no_evaluation_are_refused(tmp_path: Path, content: Any) 
         path.write_bytes(content)
     with pytest.raises(ValueError, match=r"episodes\.npz"):
         Evaluation.load(tmp_path)
+
+
+def test_arrays_that_do_not_fit_together_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "saved" / "episodes.npz"
+    made().save(tmp_path / "saved", name="hold", seed=0)
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **{**arrays, "lengths": arrays["lengths"][:-1]})
+    with pytest.raises(ValueError, match="its arrays do not fit together: lengths has the shape"):
+        Evaluation.load(tmp_path / "saved")

@@ -192,6 +192,8 @@ def edit_cell(column: str, value: str) -> Callable[[str], str]:
         ("front.csv", lambda text: text.replace("\n2,", "\nx,"), "could not convert string to float: 'x'"),
         ("front.csv", lambda text: text.replace("success", "arrived"), "KeyError: 'success'"),
         ("front.csv", edit_cell("return/comfort", "nan"), "return/comfort = nan must be between -1e+100 and 1e+100"),
+        ("front.csv", edit_cell("length", "-3"), "length = -3 must be between 1 and 1e+100"),
+        ("evaluation.json", edit_json(lambda about: about.update(episodes=0)), "episodes = 0 must be between 1 and"),
         ("front.csv", lambda text: text.replace("success", "length"), "front.csv has two columns of the same name"),
         ("evaluation.json", lambda text: text[:20], "JSONDecodeError"),
         ("evaluation.json", lambda text: "[]", "TypeError"),

@@ -146,6 +146,7 @@ GOOD = [[1.0, 2.0], [2.0, 1.0]]
     ("call", "message"),
     [
         (lambda: non_dominated([]), "returns has shape (0,); it must be (n, d)"),
+        (lambda: non_dominated([1.0, 2.0]), "returns has shape (2,); it must be (n, d)"),
         (lambda: non_dominated([[1.0, np.nan]]), "returns must be finite; it has nan"),
         (lambda: hypervolume([[1.0, np.inf]], [0, 0]), "front must be finite; it has inf"),
         (lambda: hypervolume(GOOD, [0]), "reference point = [0] must be 2 finite numbers"),

@@ -158,6 +158,7 @@ def simulate(env: Any, before: Any) -> np.ndarray:
     return np.array(rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frequency", "decisions", "moves"), [(60, 10, 0.0), (60, 60, 1.0), (10, 10, 1.0)])
 def test_the_cars_move_as_a_plain_loop_says(worlds: Any, frequency: int, decisions: int, moves: float) -> None:
     env = worlds(20, traffic="dense", simulation_frequency=frequency, decision_frequency=decisions)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 import errno
+import io
 import os
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from mo_deepdrive.support.atomic_io import atomic_write, expand_home, lock, own_path, read_json_object
+from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, expand_home, lock, own_path, read_json_object
 
 if os.name == "posix":
     import fcntl
@@ -120,3 +122,20 @@ def test_files_without_a_json_object_are_empty(tmp_path: Path, content: bytes | 
     assert read_json_object(path) == {}
     path.write_bytes(b'{"a": [1]}')
     assert read_json_object(path) == {"a": [1]}
+
+
+@pytest.mark.parametrize(
+    ("cell", "text"),
+    [
+        ("=1+1", "'=1+1"),
+        ("-cmd", "'-cmd"),
+        ("@SUM(A1)", "'@SUM(A1)"),
+        ("\t=1", "'\t=1"),
+        ("-1.5e-3", "-1.5e-3"),
+        (-3, "-3"),
+        ("a=b", "a=b"),
+    ],
+)
+def test_text_is_no_formula_in_a_spreadsheet_and_numbers_stay(cell: Any, text: str) -> None:
+    ((header, found),) = csv.reader(io.StringIO(csv_bytes([["name", cell]]).decode(), newline=""))
+    assert (header, found) == ("name", text)

@@ -41,6 +41,7 @@ def test_an_algorithm_without_torch_names_the_extra(run_python: Callable[[str], 
     assert printed == "algorithms.MOA2C needs torch: pip install 'mo-deepdrive[train]'\n"
 
 
+@pytest.mark.slow
 def test_environments_fronts_and_playing_need_nothing_but_the_core(run_python: Callable[[str], Any]) -> None:
     printed = run_python(
         "import sys\n"

@@ -50,6 +50,7 @@ def actions(env: Any, steps: int, seed: int = 0) -> list[np.ndarray]:
 # ------------------------------------------------------------------------------------------------------------- rewards
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_a_registered_objective_is_a_column_of_the_reward_and_changes_no_other(
@@ -78,6 +79,7 @@ def test_a_registered_objective_is_a_column_of_the_reward_and_changes_no_other(
     assert positive > 100
 
 
+@pytest.mark.slow
 def test_a_measure_sees_all_vehicles_of_its_world(registries: None, make_vector: Any) -> None:
     register_objective(row())
     env = make_vector("intersection", 4, objectives=["gap"], threads=2)
@@ -90,6 +92,7 @@ def test_a_measure_sees_all_vehicles_of_its_world(registries: None, make_vector:
     assert scales(("gap", "jerk")).tolist() == [10.0, 500.0]
 
 
+@pytest.mark.slow
 def test_a_compiled_measure_and_a_signed_one_are_fine(registries: None, make_vector: Any) -> None:
     @numba.njit
     def climb(vehicles: Any, v: int, params: Any) -> float:
@@ -166,6 +169,7 @@ def test_objectives_of_the_kernel_need_a_scenario_that_has_them(effort: ModuleTy
 # ------------------------------------------------------------------------------------------------------------ measures
 
 
+@pytest.mark.slow
 def test_a_row_may_be_copied(registries: None, make_vector: Any) -> None:
     register_objective(row())
     register_objective(replace(OBJECTIVES[INDEX["gap"]], name="room", sign=-1))

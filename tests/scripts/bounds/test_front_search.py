@@ -18,6 +18,7 @@ from scripts.bounds.front import (
 from scripts.bounds.plans import CRITERIA, PlanEvaluator
 
 
+@pytest.mark.slow
 def test_offspring_improve_on_what_rules_find(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(front, "POPULATION", 512)
     search = FrontSearch("one_waypoint", "discrete", 0)

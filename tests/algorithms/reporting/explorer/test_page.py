@@ -54,6 +54,7 @@ def page() -> str:
     return explorer_page([front(HOSTILE)], HOSTILE)
 
 
+@pytest.mark.slow
 def test_the_page_is_one_file(page: str) -> None:
     elements = Scripts(page).elements
     links = [attributes for _, attributes in elements if {"src", "href"} & attributes.keys()]
