@@ -16,8 +16,8 @@ import yaml
 
 from algorithms.commands import choose
 from algorithms.commands.choose import expected_utility, rank_policies, weighted_sum
-from algorithms.reporting.explorer.data import ExplorableFront
-from algorithms.reporting.explorer.page import write_page
+from algorithms.reporting.page.data import ExplorableFront
+from algorithms.reporting.page.page import write_page
 from algorithms.runs.build import load_policy
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.drives import Playback, Scene, record_scenes

@@ -9,8 +9,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from algorithms.reporting.explorer.data import ExplorableFront
-from algorithms.reporting.explorer.page import FORMAT, as_json, explorer_page
+from algorithms.reporting.page.data import ExplorableFront
+from algorithms.reporting.page.page import FORMAT, as_json, explorer_page
 
 HOSTILE = "</script><!-- <script>alert(1)</script> & \u2028 <!-- vega -->"
 

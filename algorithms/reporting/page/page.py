@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from algorithms.reporting.explorer.data import ExplorableFront
+    from algorithms.reporting.page.data import ExplorableFront
 
 EXPLORER_FILE = "explore.html"
 FORMAT = 3  # of the data, which the page checks
-SOURCES = resources.files("algorithms.reporting.explorer")
+SOURCES = resources.files("algorithms.reporting.page")
 # In this order, as one module.
 SCRIPTS = ("rules.js", "views.js", "drives.js", "model.js", "panels.js", "explorer.js")
 # Colours of COLOURS of the chosen policy and of those that it is compared with: on white, and on black.
