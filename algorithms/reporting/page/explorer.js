@@ -92,7 +92,6 @@ class Explorer {
       this.showFront();
     });
     change("dominated", "change", (event) => this.update({ dominated: event.target.checked }));
-    change("theme", "change", (event) => setTheme(event.target.value));
     for (const input of document.querySelectorAll("input[name=mode]")) {
       input.addEventListener("change", () => this.update({ mode: input.value }));
     }
@@ -100,8 +99,8 @@ class Explorer {
       this.state = this.front.initialState();
       this.showFront();
     });
-    change("copy-command", "click", () => copy(byId("command").value, "command"));
-    change("copy-link", "click", () => copy(location.href.split("#")[0] + this.hash, "link"));
+    change("copy-command", "click", () => copy(byId("command").value, "command", byId("copied")));
+    change("copy-link", "click", () => copy(location.href.split("#")[0] + this.hash, "link", byId("copied")));
     change("command", "focus", (event) => event.target.select());
     change("play", "click", () => this.togglePlay());
     change("time", "input", (event) => {
@@ -308,35 +307,4 @@ class Explorer {
     byId("play").textContent = playing ? "Pause" : "Play";
     byId("play").setAttribute("aria-pressed", playing);
   }
-}
-
-async function copy(text, what) {
-  try {
-    await navigator.clipboard.writeText(text);
-    byId("copied").textContent = `The ${what} is copied.`;
-  } catch {
-    byId("copied").textContent = `The browser does not allow to copy; the ${what} is: ${text}`;
-  }
-}
-
-function setTheme(theme) {
-  const dark = theme === "dark" || (theme === "auto" && matchMedia("(prefers-color-scheme: dark)").matches);
-  document.documentElement.dataset.theme = dark ? "dark" : "light";
-}
-
-function showMessage(text) {
-  byId("message").textContent = text;
-  byId("message").hidden = !text;
-}
-
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => setTheme(byId("theme").value));
-setTheme("auto");
-try {
-  const fronts = readData(byId("data").textContent);
-  byId("content").hidden = false;
-  new Explorer(fronts);
-} catch (error) {
-  byId("content").hidden = true;
-  if (!(error instanceof Refusal)) console.error(error);
-  showMessage(error instanceof Refusal ? error.message : `This page cannot be shown: ${error.message}`);
 }

@@ -2,10 +2,6 @@
 
 const FORMAT = /* format */ 0;
 const MOST_COMPARED = 3;
-const byId = (id) => document.getElementById(id);
-
-class Refusal extends Error {}
-
 function readData(text) {
   let data;
   try {
@@ -20,26 +16,6 @@ function readData(text) {
   if (!Array.isArray(data.fronts) || data.fronts.length === 0) throw new Refusal("This page has no front.");
   return data.fronts;
 }
-
-function element(name, attributes = {}, ...children) {
-  const made = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) {
-    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
-    else if (value !== false) made.setAttribute(key, value === true ? "" : value);
-  }
-  made.append(...children);
-  return made;
-}
-
-/** A number with the digits that distinguish values that differ by `extent`. */
-function formatted(value, extent, signed = false) {
-  const digits = extent > 0 ? Math.min(Math.max(2 - Math.floor(Math.log10(extent)), 0), 4) : 2;
-  const text = (Number(value.toFixed(digits)) + 0).toFixed(digits).replace("-", "−");
-  return signed && value > 0 && Number(value.toFixed(digits)) > 0 ? `+${text}` : text;
-}
-
-const withUnit = (text, unit) => (unit ? `${text} ${unit}` : text);
-const titled = (objective) => (objective.unit ? `${objective.name} (${objective.unit})` : objective.name);
 
 /** One front with what follows from its data. */
 class FrontModel {

@@ -27,7 +27,7 @@ EXPLORER_FILE = "explore.html"
 FORMAT = 3  # of the data, which the page checks
 SOURCES = resources.files("algorithms.reporting.page")
 # In this order, as one module.
-SCRIPTS = ("rules.js", "views.js", "drives.js", "model.js", "panels.js", "explorer.js")
+SCRIPTS = ("shared.js", "rules.js", "views.js", "map.js", "model.js", "panels.js", "explorer.js", "start.js")
 # Colours of COLOURS of the chosen policy and of those that it is compared with: on white, and on black.
 LIGHT_SERIES, DARK_SERIES = (0, 1, 2, 7), (5, 4, 2, 3)
 

@@ -1,14 +1,6 @@
 // What is written beside the plots: sliders, the choice, what it would give up, and the table of all policies.
 
-const percent = (share) => `${(100 * share).toFixed(0)}%`;
 const between = (range) => (range === null ? "" : ` (95% interval ${(100 * range[0]).toFixed(0)} to ${percent(range[1])})`);
-
-/** A piece of the line of the policy at a place: its colour and its dashes. */
-function swatch(place) {
-  const line = svg("line", { x1: 0, y1: 4, x2: 26, y2: 4, stroke: series(place), "stroke-width": 3.5,
-    "stroke-dasharray": DASHES[place].join(" ") });
-  return svg("svg", { width: 32, height: 8, "aria-hidden": "true" }, line);
-}
 
 class Panels {
   /** `explorer` knows the front and its state, and takes changes by `update`. */
@@ -32,21 +24,10 @@ class Panels {
     this.showTable();
   }
 
-  slider({ id, label, value, max, step, text, change }) {
-    const output = element("output", { for: id }, text(value));
-    const input = element("input", { type: "range", id, min: 0, max, step, value, "aria-valuetext": text(value),
-      oninput: () => {
-        output.textContent = text(Number(input.value));
-        input.setAttribute("aria-valuetext", output.textContent);
-        change(Number(input.value));
-      } });
-    return element("div", { class: "slider" }, element("label", { for: id }, label), output, input);
-  }
-
   makeSliders() {
     const { front, state } = this;
     const shown = front.columns.filter((i) => i < front.objectives.length).map((i) => [front.objectives[i], i]);
-    byId("weights").replaceChildren(...shown.map(([objective, i]) => this.slider({
+    byId("weights").replaceChildren(...shown.map(([objective, i]) => slider({
       id: `weight-${i}`,
       label: objective.name,
       value: state.weights[i],
@@ -60,7 +41,7 @@ class Panels {
       const objective = front.objectives[i];
       const most = Math.max(2 * front.budget[key], ...front.means.map((row) => row[i] * objective.sign));
       const step = 10 ** Math.floor(Math.log10(most / 50));
-      return this.slider({
+      return slider({
         id: `budget-${i}`,
         label: `${objective.name} free up to`,
         value: state.budget[key],

@@ -1,9 +1,5 @@
 // The plots, drawn by Vega. Specifications hold no data: rows are put in by name, so that nothing of them is run.
 
-const FONT = '"DejaVu Sans", system-ui, sans-serif';
-const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
-const series = (place) => `var(--series-${place})`;
-
 function makeView(spec, element, label) {
   element.replaceChildren();
   const view = new vega.View(vega.parse(spec), { renderer: "svg", logLevel: vega.Error });
