@@ -197,7 +197,7 @@ def test_dominated_policies_are_hidden_until_they_are_asked_for(
     assert 0 < len(front) < count
 
     def lines() -> int:
-        return len(page.all("#parallel .mark-line path")) - len(zoo_front.best_known) - 1  # the chosen one twice
+        return len(page.all("#parallel .line")) - len(zoo_front.best_known) - 1  # the chosen one twice
 
     assert lines() == len(front)
     chosen = page.chosen()

@@ -106,6 +106,12 @@ class DriveMap {
     this.title.textContent = `Map seen from above with the drives of ${names.join(", ")}`;
   }
 
+  /** Give a vehicle of the first drive another colour. */
+  paint(v, colour) {
+    this.tracks[v].vehicle.setAttribute("fill", colour);
+    this.tracks[v].lines[1].setAttribute("stroke", colour);
+  }
+
   /** Draw the lines as far as the drives have come. */
   extend() {
     for (const { track, lines } of this.tracks) {

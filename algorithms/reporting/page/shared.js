@@ -1,5 +1,7 @@
 // What all tabs use: elements, numbers as text, messages and colours.
 
+const FORMAT = /* format */ 0;
+const VERSION = /* version */ "";
 const SVG = "http://www.w3.org/2000/svg";
 const FONT = '"DejaVu Sans", system-ui, sans-serif';
 const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
