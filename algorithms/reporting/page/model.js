@@ -1,45 +1,21 @@
-// The data of the page, what follows from them, and the link that keeps a choice.
+// The data of a front, what follows from them, and the link that keeps a choice.
 
-const FORMAT = /* format */ 0;
 const MOST_COMPARED = 3;
-const byId = (id) => document.getElementById(id);
-
-class Refusal extends Error {}
 
 function readData(text) {
+  const again = "Write the page again with mo-deepdrive explore.";
   let data;
   try {
     data = JSON.parse(text);
   } catch {
-    throw new Refusal("The data of this page are broken. Write the page again with mo-deepdrive explore.");
+    throw new Refusal(`The data of this page are broken. ${again}`);
   }
   if (data?.format !== FORMAT) {
-    throw new Refusal(`The data of this page have format ${String(data?.format)}; its code reads format ${FORMAT}. `
-      + "Write the page again with mo-deepdrive explore.");
+    throw new Refusal(`The data of this page have format ${String(data?.format)}; its code reads format ${FORMAT}. ${again}`);
   }
   if (!Array.isArray(data.fronts) || data.fronts.length === 0) throw new Refusal("This page has no front.");
   return data.fronts;
 }
-
-function element(name, attributes = {}, ...children) {
-  const made = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) {
-    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
-    else if (value !== false) made.setAttribute(key, value === true ? "" : value);
-  }
-  made.append(...children);
-  return made;
-}
-
-/** A number with the digits that distinguish values that differ by `extent`. */
-function formatted(value, extent, signed = false) {
-  const digits = extent > 0 ? Math.min(Math.max(2 - Math.floor(Math.log10(extent)), 0), 4) : 2;
-  const text = (Number(value.toFixed(digits)) + 0).toFixed(digits).replace("-", "−");
-  return signed && value > 0 && Number(value.toFixed(digits)) > 0 ? `+${text}` : text;
-}
-
-const withUnit = (text, unit) => (unit ? `${text} ${unit}` : text);
-const titled = (objective) => (objective.unit ? `${objective.name} (${objective.unit})` : objective.name);
 
 /** One front with what follows from its data. */
 class FrontModel {
@@ -50,9 +26,8 @@ class FrontModel {
     this.scales = stored.objectives.map((objective) => objective.scale);
     this.undiscounted = returns[0].episodes.map(meanReturns);
     // Of fronts without the time among their objectives: how long the drives are.
-    const timed = stored.objectives.some(({ key }) => key === "time");
-    this.seconds = timed || !stored.scenes.length ? null
-      : stored.lengths.map((decisions) => decisions / stored.scenes[0].frequency);
+    const timed = stored.objectives.some(({ key }) => key === "time") || !stored.scenes.length;
+    this.seconds = timed ? null : stored.lengths.map((decisions) => decisions / stored.scenes[0].frequency);
     this.vehicles = stored.scenes[0]?.drives[0].vehicles.length ?? 1;
     this.vehicle = 0;
     this.decoded = new Map();
@@ -85,10 +60,6 @@ class FrontModel {
     this.dominators = dominators(this.maximised);
   }
 
-  extent(i) {
-    return this.axes[i].high - this.axes[i].low;
-  }
-
   /** Where a value is along an axis, from 0 for the worst to 1 for the best. */
   scaled(value, i) {
     const { way, low, high } = this.axes[i];
@@ -102,30 +73,19 @@ class FrontModel {
   }
 
   text(value, i, signed = false) {
-    return formatted(value, this.extent(i), signed);
+    return formatted(value, this.axes[i].high - this.axes[i].low, signed);
   }
 
   drive(scenario, k) {
-    const key = `${scenario}/${k}`;
-    if (!this.decoded.has(key)) {
-      const scene = this.scenes[scenario];
-      this.decoded.set(key, decodeDrive(scene.drives[k], scene.resolution));
-    }
+    const [key, scene] = [`${scenario}/${k}`, this.scenes[scenario]];
+    if (!this.decoded.has(key)) this.decoded.set(key, decodeDrive(scene.drives[k], scene.resolution));
     return this.decoded.get(key);
   }
 
   initialState() {
-    return {
-      mode: "weights",
-      weights: this.objectives.map(() => 50),
-      budget: this.budget && { g_force: this.budget.g_force, jerk: this.budget.jerk },
-      picked: 0,
-      compared: [],
-      scenario: 0,
-      ranges: {},
-      returns: 0,
-      dominated: false,
-    };
+    const budget = this.budget && { g_force: this.budget.g_force, jerk: this.budget.jerk };
+    return { mode: "weights", weights: this.objectives.map(() => 50), budget, picked: 0, compared: [], scenario: 0, ranges: {},
+      returns: 0, dominated: false };
   }
 }
 
@@ -133,28 +93,24 @@ class FrontModel {
 function stateOfLink(hash, fronts) {
   const values = new URLSearchParams(hash.replace(/^#/, ""));
   const numbers = (name) => (values.get(name) || "").split(",").filter(Boolean).map(Number);
-  const below = (name, count) => values.has(name) && Number.isInteger(Number(values.get(name)))
-    && Number(values.get(name)) >= 0 && Number(values.get(name)) < count;
-  const index = below("front", fronts.length) ? Number(values.get("front")) : 0;
+  const isBelow = (value, count) => Number.isInteger(value) && value >= 0 && value < count;
+  const below = (name, count, other) => (values.has(name) && isBelow(Number(values.get(name)), count) ? Number(values.get(name)) : other);
+  const index = below("front", fronts.length, 0);
   const front = fronts[index];
   const state = front.initialState();
-  const weights = numbers("weights");
+  const [weights, budget] = [numbers("weights"), numbers("budget")];
   if (weights.length === state.weights.length && weights.every((w) => w >= 0 && w <= 100)) state.weights = weights;
-  const budget = numbers("budget");
   if (state.budget && budget.length === 2 && budget.every((limit) => limit >= 0 && limit < Infinity)) {
     state.budget = { g_force: budget[0], jerk: budget[1] };
   }
-  const modes = ["weights", ...(state.budget ? ["budget"] : [])];
-  if (below("policy", front.size)) {
-    state.picked = Number(values.get("policy"));
-    modes.push("picked");
-  }
+  const picked = below("policy", front.size, null);
+  state.picked = picked ?? 0;
+  const modes = ["weights", ...(state.budget ? ["budget"] : []), ...(picked === null ? [] : ["picked"])];
   if (modes.includes(values.get("mode"))) state.mode = values.get("mode");
-  const compared = numbers("compare").filter((k) => Number.isInteger(k) && k >= 0 && k < front.size);
-  state.compared = [...new Set(compared)].slice(0, MOST_COMPARED);
-  if (below("returns", front.measured.length)) state.returns = Number(values.get("returns"));
+  state.compared = [...new Set(numbers("compare").filter((k) => isBelow(k, front.size)))].slice(0, MOST_COMPARED);
+  state.returns = below("returns", front.measured.length, 0);
   state.dominated = values.has("dominated");
-  if (below("scenario", front.scenes.length)) state.scenario = Number(values.get("scenario"));
+  state.scenario = below("scenario", front.scenes.length, 0);
   for (const text of values.getAll("range")) {
     const [i, low, high] = text.split(",").map(Number);
     if (front.axes[i] && low <= high) state.ranges[i] = [low, high];
@@ -168,9 +124,8 @@ function linkOfState(index, state) {
   if (state.budget) values.set("budget", `${state.budget.g_force},${state.budget.jerk}`);
   if (state.mode === "picked") values.set("policy", state.picked);
   if (state.compared.length) values.set("compare", state.compared.join(","));
-  if (state.returns) values.set("returns", state.returns);
+  for (const name of ["returns", "scenario"]) if (state[name]) values.set(name, state[name]);
   if (state.dominated) values.set("dominated", "");
-  if (state.scenario) values.set("scenario", state.scenario);
   for (const [i, [low, high]] of Object.entries(state.ranges)) values.append("range", `${i},${low},${high}`);
   return `#${values.toString().replaceAll("%2C", ",")}`;
 }

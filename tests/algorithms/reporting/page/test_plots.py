@@ -9,7 +9,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from algorithms.reporting.explorer.plots import draw_front, importance, principal_components
+from algorithms.reporting.page.plots import draw_front, importance, principal_components
 from algorithms.reporting.style import DPI
 from tests.helpers.fronts import driving, front_of
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms.reporting.explorer.data import (
+from algorithms.reporting.page.data import (
     RESOLUTION,
     DiscountedReturns,
     ExplorableFront,

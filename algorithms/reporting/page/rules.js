@@ -1,8 +1,5 @@
 // The rules by which `mo-deepdrive choose` orders policies (algorithms/commands/choose.py), on the same numbers.
 
-const sum = (numbers) => numbers.reduce((total, each) => total + each, 0);
-const mean = (numbers) => sum(numbers) / numbers.length;
-
 /** Mean returns (d) of the episodes (E, d) of a policy. */
 function meanReturns(episodes) {
   return episodes[0].map((_, i) => mean(episodes.map((episode) => episode[i])));
