@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 CHOICE_EPISODES = 50  # of the validation split, by which a policy of a front is chosen for a preference
 TAIL = 0.1  # share of the worst episodes in CVaR10
-SCORE, CVAR, WORST, CONTROLLABILITY = "score", "cvar10", "worst_partner", "controllability"
+SCORE, CVAR, WORST, CONTROLLABILITY = "score", "cvar10", "worst_family", "controllability"
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,11 @@ class Drives:
             driver = import_named("partners.made_by", settings.made_by)(partner, self.task.config().action_type)
 
             def drive(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
-                return np.stack([driver(observations[:, settings.vehicle])] * adapter.vehicles, axis=1)
+                actions = driver(observations.reshape(-1, observations.shape[-1]))
+                return actions.reshape(*observations.shape[:2], *actions.shape[1:])
 
-            members = [actor] * adapter.vehicles
-            members[settings.vehicle] = FunctionPolicy(drive, adapter)
-            actor = Team(members)
+            seats = np.arange(adapter.vehicles) != self.task.vehicle
+            actor = Team([actor, FunctionPolicy(drive, adapter)], seats.astype(int).tolist())
         found = evaluate(actor, self.env, seed=self.seed, episodes=self.episodes, greedy=greedy, gamma=1.0)
         return found.returns[:, self.task.vehicle]
 
@@ -298,9 +298,12 @@ def conditional_value_at_risk(task: Task) -> Statistic:
     return worst_tenth
 
 
-def worst_partner(_task: Task) -> Statistic:
-    """The mean utility with the partner with whom it is least."""
-    return lambda samples: float(samples.mean(axis=0).min())
+def worst_family(task: Task) -> Statistic:
+    """The mean utility with the family of partners with whom it is least; a name is that of a family and a number."""
+    assert task.partners is not None
+    _, families = np.unique([name.rpartition("_")[0] for name in task.partners.names], return_inverse=True)
+    members = np.eye(families.max() + 1)[families]
+    return lambda samples: float((samples.mean(axis=0) @ members / members.sum(axis=0)).min())
 
 
 def mean_costs(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
@@ -311,12 +314,13 @@ def mean_costs(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
 def controllability(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
     """Spearman's correlation of weight and mean return over the preferences, of each objective, and their mean.
 
-    It is 0 where the return is always the same.
+    It is 0 where the return is always the same, and none of an objective on which all preferences agree.
     """
     weights, achieved = task.hidden_weights(), samples.mean(axis=0)
     found = {
         f"{CONTROLLABILITY}/{name}": float(scipy.stats.spearmanr(w, r).statistic) if np.ptp(r) > 0.0 else 0.0
         for name, w, r in zip(task.objectives(), weights.T, achieved.T, strict=True)
+        if np.ptp(w) > 0.0
     }
     return {CONTROLLABILITY: float(np.mean(list(found.values()))), **found}
 
@@ -348,7 +352,7 @@ SCORERS: dict[str, Scorer] = {
     "mean_over_preferences": Scorer(returns_by_preference, gains, mean, details=controllability),
     "mean_over_changing_preferences": Scorer(values_under_changes, gains, mean),
     "rulebook": Scorer(returns, costs, lexicographic, details=mean_costs),
-    "mean_over_partners": Scorer(utilities_by_partner, scenario_means, mean, {WORST: worst_partner}),
+    "mean_over_partners": Scorer(utilities_by_partner, scenario_means, mean, {WORST: worst_family}),
 }
 
 

@@ -96,10 +96,8 @@ class HiddenPreferences(Settings):
 
 
 class Partners(Settings):
-    """Scripted drivers of the other vehicle, which no learner has met."""
+    """Scripted drivers of all vehicles but the one that is scored, which no learner has met; one at a time."""
 
-    vehicle: int = Field(ge=0, le=1)
-    """The vehicle that they drive."""
     made_by: str
     """The function that makes one of its name and the action type, as "package.module:function"."""
     names: list[str]
@@ -143,7 +141,7 @@ class Task(Settings):
     vehicle: int = 0
     """The vehicle whose driver is scored."""
     partners: Partners | None = None
-    """Who drives the other vehicle when it is scored."""
+    """Who drives the other vehicles when it is scored."""
     steps: int = Field(ge=1)
     """Environment steps that a learner may take."""
     episodes: int = Field(ge=1)
@@ -155,7 +153,9 @@ class Task(Settings):
     columns: list[str] = []
     """The perturbations under which it is scored too, keys of :attr:`Suite.perturbations`."""
     floor: Bound
-    """What the best policy earns that needs no skill."""
+    """What the best policy earns that is blind to what the task tests."""
+    rule: Bound | None = None
+    """What the best scripted driver earns, where that is neither floor nor ceiling."""
     ceiling: Ceiling
     """What counts as 1."""
 
