@@ -124,6 +124,11 @@ class Task(Settings):
     """A few words."""
     tests: str
     """What it asks of a method, in a sentence."""
+    formula: str = ""
+    """The utility of an episode, in magnitudes of its objectives: [x <= 1] is 1 where that is so and else 0, (x)+ is
+    the positive part, and p_time a preference's price of time. Empty where a rulebook judges."""
+    ablation: str | None = None
+    """The learner of the reference study that lacks what the task tests."""
     track: Track
     """The table that it belongs to."""
     core: bool = False
