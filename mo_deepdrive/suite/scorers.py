@@ -180,14 +180,17 @@ def returns_by_preference(drives: Drives, policy: Any) -> NDArray[np.float64]:
 
 
 def values_under_changes(drives: Drives, policy: Any) -> NDArray[np.float64]:
-    """(E, P) what every episode is worth under P preferences that give way to the next one, to a policy that is told.
+    """(E, P) what every episode is worth under P preferences that give way to the next one.
 
-    A ValueError for a policy that is not told weights.
+    The policy is told them, or is one that is blind to them; a ValueError for a front.
     """
     task, policies = drives.task, policies_of(policy)
     assert task.preferences is not None
     if isinstance(policies, list):
-        raise ValueError("preferences that change need a policy that is told them")
+        if len(policies) > 1:
+            raise ValueError("preferences that change need a policy that is told them, or a single one")
+        blind = policies[0]
+        policies = lambda _weights: blind  # noqa: E731  # a function of the weights like the others
     told, weights, times = task.told_weights(), task.hidden_weights(), task.preferences.change_times()
     pairs = list(zip(told, np.roll(told, -1, axis=0), strict=True))
     values = [

@@ -35,9 +35,8 @@ def value_of(formula: str, values: dict[str, np.ndarray]) -> np.ndarray:
     for part in parts:
         name, _, text = part.partition(" = ")
         values = {**values, name: value_of(text, values)}
-    formula = (
-        re.sub(r"(?<=[\w)+\]]) (?=[\w(\[])", " * ", formula.replace(" + ", "  +  ")).replace("[", "(").replace("]", ")")
-    )
+    formula = formula.replace(" + ", "  +  ").replace("[", "(").replace("]", ")")
+    formula = re.sub(r"(?<=[\w)+]) (?=[\w(])", " * ", formula)
     while (text := re.sub(r"\(([^()]*)\)(\+?)", lambda m: f"{'positive' * bool(m[2])}<{m[1]}>", formula)) != formula:
         formula = text
     functions = {"positive": lambda x: np.maximum(x, 0.0), "exp": np.exp}
