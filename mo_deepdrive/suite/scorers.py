@@ -60,7 +60,7 @@ class Drives:
             driver = import_named("partners.made_by", settings.made_by)(partner, self.task.config().action_type)
 
             def drive(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
-                actions = driver(observations.reshape(-1, observations.shape[-1]))
+                actions: NDArray[Any] = driver(observations.reshape(-1, observations.shape[-1]))
                 return actions.reshape(*observations.shape[:2], *actions.shape[1:])
 
             seats = np.arange(adapter.vehicles) != self.task.vehicle
@@ -224,16 +224,9 @@ def flattened(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
     return samples.reshape(len(samples), -1)
 
 
-def gains(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(E, 1) what is gained over the best policy that is blind to the preferences, their mean; planned drives are 1.
-
-    Samples are returns (E, P, d), or what they are worth (E, P).
-    """
-    preferences = task.preferences
-    assert preferences is not None
-    worth = (samples * task.hidden_weights()).sum(axis=2) if samples.ndim > 2 else samples
-    blind, planned = np.array(preferences.blind), np.array(preferences.planned)
-    return scenario_means(task, (worth - blind) / (planned - blind))
+def weighted_means(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(E, 1) what returns (E, P, d) are worth under P preferences, their mean."""
+    return scenario_means(task, (samples * task.hidden_weights()).sum(axis=2))
 
 
 def costs(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -352,8 +345,8 @@ SCORERS: dict[str, Scorer] = {
     "utility_of_mean": Scorer(returns, flattened, utility_of_mean),
     "certainty_equivalent": Scorer(utilities, scenario_means, certainty_equivalent, {CVAR: conditional_value_at_risk}),
     "hypervolume": Scorer(returns_of_front, flattened, dominated_volume),
-    "mean_over_preferences": Scorer(returns_by_preference, gains, mean, details=controllability),
-    "mean_over_changing_preferences": Scorer(values_under_changes, gains, mean),
+    "mean_over_preferences": Scorer(returns_by_preference, weighted_means, mean, details=controllability),
+    "mean_over_changing_preferences": Scorer(values_under_changes, scenario_means, mean),
     "rulebook": Scorer(returns, costs, lexicographic, details=mean_costs),
     "mean_over_partners": Scorer(utilities_by_partner, scenario_means, mean, {WORST: worst_family}),
 }

@@ -73,11 +73,7 @@ class HiddenPreferences(Settings):
     changes: tuple[float, float] | None = None
     """Between how many seconds a preference gives way to the next one, once in an episode; None for never."""
     left_out: list[int] = []
-    """The drawn preferences, counted from 0, for which the planned drives gain less than 0.1 over ``blind``."""
-    blind: list[float] = []
-    """What the best policy for the mean of the preferences, or for those before the change, is worth under each."""
-    planned: list[float] = []
-    """What the planned drives are worth under each."""
+    """The drawn preferences, counted from 0, under which planned drives gain less than 0.1 over those for the mean."""
 
     def weights(self, objectives: Sequence[str]) -> NDArray[np.float64]:
         """(count, d) weights of undiscounted returns."""
