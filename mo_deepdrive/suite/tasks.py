@@ -73,11 +73,7 @@ class HiddenPreferences(Settings):
     changes: tuple[float, float] | None = None
     """Between how many seconds a preference gives way to the next one, once in an episode; None for never."""
     left_out: list[int] = []
-    """The drawn preferences, counted from 0, for which the planned drives gain less than 0.1 over ``blind``."""
-    blind: list[float] = []
-    """What the best policy for the mean of the preferences, or for those before the change, is worth under each."""
-    planned: list[float] = []
-    """What the planned drives are worth under each."""
+    """The drawn preferences, counted from 0, under which planned drives gain less than 0.1 over those for the mean."""
 
     def weights(self, objectives: Sequence[str]) -> NDArray[np.float64]:
         """(count, d) weights of undiscounted returns."""
@@ -124,6 +120,11 @@ class Task(Settings):
     """A few words."""
     tests: str
     """What it asks of a method, in a sentence."""
+    formula: str = ""
+    """The utility of an episode, in magnitudes of its objectives: [x <= 1] is 1 where that is so and else 0, (x)+ is
+    the positive part, and p_time a preference's price of time. Empty where a rulebook judges."""
+    ablation: str | None = None
+    """The learner of the reference study that lacks what the task tests."""
     track: Track
     """The table that it belongs to."""
     core: bool = False

@@ -66,7 +66,7 @@ def test_a_rulebook_scores_the_first_rule_that_is_broken_or_else_the_time(
 
 def test_the_worst_family_of_partners_is_the_one_with_the_least_mean() -> None:
     parked, stops, others = [9.0, -9.0, 6.0], [1.0, 3.0, 2.0], [5.0] * 6
-    samples = [parked + stops + others, parked + [1.0, 1.0, 1.0] + others]
+    samples = [parked + stops + others, [*parked, 1.0, 1.0, 1.0, *others]]
     assert number("V1", "score", samples) == pytest.approx((2 * 3 + 1.5 * 3 + 5 * 6) / 12)
     assert number("V1", "worst_family", samples) == pytest.approx(1.5)
 
