@@ -16,11 +16,9 @@ import scipy
 
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import OUR_ENVS, as_policy, evaluate
-from mo_deepdrive.evaluation.pareto import hypervolume
 from mo_deepdrive.evaluation.policy import FunctionPolicy, drive, seeded_generator
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.evaluation.team import Team
-from mo_deepdrive.fronts.reference_fronts import reference_point
 from mo_deepdrive.support.importing import import_named
 from mo_deepdrive.utilities import RISK_AVERSE
 
@@ -154,16 +152,6 @@ def returns(drives: Drives, policy: Any) -> NDArray[np.float64]:
     return drives.returns(single(policy))
 
 
-def returns_of_front(drives: Drives, policy: Any) -> NDArray[np.float64]:
-    """(E, K, d) the undiscounted returns of K policies; a ValueError if it is told weights and has no front."""
-    policies = policies_of(policy)
-    if not isinstance(policies, list):
-        policies = list(getattr(policy, "front", ()))
-        if not policies:
-            raise ValueError("the hypervolume needs a list of policies; a policy that is told weights is not one")
-    return np.stack([drives.returns(member) for member in policies], axis=1)
-
-
 def returns_by_preference(drives: Drives, policy: Any) -> NDArray[np.float64]:
     """(E, P, d) the undiscounted returns under P preferences, of a policy that is told them, or of a front's best."""
     task, policies = drives.task, policies_of(policy)
@@ -219,11 +207,6 @@ def scenario_means(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.floa
     return np.asarray(samples.reshape(len(samples), -1).mean(axis=1, keepdims=True))
 
 
-def flattened(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(E, k) all samples of each scenario."""
-    return samples.reshape(len(samples), -1)
-
-
 def weighted_means(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
     """(E, 1) what returns (E, P, d) are worth under P preferences, their mean."""
     return scenario_means(task, (samples * task.hidden_weights()).sum(axis=2))
@@ -245,27 +228,10 @@ def mean(_task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
     return means[..., 0]
 
 
-def utility_of_mean(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The utility of the mean return (SER)."""
-    return np.asarray(task.make_utility()(means))
-
-
 def certainty_equivalent(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
     """The certain value that is worth as much as these episodes."""
     risk = RISK_AVERSE[task.utility.name]  # type: ignore[union-attr]
     return np.asarray(risk.certainty_equivalent(means[..., 0]))
-
-
-def dominated_volume(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The hypervolume of the mean returns of a front."""
-    config = task.config()
-    corner = reference_point(config.scenario, config.action_type, 1.0, task.objectives()).values
-
-    def volume(point_row: NDArray[np.float64]) -> float:
-        points = point_row.reshape(-1, len(corner))
-        return float(hypervolume(points, corner)) if (points > corner).all(axis=1).any() else 0.0
-
-    return np.apply_along_axis(volume, -1, means)
 
 
 def lexicographic(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -342,9 +308,7 @@ class Scorer:
 
 SCORERS: dict[str, Scorer] = {
     "mean_utility": Scorer(utilities, scenario_means, mean),
-    "utility_of_mean": Scorer(returns, flattened, utility_of_mean),
     "certainty_equivalent": Scorer(utilities, scenario_means, certainty_equivalent, {CVAR: conditional_value_at_risk}),
-    "hypervolume": Scorer(returns_of_front, flattened, dominated_volume),
     "mean_over_preferences": Scorer(returns_by_preference, weighted_means, mean, details=controllability),
     "mean_over_changing_preferences": Scorer(values_under_changes, scenario_means, mean),
     "rulebook": Scorer(returns, costs, lexicographic, details=mean_costs),

@@ -64,12 +64,6 @@ class Family:
         """The rules (N, F) of points (N, F)."""
         return np.where([name in self.logarithmic for name in self.ranges], np.exp(points), points)
 
-    def drawn(self, count: int, action_type: str) -> dict[str, Function]:
-        """Rules that are drawn, by name, as policies of all vehicles."""
-        low, high = self.points()
-        rules = self.rules(np.random.default_rng(0).uniform(low, high, (count, len(low))))
-        return {self.name(rule): self.policy(rule, action_type) for rule in rules}
-
     def name(self, rule: Floats) -> str:
         """The rule (F,) in words."""
         return f"{self.title}: {', '.join(f'{name} {x:.3g}' for name, x in zip(self.ranges, rule, strict=True))}"

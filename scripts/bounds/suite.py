@@ -21,6 +21,7 @@ from rich.progress import track
 from algorithms.runs import cli
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.drives import Playback
+from mo_deepdrive.evaluation.episodes import OUR_ENVS
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.evaluation.statistics import of_mean
 from mo_deepdrive.suite.plans import planned, planned_scenarios
@@ -44,12 +45,16 @@ from scripts.bounds.rule_search import (
 if TYPE_CHECKING:
     import argparse
 
-
 HEAD = ["task", "kind", "column", "value", "low", "high", "by"]
 RESULTS = Path("docs/results/suite2_bounds.csv")
 FLOOR, RULE, CEILING = "floor", "rule", "ceiling"
-ROUNDS_FOR_RISK = ((128, 32), (32, 256), (8, 1024))  # where a rare collision decides
-ROUNDS_WITH_PARTNERS = {"V1": ((256, 2), (64, 6), (16, 24)), "R3": ((48, 1), (12, 2), (4, 4))}
+# Rules of the rounds of a search, and their episodes (with each partner): many where a rare collision decides.
+ROUNDS_BY_TASK = {
+    "K5": ((128, 32), (32, 256), (8, 1024)),
+    "V1": ((256, 2), (64, 6), (16, 24)),
+    "R3": ((48, 1), (12, 2), (4, 4)),
+    "R5": ((64, 32), (16, 128), (4, 1000)),
+}
 CHANGES_OF = {"U4": "U2"}  # whose preferences change
 # Rules that are known from elsewhere.
 KNOWN = {
@@ -105,14 +110,26 @@ def changed(task_id: str, of: str) -> Any:
     """(E, P) what the drives ``of`` a task with P preferences are worth, each of which gives way to the next one."""
     task = suite.load().task(task_id)
     weights, times = task.hidden_weights(), task.preferences.change_times()  # type: ignore[union-attr]
-    start, scenarios = SPLITS["test"].start, planned_scenarios(of)
-    with open_drives(task, {}, start, scenarios, greedy=True) as drives:
+    with open_drives(task, {}, SPLITS["test"].start, planned_scenarios(task_id), greedy=True) as drives:
         pairs = zip(weights, np.roll(weights, -1, axis=0), times, strict=True)
         followed = [
             drives.changing(playback := planned(of, p), playback, np.stack([before, after]), time)
             for p, (before, after, time) in enumerate(pairs)
         ]
     return np.stack(followed, axis=1)
+
+
+def worth_of_plans(task_id: str) -> Any:
+    """(E, 1) the utility of the planned drive of each scenario, of as many at a time as can be replayed."""
+    parts: list[Any] = []
+    start = SPLITS["test"].start
+    for first in range(0, planned_scenarios(task_id), OUR_ENVS):
+        samples: suite.Samples = {}
+        count = min(OUR_ENVS, planned_scenarios(task_id) - first)
+        options = {"perturbed": False, "first_episode": start + first, "episodes": count, "samples": samples}
+        suite.score(planned(task_id, first=first), task_id, **options)  # type: ignore[arg-type]
+        parts += samples.values()
+    return np.concatenate(parts)
 
 
 def bounds(task_id: str) -> list[list[Any]]:
@@ -129,10 +146,12 @@ def bounds(task_id: str) -> list[list[Any]]:
         by, mean = "planned for the mean of the preferences", planned(task_id, task.preferences.count)
         rows += scored(task_id, FLOOR, by, mean, planned_scenarios(task_id))
         return rows + scored(task_id, CEILING, "planned for each", ForPreferences(task_id), planned_scenarios(task_id))
-    rare = task.rulebook is not None or task.score == "certainty_equivalent"
-    rounds = ROUNDS_WITH_PARTNERS.get(task_id, ROUNDS_FOR_RISK if rare else ROUNDS)
     rules = [
-        (each.kind, each.family, search(setting_of(task), each.family, each.objective, rounds))
+        (
+            each.kind,
+            each.family,
+            search(setting_of(task), each.family, each.objective, ROUNDS_BY_TASK.get(task_id, ROUNDS)),
+        )
         for each in searches(task_id)
     ]
     if task_id in KNOWN:
@@ -142,7 +161,8 @@ def bounds(task_id: str) -> list[list[Any]]:
     if not rules:
         rows += scored(task_id, FLOOR, "stands still", Playback([np.zeros(0, dtype=np.int64)], "discrete"))
     if task.ceiling.kind == "planned":
-        rows += scored(task_id, CEILING, "planned", planned(task_id), planned_scenarios(task_id))
+        found = of_mean(worth_of_plans(task_id), lambda means: means[..., 0])
+        rows.append([task_id, CEILING, "score", found.value, found.low, found.high, "planned"])
     return rows
 
 

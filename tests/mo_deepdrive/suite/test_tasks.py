@@ -22,7 +22,7 @@ def test_a_task_names_what_is_there(name: str) -> None:
     assert config.charge_remaining_time
     assert "time" in task.objectives()
     assert task.score in SCORERS
-    assert (task.utility is None) != (task.preferences is None and task.score != "hypervolume")
+    assert (task.utility is None) != (task.preferences is None)
     assert task.floor.value < task.ceiling.value
     for column in task.columns:
         arguments = {**config.model_dump(exclude={"scenario"}), **suite.load().perturbations[column]}
