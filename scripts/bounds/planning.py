@@ -19,7 +19,6 @@ from mo_deepdrive.suite.plans import planned_actions
 from mo_deepdrive.suite.tasks import DATA
 from mo_deepdrive.support.atomic_io import atomic_write
 from mo_deepdrive.world.action_sequences import encode
-from scripts.bounds.best_first_search import solve_scenario
 from scripts.bounds.plans import CRITERIA, Criterion, EvaluatedPlans, PlanEvaluator, random_calm_rules
 
 if TYPE_CHECKING:
@@ -37,7 +36,6 @@ TAKEOVER_RATE = 0.05  # share of the offspring that a rule takes over
 KEPT = 96  # best plans, divided among the utilities; at least LEAST_KEPT of each
 LEAST_KEPT = 2
 UNDISCOUNTED = CRITERIA.index(Criterion(1.0))
-BEAM = 4096  # states that the best-first search simulates at a time
 DRAWN = 64  # preferences, of which those are kept that are worth knowing
 GAIN = 0.1  # of utility, by which knowing such a preference is worth it
 
@@ -80,8 +78,6 @@ class ScenarioPlanner:
     def plan(self, start: NDArray[Any], values: Values, known: Sequence[NDArray[Any]] = (), seed: int = 0) -> Planned:
         """The best drives that are found from a state on, among them ``known`` ones."""
         rng, plan_format = np.random.default_rng(seed), self._evaluator.format
-        if not len(known) and self._evaluator.batch.scenario.obstacles:
-            known = [np.array(actions, dtype=np.int64) for actions in [solve_scenario(start, BEAM)] if actions]
         self._evaluator.batch.state[0] = start
         first, nothing = 2 * self._population, np.zeros(0, dtype=np.int64)
         kept = self._evaluator.evaluate(plan_format.from_sequences([nothing, *known]), 0)

@@ -45,7 +45,6 @@ from scripts.bounds.rule_search import (
 if TYPE_CHECKING:
     import argparse
 
-
 HEAD = ["task", "kind", "column", "value", "low", "high", "by"]
 RESULTS = Path("docs/results/suite2_bounds.csv")
 FLOOR, RULE, CEILING = "floor", "rule", "ceiling"
