@@ -21,7 +21,7 @@ from algorithms.reporting import style
 from algorithms.runs import cli
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.drives import record_scenes
-from mo_deepdrive.evaluation.metrics import label
+from mo_deepdrive.evaluation.metrics import label, name_and_unit
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.simulation.state import LANE_WIDTH, MAP_CENTRE
 from mo_deepdrive.suite.scorers import SCORERS
@@ -64,7 +64,7 @@ def judges(task: Task) -> list[dict[str, Judge]]:
             )
         }
     costs = [k for k, name in enumerate(objectives) if name in ("time", "g_force", "jerk", "energy", "right_of_way")]
-    return [{**own, f"by {label(objectives[k])} alone": lambda r, k=k: r[..., k]} for k in costs]
+    return [{**own, f"by {name_and_unit(objectives[k])[0]} alone": lambda r, k=k: r[..., k]} for k in costs]
 
 
 def contrariness(returns: Floats, arrived: NDArray[np.bool_], pair: Iterable[Judge]) -> tuple[float, tuple[int, ...]]:
@@ -96,7 +96,7 @@ def draw(name: str, folder: Path) -> None:
     (scene,) = record_scenes(policy, setting.env_id, arguments, seeds=[seed], drives=2)
     shown = returns[pair, scenario]
     costs = [k for k, key in enumerate(objectives) if key not in ("distance", "destination") and np.ptp(shown[:, k])]
-    numbers = {label(objectives[k]): -shown[:, k] for k in costs}
+    numbers = {label(objectives[k]): 0.0 - shown[:, k] for k in costs}
     with style.figure_style({"axes.grid": False}):
         figure = Figure(figsize=(7.2, 3.0), layout="constrained")
         plan, text = figure.subplots(1, 2, width_ratios=(1, 1.3))
