@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,20 +52,24 @@ def judges(task: Task) -> list[dict[str, Judge]]:
     if task.preferences is not None:
         weights = task.hidden_weights()
         dear = {name: weights[weights[:, objectives.index(name)].argmax()] for name in ("time", "jerk")}
-        return [{f"where {name} is dear": lambda r, w=w: r @ w for name, w in dear.items()}]
+        return [{f"where {name} is dear": partial(np.inner, prices) for name, prices in dear.items()}]
     if task.config().spent:
-        late = {f"after {s:g} s were spent": -s * np.eye(len(objectives))[time] for s in SPENT}
-        return [{name: lambda r, lost=lost: task.make_utility()(r + lost) for name, lost in late.items()}]
-    own: dict[str, Judge] = {"by the task": task.make_utility()}
-    if task.rulebook is not None:
+        utility, second = task.make_utility(), np.eye(len(objectives))[time]
+
+        def late(seconds: float, returns: Floats) -> Floats:
+            return np.asarray(utility(returns - seconds * second))
+
+        return [{f"after {seconds:g} s were spent": partial(late, seconds) for seconds in SPENT}]
+
+    def by_score(returns: Floats) -> Floats:
         scorer = SCORERS[task.score]
-        own = {
-            "by the task": lambda r: scorer.score(task, scorer.part(task, r.reshape(-1, len(objectives)))).reshape(
-                r.shape[:-1]
-            )
-        }
-    costs = [k for k, name in enumerate(objectives) if name in ("time", "g_force", "jerk", "energy", "right_of_way")]
-    return [{**own, f"by {name_and_unit(objectives[k])[0]} alone": lambda r, k=k: r[..., k]} for k in costs]
+        parts = scorer.part(task, returns.reshape(-1, len(objectives)))
+        return scorer.score(task, parts).reshape(returns.shape[:-1])
+
+    own: dict[str, Judge] = {"by the task": by_score if task.rulebook else task.make_utility()}
+    compared = [name for name in objectives if name in ("time", "g_force", "jerk", "energy", "right_of_way")]
+    alone = {name: partial(np.inner, np.eye(len(objectives))[objectives.index(name)]) for name in compared}
+    return [{**own, f"by {name_and_unit(name)[0]} alone": judge} for name, judge in alone.items()]
 
 
 def contrariness(returns: Floats, arrived: NDArray[np.bool_], pair: Iterable[Judge]) -> tuple[float, tuple[int, ...]]:
