@@ -74,8 +74,8 @@ def judges(task: Task) -> list[dict[str, Judge]]:
 
 def contrariness(returns: Floats, arrived: NDArray[np.bool_], pair: Iterable[Judge]) -> tuple[float, tuple[int, ...]]:
     """By how much two judges rank two of the rules with returns (K, E, d) in opposite orders: which, and where."""
-    worth = [np.where(arrived, judge(returns), np.nan) for judge in pair]
-    gaps = [(each[:, None] - each[None]) / max(np.nanstd(each), 1e-9) for each in worth]  # (K, K, E)
+    by_judge = [np.where(arrived, judge(returns), np.nan) for judge in pair]
+    gaps = [(worth[:, None] - worth[None]) / max(np.nanstd(worth), 1e-9) for worth in by_judge]  # (K, K, E)
     contrary = np.nan_to_num(np.minimum(gaps[0], -gaps[1]), nan=-np.inf)
     place = np.unravel_index(contrary.argmax(), contrary.shape)
     return float(contrary[place]), tuple(int(index) for index in place)
@@ -94,8 +94,8 @@ def draw(name: str, folder: Path) -> None:
     returns = np.stack([evaluation.returns[:, task.vehicle] for evaluation in driven])
     objectives = list(task.objectives())
     arrived = returns[..., objectives.index("destination")] > 0.0
-    found = [(contrariness(returns, arrived, pair.values()), pair) for pair in judges(task)]
-    (_, (*pair, scenario)), by_name = max(found, key=lambda contrary: contrary[0])
+    pairs = [(contrariness(returns, arrived, by_name.values()), by_name) for by_name in judges(task)]
+    (_, (*pair, scenario)), by_name = max(pairs, key=lambda contrary: contrary[0])
     policy = setting.driver(family, rules[pair], np.arange(2))
     seed = SPLITS["validation"].start + scenario
     (scene,) = record_scenes(policy, setting.env_id, arguments, seeds=[seed], drives=2)
@@ -131,10 +131,11 @@ def draw_scene(axes: Any, scene: Scene, vehicle: int) -> None:
             span(centre - LANE_WIDTH, centre + LANE_WIDTH, color=style.GRID, linewidth=0)
     for ends in scene.obstacles:
         axes.plot(*ends.T, color=style.INK, linewidth=3)
-    for one, colour in zip(scene.drives, COLOURS, strict=True):
-        for other in [*np.moveaxis(one.cars[..., :2], 1, 0), *np.moveaxis(one.readings[..., :2], 1, 0)[1:]]:
+    for drive, colour in zip(scene.drives, COLOURS, strict=True):
+        others = np.delete(drive.readings, vehicle, axis=1)[..., :2]
+        for other in np.moveaxis(np.concatenate([drive.cars[..., :2], others], axis=1), 1, 0):
             axes.plot(*other.T, color=colour, linewidth=0.8, alpha=0.25)
-        track = one.readings[:, vehicle, :2]
+        track = drive.readings[:, vehicle, :2]
         axes.plot(*track.T, color=colour, linewidth=1.2)
         axes.plot(*track[:: scene.decision_frequency].T, ".", color=colour, markersize=5)
     axes.plot(*scene.routes[vehicle][-1], "*", color=style.INK, markersize=9)
