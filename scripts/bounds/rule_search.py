@@ -104,12 +104,15 @@ class Setting:
         """An evaluation with each partner, or one, of each of the rules (K, F), all in the same scenarios."""
         pairs = len(rules) * max(1, len(self.partners))
         with closing(make_env(self.env_id, min(OUR_ENVS, pairs * episodes), dict(self.arguments))) as env:
-            policy_of = partial(self._policy, EnvAdapter(env), family, rules)
-            seed = SPLITS[split].start
+            adapter, seed = EnvAdapter(env), SPLITS[split].start
+
+            def policy_of(pairs: NDArray[np.intp]) -> FunctionPolicy:
+                return FunctionPolicy(self.driver(family, rules, pairs), adapter, gamma=1.0)
+
             found = evaluate_each(policy_of, pairs, env, episodes=episodes, seed=seed, gamma=1.0)
         return [tuple(found[k :: len(rules)]) for k in range(len(rules))]
 
-    def _policy(self, adapter: EnvAdapter, family: Family, rules: Floats, pairs: NDArray[np.intp]) -> FunctionPolicy:
+    def driver(self, family: Family, rules: Floats, pairs: NDArray[np.intp]) -> Function:
         """The policy of which episode n is driven by the n-th of the pairs of a partner and a rule."""
         partners, rows = np.divmod(pairs, len(rules))
         action_type = self.arguments.get("action_type", "discrete")
@@ -125,7 +128,7 @@ class Setting:
                 actions[partners == partner, 1:] = driven.reshape(*theirs.shape[:2], *ours.shape[2:])
             return actions
 
-        return FunctionPolicy(drive if others else driver, adapter, gamma=1.0)
+        return drive if others else driver
 
 
 def setting_of(task: Task) -> Setting:
