@@ -117,25 +117,33 @@ class ScenarioPlanner:
         return evaluated.take(chosen), worth[chosen]
 
 
-def plan_utility(task: Task, planner: ScenarioPlanner, seeds: Iterable[int]) -> Drives:
-    """The best drive in each scenario for the utility of a task."""
+def plan_utility(task: Task, planner: ScenarioPlanner, seeds: Iterable[int], known: Drives) -> Drives:
+    """The best drive in each scenario for the utility of a task, from ``known`` ones."""
     utility = task.make_utility()
 
     def values(returns: Floats) -> Floats:
         return np.asarray(utility(returns))[:, None]
 
-    return [planner.plan(planner.start(seed), values, seed=seed).actions for seed in seeds]
+    return [
+        planner.plan(planner.start(seed), values, drives, seed).actions
+        for seed, drives in zip(seeds, known, strict=True)
+    ]
 
 
-def plan_preferences(task: Task, planner: ScenarioPlanner, seeds: Sequence[int]) -> tuple[Drives, list[int]]:
-    """The best drives in each scenario for every preference that is kept and, the last one, for their mean.
+def plan_preferences(
+    task: Task, planner: ScenarioPlanner, seeds: Sequence[int], known: Drives
+) -> tuple[Drives, list[int]]:
+    """The best drives in each scenario for every preference that is kept and, the last one, for their mean; from known.
 
     Beside them those of DRAWN preferences that are left out: the mean's drives are worth nearly as much under them.
     """
     assert task.preferences is not None
     drawn = task.preferences.model_copy(update={"left_out": [], "count": DRAWN}).weights(task.objectives())
     starts = [planner.start(seed) for seed in seeds]
-    own = [planner.plan(start, lambda returns: returns @ drawn.T) for start in starts]
+    own = [
+        planner.plan(start, lambda returns: returns @ drawn.T, drives)
+        for start, drives in zip(starts, known, strict=True)
+    ]
     worth = np.mean([(each.returns * drawn).sum(axis=1) for each in own], axis=0)
     kept, worth_knowing = np.arange(DRAWN), np.ones(DRAWN, dtype=np.bool_)
     while True:

@@ -24,8 +24,9 @@ from mo_deepdrive.evaluation.drives import Playback
 from mo_deepdrive.evaluation.episodes import OUR_ENVS
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.evaluation.statistics import of_mean
-from mo_deepdrive.suite.plans import planned, planned_scenarios
+from mo_deepdrive.suite.plans import planned, planned_actions, planned_scenarios
 from mo_deepdrive.suite.scorers import open_drives
+from mo_deepdrive.suite.tasks import DATA
 from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.utilities import make_utility
 from scripts.bounds.planning import ScenarioPlanner, plan_changes, plan_preferences, plan_utility, write_plans
@@ -166,18 +167,24 @@ def bounds(task_id: str) -> list[list[Any]]:
     return rows
 
 
+def shipped(task_id: str) -> int:
+    """In how many scenarios a task has planned drives."""
+    return planned_scenarios(task_id) if (DATA / f"plans_{task_id.lower()}.json").is_file() else 0
+
+
 def plan(task_id: str, options: argparse.Namespace) -> None:
-    """Search for the drives of a task, and write them."""
+    """Search for the drives of a task, from those that it has, and write them."""
     task = suite.load().task(task_id)
     planner = ScenarioPlanner(task, options.generations, options.population, options.horizon)
     seeds = SPLITS["test"][: options.scenarios]
+    known = [planned_actions(task_id, i) if i < shipped(task_id) else [] for i in range(options.scenarios)]
     if task.preferences is not None and task_id not in CHANGES_OF:
-        drives, left_out = plan_preferences(task, planner, seeds)
+        drives, left_out = plan_preferences(task, planner, seeds, known)
         print(f"{task_id}: preferences: count: {len(drives[0]) - 1}, left_out: {left_out}", flush=True)
     else:
         progress = track(seeds, "planning", console=Console(stderr=True))
         of = CHANGES_OF.get(task_id)
-        drives = plan_changes(task, planner, progress, of) if of else plan_utility(task, planner, progress)
+        drives = plan_changes(task, planner, progress, of) if of else plan_utility(task, planner, progress, known)
     write_plans(task_id, drives)
 
 

@@ -19,7 +19,7 @@ def test_planned_drives_are_worth_what_the_environment_says(task_id: str) -> Non
     planner = ScenarioPlanner(task, generations=2, population=128)
     utility = task.make_utility()
     planned = planner.plan(planner.start(SEED), lambda returns: np.asarray(utility(returns))[:, None], seed=SEED)
-    (drives,) = plan_utility(task, planner, [SEED])
+    (drives,) = plan_utility(task, planner, [SEED], [[]])
     np.testing.assert_array_equal(drives[0], planned.actions[0])
     (row,) = suite.score(Playback(drives, "discrete"), task_id, episodes=1, first_episode=SEED, perturbed=False)
     assert row.value == pytest.approx(float(utility(planned.returns)[0]), abs=1e-4)
@@ -43,5 +43,5 @@ def test_a_drive_that_is_planned_again_on_the_way_is_at_least_as_good_from_there
 def test_preferences_are_kept_that_are_worth_knowing() -> None:
     task = suite.load().task("U2")
     planner = ScenarioPlanner(task, generations=3, population=256)
-    (drives,), left_out = plan_preferences(task, planner, [SEED])
+    (drives,), left_out = plan_preferences(task, planner, [SEED], [[]])
     assert 0 < len(drives) - 1 <= 64 - len(left_out)

@@ -33,6 +33,13 @@ def test_floors_and_ceilings_are_those_of_the_table(task_id: str) -> None:
         assert task.rule.value == best[suite.RULE]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("task_id", ["U2", "U4"])
+def test_planned_drives_are_worth_what_the_table_says(task_id: str) -> None:
+    best = {kind: value for _, kind, column, value, *_ in suite.bounds(task_id) if column == "score"}
+    assert best == pytest.approx(scores(task_id), rel=1e-3)
+
+
 def test_rows_of_other_tasks_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "bounds.csv"
     monkeypatch.setattr(suite, "bounds", lambda task_id: [[task_id, "floor", "score", 1.23456, 1.0, 2.0, "nobody"]])
