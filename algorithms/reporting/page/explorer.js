@@ -20,15 +20,9 @@ class Explorer {
     this.showFront();
   }
 
-  get front() {
-    return this.fronts[this.index];
-  }
+  get front() { return this.fronts[this.index]; }
 
-  // ----------------------------------------------------------------------------------------------------- the choice
-
-  weightsOf() {
-    return this.state.weights.map((importance, i) => weightOf(importance, this.front.scales[i]));
-  }
+  weightsOf() { return this.state.weights.map((importance, i) => weightOf(importance, this.front.scales[i])); }
 
   /** Policies in the order of the preference; of a policy picked by hand, of its returns as the target. */
   order() {
@@ -36,14 +30,11 @@ class Explorer {
     const values = {
       weights: () => weightedSums(front.returns, this.weightsOf()),
       budget: () => budgetUtilities(front.returns, front.objectives, { ...front.budget, ...state.budget }),
-      picked: () => targetCloseness(front.means, front.means[state.picked], front.scales),
-    }[state.mode]();
+      picked: () => targetCloseness(front.means, front.means[state.picked], front.scales) }[state.mode]();
     return rankPolicies(values, front.means, front.scales);
   }
 
-  chosen() {
-    return this.state.mode === "picked" ? this.state.picked : this.order()[0];
-  }
+  chosen() { return this.state.mode === "picked" ? this.state.picked : this.order()[0]; }
 
   shownPolicies() {
     const chosen = this.chosen();
@@ -51,9 +42,7 @@ class Explorer {
   }
 
   /** Whether each policy is drawn and listed: all of them, or those that no other one dominates. */
-  listed() {
-    return this.front.dominators.map((other) => this.state.dominated || other < 0);
-  }
+  listed() { return this.front.dominators.map((other) => this.state.dominated || other < 0); }
 
   inRanges(k) {
     return Object.entries(this.state.ranges).every(([i, [low, high]]) => {
@@ -63,9 +52,7 @@ class Explorer {
   }
 
   /** Whether each policy is listed and in the ranges. */
-  kept() {
-    return this.listed().map((listed, k) => listed && this.inRanges(k));
-  }
+  kept() { return this.listed().map((listed, k) => listed && this.inRanges(k)); }
 
   command() {
     const { front, state } = this;
@@ -85,34 +72,23 @@ class Explorer {
     return front.command.replace("{preference}", () => preference).replace("{policy}", front.numbers[this.chosen()]);
   }
 
-  // ------------------------------------------------------------------------------------------------ what is on the page
-
   wire() {
     const change = (id, event, action) => byId(id).addEventListener(event, ({ target }) => action(target.value, target));
     byId("front-choice").hidden = this.fronts.length < 2;
     byId("front-select").append(...options(this.fronts.map(({ title }) => title)));
-    change("front-select", "change", (value) => {
-      this.read(`#front=${value}`);
-      this.showFront();
-    });
+    change("front-select", "change", (value) => { this.read(`#front=${value}`); this.showFront(); });
     change("returns", "change", (value) => {
       Object.assign(this.state, { returns: Number(value), ranges: {} });
       this.showFront();
     });
     change("dominated", "change", (_, { checked }) => this.update({ dominated: checked }));
     change("modes", "change", (mode) => this.update({ mode }));
-    change("reset", "click", () => {
-      this.state = this.front.initialState();
-      this.showFront();
-    });
+    change("reset", "click", () => { this.state = this.front.initialState(); this.showFront(); });
     change("copy-command", "click", () => copy(byId("command").value, "command", byId("copied")));
     change("copy-link", "click", () => copy(location.href.split("#")[0] + this.hash, "link", byId("copied")));
     change("command", "focus", (_, target) => target.select());
     change("play", "click", () => this.togglePlay());
-    change("time", "input", (value) => {
-      this.stop();
-      this.showStep(Number(value));
-    });
+    change("time", "input", (value) => { this.stop(); this.showStep(Number(value)); });
     change("speed", "change", (value) => (this.player.speed = Number(value)));
     change("scenario", "change", (value) => this.update({ scenario: Number(value) }));
     change("vehicle", "change", (value) => {
@@ -135,15 +111,10 @@ class Explorer {
   }
 
   /** Take over the state of a link. */
-  read(hash) {
-    ({ index: this.index, state: this.state } = stateOfLink(hash, this.fronts));
-  }
+  read(hash) { ({ index: this.index, state: this.state } = stateOfLink(hash, this.fronts)); }
 
   /** Change parts of the state. */
-  update(changes) {
-    Object.assign(this.state, changes);
-    this.refresh();
-  }
+  update(changes) { Object.assign(this.state, changes); this.refresh(); }
 
   /** Show another front, or the state of a link. */
   showFront() {
@@ -222,16 +193,13 @@ class Explorer {
     this.showDrives();
   }
 
-  // ------------------------------------------------------------------------------------------------ beside the plots
-
   makeSliders() {
     const { front, state } = this;
     const shown = front.columns.filter((i) => i < front.objectives.length).map((i) => [front.objectives[i], i]);
     byId("weights").replaceChildren(...shown.map(([objective, i]) => slider({
       id: `weight-${i}`, label: objective.name, value: state.weights[i], max: 100, step: 1,
       text: (importance) => `weight ${weightOf(importance, objective.scale)}`,
-      change: (importance) => this.update({ mode: "weights", weights: state.weights.with(i, importance) }),
-    })));
+      change: (importance) => this.update({ mode: "weights", weights: state.weights.with(i, importance) }) })));
     byId("budgets").replaceChildren(...Object.keys(front.budget?.excessPrices ?? {}).map((key) => {
       const i = front.objectives.findIndex((objective) => objective.key === key);
       const objective = front.objectives[i];
@@ -240,8 +208,7 @@ class Explorer {
       return slider({
         id: `budget-${i}`, label: `${objective.name} free up to`, value: state.budget[key], max: Math.ceil(most / step) * step, step,
         text: (limit) => withUnit(String(limit), objective.unit),
-        change: (limit) => this.update({ mode: "budget", budget: { ...this.state.budget, [key]: limit } }),
-      });
+        change: (limit) => this.update({ mode: "budget", budget: { ...this.state.budget, [key]: limit } }) });
     }));
   }
 
@@ -282,8 +249,7 @@ class Explorer {
     const first = this.order()[0];
     let why = {
       weights: () => "It has the greatest weighted sum of mean returns. A weight counts per unit of the return."
-        + (front.gamma < 1 ? " The command scores it by undiscounted returns." : ""),
-      budget: () => this.budgetRule(),
+        + (front.gamma < 1 ? " The command scores it by undiscounted returns." : ""), budget: () => this.budgetRule(),
       picked: () => (first === chosen || front.gamma < 1 ? "Chosen by hand; a slider chooses by preference again."
         : `Chosen by hand. The command chooses policy ${front.numbers[first]}, which is at least as good in every objective.`),
     }[state.mode]();
@@ -366,12 +332,10 @@ class Explorer {
     const { front } = this;
     const [kept, chosen] = [this.kept(), this.chosen()];
     const arrivals = front.success.every((share) => share !== null);
-    const columns = [
-      { name: "Policy", of: (k) => front.numbers[k], text: String },
+    const columns = [{ name: "Policy", of: (k) => front.numbers[k], text: String },
       ...front.columns.map((i) => ({ name: titled(front.axes[i]), of: (k) => front.rows[k][i], text: (value) => front.text(value, i) })),
       ...(arrivals ? [{ name: "arrivals", of: (k) => front.success[k], text: percent }] : []),
-      { name: "decisions", of: (k) => front.lengths[k], text: (value) => value.toFixed(0) },
-    ];
+      { name: "decisions", of: (k) => front.lengths[k], text: (value) => value.toFixed(0) }, ];
     const { column: by, way } = columns[this.sorting?.column] ? this.sorting : { column: -1, way: 0 };
     const order = front.means.map((_, k) => k);
     if (way) order.sort((a, b) => way * (columns[by].of(a) - columns[by].of(b)) || a - b);
@@ -389,8 +353,6 @@ class Explorer {
     byId("policies").querySelectorAll("thead th").forEach((heading, column) =>
       heading.setAttribute("aria-sort", column === by ? ["descending", "none", "ascending"][way + 1] : "none"));
   }
-
-  // ------------------------------------------------------------------------------------------------------ the drives
 
   showDrives() {
     const { front, state } = this;
@@ -436,18 +398,12 @@ class Explorer {
   }
 
   togglePlay() {
-    if (this.player.playing) {
-      this.stop();
-      return;
-    }
+    if (this.player.playing) { this.stop(); return; }
     this.player.play(this.step, this.last, this.scene.frequency);
     this.showPlaying(true);
   }
 
-  stop() {
-    this.player.stop();
-    this.showPlaying(false);
-  }
+  stop() { this.player.stop(); this.showPlaying(false); }
 
   showPlaying(playing) {
     byId("play").textContent = playing ? "Pause" : "Play";

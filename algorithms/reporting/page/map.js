@@ -3,19 +3,18 @@
 /** A stored drive with its readings as numbers: each is the sum of the stored differences up to it. */
 function decodeDrive(stored, resolution) {
   const decoded = ({ end, ...readings }) => {
-    const vehicle = { end, decisions: readings.x.length - 1 };
-    for (const [name, differences] of Object.entries(readings)) {
+    const sums = Object.entries(readings).map(([name, differences]) => {
       let total = 0;
-      vehicle[name] = differences.map((step) => (step === null ? null : (total += step) * resolution[name]));
-    }
-    return vehicle;
+      return [name, differences.map((step) => (step === null ? null : (total += step) * resolution[name]))];
+    });
+    return { end, decisions: readings.x.length - 1, ...Object.fromEntries(sums) };
   };
   const [vehicles, cars] = [stored.vehicles.map(decoded), stored.cars.map(decoded)];
   return { vehicles, cars, decisions: Math.max(...vehicles.map((vehicle) => vehicle.decisions)) };
 }
 
 const joined = (points) => points.map((point) => point.join(",")).join(" ");
-const polyline = (points, attributes) =>
+const polyline = (points, attributes = {}) =>
   svg("polyline", { points: joined(points), fill: "none", "stroke-linejoin": "round", ...attributes });
 
 /** A car that faces up, with its centre at the origin. */
@@ -53,19 +52,16 @@ function roads({ centre: c, laneWidth: w }) {
 /** A line every five metres. */
 function grid({ box: [left, low, size] }) {
   const group = svg("g", { stroke: "var(--grid)", "stroke-width": 0.08 });
-  for (let k = 0; k <= size; k += 5) {
-    const [x, y] = [5 * Math.ceil(left / 5) + k, 5 * Math.ceil(low / 5) + k];
-    group.append(svg("line", { x1: x, y1: low, x2: x, y2: low + size }), svg("line", { x1: left, y1: y, x2: left + size, y2: y }));
+  for (let k = -size; k <= 2 * size; k += 5) {
+    const [x, y] = [left, low].map((from) => 5 * Math.ceil(from / 5) + k);
+    group.append(polyline([[x, low - size], [x, low + 2 * size]]), polyline([[left - size, y], [left + 2 * size, y]]));
   }
   return group;
 }
 
 /** The map of a scenario with the vehicles of some drives on it. */
 class DriveMap {
-  constructor(element) {
-    this.element = element;
-    this.title = element.querySelector("title");
-  }
+  constructor(element) { this.element = element; this.title = element.querySelector("title"); }
 
   /**
    * Draw a scenario. `drives` are { label, drive }, the chosen one first, and may say the `colours` of their vehicles and
@@ -79,10 +75,8 @@ class DriveMap {
     this.element.style.background = paved ? "var(--grass)" : "";
     world.append(scene.roads.length ? lanes(scene) : scene.lanes ? roads(scene) : grid(scene));
     this.routes(scene, world, paved ? "var(--marking)" : "var(--ink)");
-    for (const [start, end] of scene.obstacles) {
-      world.append(polyline([start, end], { stroke: "var(--obstacle)", "stroke-width": 0.5, "stroke-linecap": "round",
-        class: "obstacle" }));
-    }
+    world.append(...scene.obstacles.map((ends) => polyline(ends, { stroke: "var(--obstacle)", "stroke-width": 0.5,
+      "stroke-linecap": "round", class: "obstacle" })));
     const many = drives[0].drive.vehicles.length > 1;
     this.tracks = drives.flatMap(({ drive, label, colours, ghost }, place) => drive.vehicles.map((track, v) => {
       const fill = colours?.[v] ?? series(place);
@@ -157,13 +151,8 @@ class DriveMap {
 
 /** Calls `tick` with the present step up to the last one, at `frequency` steps per second; whole ones unless `smooth`. */
 class Player {
-  constructor(tick, smooth = false) {
-    Object.assign(this, { tick, smooth, speed: 1, request: 0 });
-  }
-
-  get playing() {
-    return this.request !== 0;
-  }
+  constructor(tick, smooth = false) { Object.assign(this, { tick, smooth, speed: 1, request: 0 }); }
+  get playing() { return this.request !== 0; }
 
   play(step, last, frequency) {
     this.stop();
@@ -177,8 +166,5 @@ class Player {
     this.request = requestAnimationFrame(frame);
   }
 
-  stop() {
-    cancelAnimationFrame(this.request);
-    this.request = 0;
-  }
+  stop() { cancelAnimationFrame(this.request); this.request = 0; }
 }

@@ -61,10 +61,7 @@ class FrontModel {
   }
 
   /** Where a value is along an axis, from 0 for the worst to 1 for the best. */
-  scaled(value, i) {
-    const { way, low, high } = this.axes[i];
-    return (way > 0 ? value - low : high - value) / (high - low);
-  }
+  scaled(value, i) { const { way, low, high } = this.axes[i]; return (way > 0 ? value - low : high - value) / (high - low); }
 
   /** The value at the share of an axis. */
   valueAt(share, i) {
@@ -72,9 +69,7 @@ class FrontModel {
     return way > 0 ? low + share * (high - low) : high - share * (high - low);
   }
 
-  text(value, i, signed = false) {
-    return formatted(value, this.axes[i].high - this.axes[i].low, signed);
-  }
+  text(value, i, signed = false) { return formatted(value, this.axes[i].high - this.axes[i].low, signed); }
 
   drive(scenario, k) {
     const [key, scene] = [`${scenario}/${k}`, this.scenes[scenario]];

@@ -11,9 +11,7 @@ const note = (x, y, text, size, colour, anchor = "middle") => svg("text", { x, y
  * each other. `pick(policy)` is told of a click on a line, `brush(axis, from, to)` of a drag along an axis.
  */
 class Parallel {
-  constructor(host, pick, brush) {
-    Object.assign(this, { host, pick, brush });
-  }
+  constructor(host, pick, brush) { Object.assign(this, { host, pick, brush }); }
 
   /** `axes` are { title, worst, best }; the rows of shares end early where a policy has no value. */
   draw(axes, learnt, bestKnown) {
@@ -49,9 +47,7 @@ class Parallel {
     this.host.replaceChildren(this.svg);
   }
 
-  line(row, attributes) {
-    return polyline(row.map((share, i) => this.at(i, share)), { class: "line", ...attributes });
-  }
+  line(row, attributes) { return polyline(row.map((share, i) => this.at(i, share)), { class: "line", ...attributes }); }
 
   handle(i) {
     let from = null;
@@ -59,13 +55,11 @@ class Parallel {
       const box = this.svg.getBoundingClientRect();
       return this.share({ x: event.clientX - box.x, y: event.clientY - box.y });
     };
-    const hit = svg("rect", { class: "hit", fill: "transparent", ...this.box(i, 0, 1, HIT, 6),
-      onpointerdown: (event) => {
+    const hit = svg("rect", { class: "hit", fill: "transparent", ...this.box(i, 0, 1, HIT, 6), onpointerdown: (event) => {
         hit.setPointerCapture(event.pointerId);
         from = share(event);
         this.brush(i, from, from);
-      },
-      onpointermove: (event) => from !== null && this.brush(i, from, share(event)),
+      }, onpointermove: (event) => from !== null && this.brush(i, from, share(event)),
       onpointerup: () => (from = null), onpointercancel: () => (from = null) });
     return hit;
   }

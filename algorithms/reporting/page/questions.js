@@ -57,7 +57,7 @@ class Questions {
   }
 
   async begin() {
-    this.facts ??= (await World.make(this.row, this.page.version)).facts;
+    this.facts ??= (await World.make(this.row)).facts;
     const { objectives, questions } = this.facts;
     this.returns = questions.drives.map(({ returns }) => returns.map((value, i) => value / objectives[i].scale));
     this.answers = [];
@@ -83,8 +83,7 @@ class Questions {
       this.maps[side].show(episode.scene, [{ label: ["left drive", "right drive"][side], drive: episode }]);
       const [mine, other] = [episode, this.episodes[1 - side]].map(({ returns }) => returns[0]);
       fillTable(byId(["left-returns", "right-returns"][side]), [], facts.objectives.map((objective, i) => element("tr", {},
-        element("th", { scope: "row" }, objective.name),
-        element("td", { class: mine[i] > other[i] ? "better" : "" },
+        element("th", { scope: "row" }, objective.name), element("td", { class: mine[i] > other[i] ? "better" : "" },
           `${mine[i] > other[i] ? "▲ " : ""}${withUnit(formatted(mine[i], extents[i]), objective.unit)}`))));
     });
     this.play();

@@ -1,9 +1,7 @@
 // The rules by which `mo-deepdrive choose` orders policies (algorithms/commands/choose.py), on the same numbers.
 
 /** Mean returns (d) of the episodes (E, d) of a policy. */
-function meanReturns(episodes) {
-  return episodes[0].map((_, i) => mean(episodes.map((episode) => episode[i])));
-}
+function meanReturns(episodes) { return episodes[0].map((_, i) => mean(episodes.map((episode) => episode[i]))); }
 
 /** To the nearest integer, halves to the even one, as NumPy rounds. */
 function roundHalfEven(value) {
@@ -18,9 +16,7 @@ function rankPolicies(values, means, scales) {
   const largest = Math.max(...values.map(Math.abs));
   const rounded = largest > 0 ? values.map((value) => roundHalfEven((value / largest) * 1e9) / 1e9) : values;
   const overall = means.map((row) => sum(row.map((value, i) => value / scales[i])));
-  return values
-    .map((_, k) => k)
-    .sort((a, b) => rounded[b] - rounded[a] || overall[b] - overall[a] || a - b);
+  return values.map((_, k) => k).sort((a, b) => rounded[b] - rounded[a] || overall[b] - overall[a] || a - b);
 }
 
 /** Weighted sums (K) of mean returns. */
@@ -49,9 +45,7 @@ function targetCloseness(means, target, scales) {
 }
 
 /** The weight of a return that counts with `importance` (0 to 100), relative to its nominal scale. */
-function weightOf(importance, scale) {
-  return Number((importance / 100 / scale).toPrecision(3));
-}
+function weightOf(importance, scale) { return Number((importance / 100 / scale).toPrecision(3)); }
 
 /**
  * For each of the rows (K, d), all maximised, one that dominates it, or -1: it is nowhere worse, better somewhere, and
@@ -71,32 +65,20 @@ function dominators(rows) {
  * hundredth. Distances are in extents of the front.
  */
 function alternatives(rows, chosen, among, nearest = 3) {
-  const d = rows[chosen].length;
-  const extents = rows[chosen].map((_, i) => {
-    const column = rows.map((row) => row[i]);
-    return Math.max(...column) - Math.min(...column);
-  });
-  const scaled = (k) => rows[k].map((value, i) => (extents[i] > 0 ? (value - rows[chosen][i]) / extents[i] : 0));
-  const others = rows
-    .map((_, k) => k)
-    .filter((k) => k !== chosen && among[k])
-    .map((k) => ({ k, step: scaled(k) }))
-    .map((each) => ({ ...each, distance: Math.hypot(...each.step) }))
+  const extents = rows[chosen].map((_, i) => Math.max(...rows.map((row) => row[i])) - Math.min(...rows.map((row) => row[i])));
+  const apart = (a, b) => rows[a].map((value, i) => (extents[i] > 0 ? (value - rows[b][i]) / extents[i] : 0));
+  const others = rows.map((_, k) => k).filter((k) => k !== chosen && among[k])
+    .map((k) => ({ k, step: apart(k, chosen), distance: Math.hypot(...apart(k, chosen)) }))
     .sort((a, b) => a.distance - b.distance || a.k - b.k);
-  const found = [];
-  for (let i = 0; i < d; i++) {
-    const best = others.find((each) => each.step[i] >= 0.05);
-    const same = found.find((each) => each.k === best?.k);
-    if (same) same.better.push(i);
-    else if (best) found.push({ k: best.k, better: [i] });
+  const found = new Map();
+  rows[chosen].forEach((_, i) => {
+    const best = others.find(({ step }) => step[i] >= 0.05);
+    if (best) found.set(best.k, [...(found.get(best.k) ?? []), i]);
+  });
+  const most = found.size + nearest;
+  for (const { k, distance } of others) {
+    const differs = distance >= 0.01 && [...found.keys()].every((other) => Math.hypot(...apart(k, other)) >= 0.01);
+    if (differs && found.size < most) found.set(k, []);
   }
-  let count = 0;
-  for (const each of others) {
-    const apart = (k) => Math.hypot(...scaled(k).map((value, i) => value - each.step[i])) >= 0.01;
-    if (count === nearest) break;
-    if (each.distance < 0.01 || !found.every(({ k }) => apart(k))) continue;
-    found.push({ k: each.k, better: [] });
-    count += 1;
-  }
-  return found;
+  return [...found].map(([k, better]) => ({ k, better }));
 }

@@ -27,6 +27,7 @@ function filled(made, attributes, children) {
 
 const element = (name, attributes = {}, ...children) => filled(document.createElement(name), attributes, children);
 const svg = (name, attributes = {}, ...children) => filled(document.createElementNS(SVG, name), attributes, children);
+const times = (count, make) => Array.from({ length: count }, (_, k) => make(k));
 const cells = (texts, name = "td", attributes = {}) => texts.map((text) => element(name, attributes, text));
 const options = (texts) => texts.map((text, value) => element("option", { value }, text));
 
@@ -45,8 +46,7 @@ function formatted(value, extent, signed = false) {
 
 function slider({ id, label, value, max, step, text, change }) {
   const output = element("output", { for: id }, text(value));
-  const input = element("input", { type: "range", id, min: 0, max, step, value, "aria-valuetext": text(value),
-    oninput: () => {
+  const input = element("input", { type: "range", id, min: 0, max, step, value, "aria-valuetext": text(value), oninput: () => {
       output.textContent = text(Number(input.value));
       input.setAttribute("aria-valuetext", output.textContent);
       change(Number(input.value));
@@ -67,10 +67,7 @@ async function copy(text, what, note) {
   }
 }
 
-function showMessage(text) {
-  byId("message").textContent = text;
-  byId("message").hidden = !text;
-}
+function showMessage(text) { byId("message").textContent = text; byId("message").hidden = !text; }
 
 /** Show what went wrong: a refusal in its own words. */
 function showError(error) {

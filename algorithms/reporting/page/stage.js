@@ -10,10 +10,7 @@ class Controls {
     window.addEventListener("keydown", (event) => this.press(event));
     window.addEventListener("keyup", ({ key }) => this.held.delete(KEYS[key] ?? KEYS[key.toLowerCase()]));
     window.addEventListener("blur", () => this.held.clear());
-    pad.addEventListener("pointerdown", (event) => {
-      pad.setPointerCapture(event.pointerId);
-      this.from = event;
-    });
+    pad.addEventListener("pointerdown", (event) => { pad.setPointerCapture(event.pointerId); this.from = event; });
     pad.addEventListener("pointermove", (event) => this.from && this.move(event));
     for (const name of ["pointerup", "pointercancel"]) pad.addEventListener(name, () => this.move(null));
   }
@@ -83,19 +80,9 @@ class Stage {
     });
   }
 
-  get facts() {
-    return this.world.facts;
-  }
-
-  get human() {
-    return this.mode !== "preference";
-  }
-
-  link() {
-    return linkOfDrive(this.episode, this.human ? "human" : this.choice.name);
-  }
-
-  // --------------------------------------------------------------------------------------------- who drives, and where
+  get facts() { return this.world.facts; }
+  get human() { return this.mode !== "preference"; }
+  link() { return linkOfDrive(this.episode, this.human ? "human" : this.choice.name); }
 
   /** Show a tab: "drive", "preference" or "against"; `kept` is the drive of a link. */
   async show(mode, kept = null) {
@@ -113,14 +100,14 @@ class Stage {
     this.player.stop();
     this.row = this.rows[byId("world").value];
     this.taken[this.mode] = this.row.name;
-    this.world = await World.make(this.row, this.page.version);
+    this.world = await World.make(this.row);
     const { facts, mode } = this;
     const alone = facts.vehicles === 1;
     this.seeds = kept && !facts.seeds.includes(kept.seed) ? [kept.seed, ...facts.seeds] : facts.seeds;
     byId("seed").replaceChildren(...options(this.seeds.map((_, k) => String(k + 1))));
     byId("seed").value = Math.max(this.seeds.indexOf(kept?.seed), 0);
     this.rider = 0;
-    this.wishes[facts.id] ??= Array.from({ length: facts.vehicles }, (_, v) =>
+    this.wishes[facts.id] ??= times(facts.vehicles, (v) =>
       facts.objectives.map((__, i) => (alone ? 50 : i === v % facts.objectives.length ? 100 : 10)));
     const ghosts = alone && mode === "against" && facts.ghost ? [{ label: "the best known drive" }] : [];
     this.choices = [...ghosts, ...facts.policies.filter(({ conditioned }) => mode !== "preference" || conditioned)];
@@ -133,16 +120,10 @@ class Stage {
     await this.begin(kept);
   }
 
-  next() {
-    byId("seed").value = (Number(byId("seed").value) + 1) % this.seeds.length;
-    return this.begin();
-  }
+  next() { byId("seed").value = (Number(byId("seed").value) + 1) % this.seeds.length; return this.begin(); }
 
   /** Weights (d) of the world's objectives, in units of their scales, that add up to 1. */
-  weights(v) {
-    const wish = this.wishes[this.facts.id][v];
-    return wish.map((each) => each / (sum(wish) || 1));
-  }
+  weights(v) { const wish = this.wishes[this.facts.id][v]; return wish.map((each) => each / (sum(wish) || 1)); }
 
   makeWishes() {
     const { facts, rider } = this;
@@ -162,8 +143,7 @@ class Stage {
         const colour = colourOf(this.weights(rider));
         byId("riders").children[rider].style.borderColor = colour;
         this.map.paint(rider, colour);
-      },
-    })));
+      } })));
   }
 
   /** A policy as the driver of a vehicle; under the preference of the page if it has none of its own. */
@@ -184,7 +164,7 @@ class Stage {
     const choice = this.choices[byId("other").value];
     const seed = this.seeds[byId("seed").value];
     const place = facts.seeds.indexOf(seed);
-    const vehicles = Array.from({ length: facts.vehicles }, (_, v) => v);
+    const vehicles = times(facts.vehicles, (v) => v);
     const drivers = await Promise.all(vehicles.map((v) => {
       if (kept) return byActions(decodeActions(kept.actions[v]));
       if (human && v === 0) return byKeys(() => this.controls.take());
@@ -193,7 +173,7 @@ class Stage {
     let ghost = null;
     if (mode === "against" && facts.vehicles === 1 && choice) {
       const driver = choice.file ? await this.driver(choice, 0) : byActions(decodeActions(facts.ghost[Math.max(place, 0)]));
-      ghost = new Episode(await World.make(this.row, this.page.version), seed, [driver]);
+      ghost = new Episode(await World.make(this.row), seed, [driver]);
     }
     if (token !== this.token) return; // another drive has begun meanwhile
     Object.assign(this, { choice, ghost, place, replaying: Boolean(kept), waiting: human && !kept, from: 0 });
@@ -212,8 +192,6 @@ class Stage {
     this.player.play(0, Infinity, facts.frequency);
   }
 
-  // ------------------------------------------------------------------------------------------------------- as time goes
-
   /** A key or a thumb asks for something; whether anyone is listening. */
   wake() {
     const here = !byId("stage").hidden && this.human && this.episode && !this.replaying;
@@ -224,10 +202,7 @@ class Stage {
   tick(now) {
     if (this.waiting && this.controls.gamepad().some(Boolean)) this.wake();
     byId("prompt").hidden = !this.waiting;
-    if (this.waiting) {
-      this.from = now;
-      return;
-    }
+    if (this.waiting) { this.from = now; return; }
     const { episode, ghost } = this;
     const [position, before] = [now - this.from, episode.decisions];
     try {
@@ -258,8 +233,6 @@ class Stage {
     byId("seconds").textContent = `${(episode.decisions / facts.frequency).toFixed(1)} s`;
     byId("speedometer").textContent = `${(3.6 * world.of(shown, "speed")).toFixed(0)} km/h`;
   }
-
-  // ------------------------------------------------------------------------------------------------------- what it earned
 
   showOutcome() {
     const { facts, episode, place } = this;
@@ -294,8 +267,7 @@ class Stage {
     const y = (value, i) => 92 - 84 * (ends[i][1] > ends[i][0] ? (value - ends[i][0]) / (ends[i][1] - ends[i][0]) : 0.5);
     const line = (row, attributes) => polyline(row.map((value, i) => [x(i), y(value, i)]), attributes);
     byId("standing").setAttribute("viewBox", "0 0 300 116");
-    byId("standing").replaceChildren(
-      ...objectives.map((_, i) => polyline([[x(i), 8], [x(i), 92]], { stroke: "var(--line)" })),
+    byId("standing").replaceChildren(...objectives.map((_, i) => polyline([[x(i), 8], [x(i), 92]], { stroke: "var(--line)" })),
       ...others.map((row) => line(row, { stroke: "var(--front)", "stroke-opacity": 0.6 })),
       line(mine, { stroke: "var(--accent)", "stroke-width": 2.5 }),
       ...objectives.map(({ name }, i) => svg("text", { x: x(i), y: i % 2 ? 114 : 105 }, name)));

@@ -3,14 +3,12 @@
 const TABS = ["drive", "preference", "against", "questions", "explorer"];
 
 function explore(text) {
+  byId("content").hidden = false;
   try {
-    const fronts = readData(text);
-    byId("content").hidden = false;
-    return new Explorer(fronts);
+    new Explorer(readData(text));
   } catch (error) {
     byId("content").hidden = true;
     showError(error);
-    return null;
   }
 }
 
@@ -25,7 +23,7 @@ class Tabs {
     this.questions = new Questions(page, (row, facts, weights) => {
       this.stage.taken.preference = row.name;
       const most = Math.max(...weights);
-      this.stage.wishes[facts.id] = Array.from({ length: facts.vehicles }, () => weights.map((w) => Math.round((100 * w) / most)));
+      this.stage.wishes[facts.id] = times(facts.vehicles, () => weights.map((w) => Math.round((100 * w) / most)));
       location.hash = "#preference";
     });
     const tabs = TABS.map((name) => byId(`tab-${name}`));
@@ -54,7 +52,7 @@ class Tabs {
     byId("questions").hidden = tab !== "questions";
     byId("content").hidden = true;
     showMessage("");
-    this.stage.stop();
+    this.stage.player.stop();
     this.questions.player.stop();
     if (location.hash.startsWith("#drive=")) await this.replay();
     else if (tab === "explorer") await this.explorer();
@@ -63,7 +61,7 @@ class Tabs {
   }
 
   async replay() {
-    const kept = driveOfLink(location.hash, this.page.version);
+    const kept = driveOfLink(location.hash);
     const named = (row) => row.id === kept.id && JSON.stringify(row.arguments) === JSON.stringify(kept.arguments);
     const row = this.page.worlds.find(named) ?? this.page.worlds.find(({ id }) => id === kept.id);
     if (!row) throw new Refusal(`This page has no scenario ${kept.id}. Replay the link with mo-deepdrive replay.`);
@@ -75,8 +73,7 @@ class Tabs {
     byId("content").hidden = false;
     if (this.opened) return;
     this.opened = true;
-    const text = await load("explorer.json", "text");
-    explore(text);
+    explore(await load("explorer.json", "text"));
   }
 }
 

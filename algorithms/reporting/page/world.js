@@ -20,13 +20,13 @@ const bytesOf = (text) => Uint8Array.from(atob(text), (character) => character.c
 /** One world in memory of its own, of a module that mo_deepdrive/device/wasm.py describes. */
 class World {
   /** Of a row of page.json; what the page says of the world is in `facts`. */
-  static async make(row, version) {
-    if (typeof WebAssembly !== "object") {
+  static async make(row) {
+    if (!globalThis.WebAssembly) {
       throw new Refusal("This browser has no WebAssembly, or it is switched off. Open the page in a current Firefox, Chrome or Safari.");
     }
     const [facts, bytes] = await Promise.all([load(row.json), load(row.wasm, "arrayBuffer")]);
-    if (facts.format !== WORLD_FORMAT || facts.version !== version) {
-      throw new Refusal(`The module of ${row.title} is of version ${facts.version}, this page of ${version}. ${AGAIN}`);
+    if (facts.format !== WORLD_FORMAT || facts.version !== VERSION) {
+      throw new Refusal(`The module of ${row.title} is of version ${facts.version}, this page of ${VERSION}. ${AGAIN}`);
     }
     const module = await WebAssembly.compile(bytes);
     const maths = WebAssembly.Module.imports(module).map(({ name }) => [name, name === "fmod" ? (a, b) => a % b : Math[name]]);
@@ -37,14 +37,10 @@ class World {
     const [count, d, size] = [facts.vehicles, facts.objectives.length, facts.observations.length];
     const view = (Kind, name, length) => new Kind(run.memory.buffer, run[name].value, length);
     Object.assign(this, {
-      facts, run, count, d, size,
-      actions: view(Int32Array, "actions", count),
-      observations: view(Float32Array, "observations", size * count),
-      rewards: view(Float32Array, "rewards", d * count),
-      ended: view(Uint8Array, "ended", count),
-      timedOut: view(Uint8Array, "timed_out", count),
-      records: new DataView(run.memory.buffer, run.worlds.value, count * facts.state.size),
-    });
+      facts, run, count, d, size, actions: view(Int32Array, "actions", count),
+      observations: view(Float32Array, "observations", size * count), rewards: view(Float32Array, "rewards", d * count),
+      ended: view(Uint8Array, "ended", count), timedOut: view(Uint8Array, "timed_out", count),
+      records: new DataView(run.memory.buffer, run.worlds.value, count * facts.state.size) });
   }
 
   number(at, [offset, type], k = 0) {
@@ -52,13 +48,8 @@ class World {
     return type === "f8" ? this.records.getFloat64(at + offset + 8 * k, true) : Number(this.records.getBigInt64(at + offset + 8 * k, true));
   }
 
-  of(v, name, k = 0) {
-    return this.number(v * this.facts.state.size, this.facts.state.fields[name], k);
-  }
-
-  over(v) {
-    return Boolean(this.ended[v] || this.timedOut[v]);
-  }
+  of(v, name, k = 0) { return this.number(v * this.facts.state.size, this.facts.state.fields[name], k); }
+  over(v) { return Boolean(this.ended[v] || this.timedOut[v]); }
 
   /** The pose of a car with a scripted driver, of undefined numbers while it is absent. */
   car(j) {
@@ -70,12 +61,10 @@ class World {
   /** What the map shows of the episode that has begun. */
   scene() {
     const { scene, obstacles } = this.facts;
-    const routes = Array.from({ length: this.count }, (_, v) => (scene.roads.length
-      ? [scene.roads[this.of(v, "route")].line.at(-1)]
-      : Array.from({ length: this.of(v, "n_waypoints") }, (__, k) => [0, 1].map((axis) => this.of(v, "waypoints", 2 * k + axis)))));
-    const ends = Array.from({ length: obstacles.count ?? 0 }, (_, k) =>
-      [0, 1].map((end) => [0, 1].map((axis) => this.number(0, [obstacles.offset, "f8"], 4 * k + 2 * end + axis))));
-    return { ...scene, routes, obstacles: ends };
+    const routes = times(this.count, (v) => (scene.roads.length ? [scene.roads[this.of(v, "route")].line.at(-1)]
+      : times(this.of(v, "n_waypoints"), (k) => times(2, (axis) => this.of(v, "waypoints", 2 * k + axis)))));
+    const end = (k) => times(2, (axis) => this.number(0, [obstacles.offset, "f8"], 2 * k + axis));
+    return { ...scene, routes, obstacles: times(obstacles.count ?? 0, (k) => [end(2 * k), end(2 * k + 1)]) };
   }
 }
 
@@ -96,8 +85,7 @@ class Actor {
     let values = this.inputs.flatMap((name) => [...parts[name]]).map((value, i) => value / this.scales[i]);
     const bent = this.activation === "tanh" ? Math.tanh : (value) => Math.max(value, 0);
     this.parts.forEach(({ out, width, matrix, biases }, layer) => {
-      const row = (k) => values.reduce((total, value, i) => total + value * matrix[k * width + i], biases[k]);
-      const next = Array.from({ length: out }, (_, k) => row(k));
+      const next = times(out, (k) => values.reduce((total, value, i) => total + value * matrix[k * width + i], biases[k]));
       values = layer < this.parts.length - 1 ? next.map(bent) : next;
     });
     return values;
@@ -142,15 +130,13 @@ class Episode {
     if (world.run.restart()) throw new Refusal(`Scenario ${seed} of ${world.facts.title} cannot be placed. ${AGAIN}`);
     this.scene = world.scene();
     this.vehicles = drivers.map(() => ({ x: [], y: [], heading: [], decisions: 0, end: "" }));
-    this.cars = Array.from({ length: world.facts.cars?.count ?? 0 }, () => ({ x: [], y: [], heading: [] }));
+    this.cars = times(world.facts.cars.count ?? 0, () => ({ x: [], y: [], heading: [] }));
     this.returns = drivers.map(() => Array(world.d).fill(0));
     this.actions = drivers.map(() => []);
     this.record(() => true);
   }
 
-  get over() {
-    return this.vehicles.every(({ end }) => end);
-  }
+  get over() { return this.vehicles.every(({ end }) => end); }
 
   record(moved) {
     const { world } = this;
@@ -185,14 +171,7 @@ class Episode {
     });
     this.record((v) => driving[v]);
   }
-
-  finish() {
-    while (!this.over) this.step();
-    return this;
-  }
 }
-
-// ---------------------------------------------------------------------------------------------------------------- links
 
 /** Discrete actions as runs of equal ones, "d12a": mo_deepdrive/world/action_sequences.py. */
 function encodeActions(actions) {
@@ -224,12 +203,12 @@ function linkOfDrive(episode, driver) {
   return `#drive=${payload}.${checksum(payload)}`;
 }
 
-function driveOfLink(hash, version) {
+function driveOfLink(hash) {
   const [payload, check] = hash.replace(/^#drive=/, "").split(".");
   if (checksum(payload) !== check) throw new Refusal("This link was cut or edited. Copy the whole link again.");
   const kept = JSON.parse(new TextDecoder().decode(bytesOf(payload.replaceAll("-", "+").replaceAll("_", "/"))));
-  if (kept.format !== 1 || kept.version !== version) {
-    throw new Refusal(`This link is of version ${kept.version}, this page of ${version}. Open it with the page of its version.`);
+  if (kept.format !== 1 || kept.version !== VERSION) {
+    throw new Refusal(`This link is of version ${kept.version}, this page of ${VERSION}. Open it with the page of its version.`);
   }
   return kept;
 }
