@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mo_deepdrive.drawing.quiet_pygame import INVISIBLE_DRIVERS, pygame
 from mo_deepdrive.evaluation.policy import AccruedReward
-from mo_deepdrive.simulation.actions import DECREASE, INCREASE, MAINTAIN, decode_discrete
+from mo_deepdrive.simulation.actions import decode_discrete
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Record
 from mo_deepdrive.world import actions as action_sets
 

@@ -88,7 +88,7 @@ def uniform(stream: NDArray[np.uint64]) -> float:
 
 @jit
 def draw(stream: NDArray[np.uint64], _cursors: NDArray[np.int64], _i: int, drawn: NDArray[np.float64]) -> bool:
-    """Write the next uniforms into ``drawn`` (1, draws), as :func:`mo_deepdrive.simulation.autoreset.resetting` calls it."""
+    """Write the next uniforms into ``drawn`` (1, draws), as ``autoreset.resetting`` calls it."""
     for k in range(drawn.shape[1]):
         drawn[0, k] = uniform(stream)
     return True

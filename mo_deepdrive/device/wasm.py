@@ -10,14 +10,14 @@ arrays are in the module, with their first contents; the number in brackets is t
     keys(v, accelerate, brake, left, right)     the discrete action of vehicle v for keys (0 or 1) that are held down
     worlds, actions, observations, rewards, acted, ended, timed_out     addresses (WebAssembly.Global, use ``.value``)
 
-and imports functions of ``Math`` by their names, all from ``env``: ``new Proxy(Math, ...)`` or ``{env: {exp: Math.exp,
-...}}`` with what ``WebAssembly.Module.imports`` lists (``fmod`` is ``(a, b) => a % b``). ``restart`` and ``step`` return
-0, or 1 if there was no valid scenario, or an action was not one of those that there are (then nothing has moved).
+and imports functions of ``Math`` by their names, all from ``env``: ``{env: {exp: Math.exp, ...}}`` with what
+``WebAssembly.Module.imports`` lists. ``restart`` and ``step`` return 0, or 1 if there was no valid scenario, or an
+action was not one of those that there are (then nothing has moved).
 
 With V vehicles, d objectives and o observed entries, one after the other:
 
     worlds        (V) records, see ``state``
-    actions       (V) int32, or (V, 3) float32 in [-1, 1] if they are continuous; read by ``step``, of ended vehicles, too
+    actions       (V) int32, or (V, 3) float32 in [-1, 1] if they are continuous, those of ended vehicles, too
     observations  (V, o) float32, after ``restart`` and ``step``
     rewards       (V, d) float32 of the decision, all maximised; 0 for vehicles that had ended before
     acted         (V) uint8, whether a vehicle was on the road before the decision
@@ -34,18 +34,18 @@ A return is the sum of ``rewards`` in double precision. The JSON beside the modu
     continuous            whether actions are
     actionNames           of the discrete actions, in order, or of the three axes
     maxDecisions          after which an episode is cut off
-    objectives            [{key, name, unit, sign, scale}]: +1 for gains and -1 for costs, whose returns are negative;
+    objectives            [{key, unit, sign, scale}]: +1 for gains and -1 for costs, whose returns are negative;
                           ``scale`` is nominal, of a return
     observations          [{name, unit, scale}]
     ends                  reasons, by the code in ``state.fields.end``; "" while driving
     state                 {size, fields: {name: [offset, type, count]}}: of a vehicle, in bytes, types of NumPy such as
                           "f8", "i8", "b1"; count of numbers, such as 6 for the three waypoints (x, y)
-    cars                  {offset, size, count, fields}, likewise: within the record of vehicle 0; empty if there are none
+    cars                  {offset, size, count, fields}, likewise: within the record of vehicle 0
     obstacles             {offset, count}: 4 doubles each, the two ends, within the record of vehicle 0
 
 Lengths are metres, angles radians, counterclockwise, 0 along y: the direction of a vehicle is (-sin, cos) of its
-``heading`` (its ``cos_heading`` and ``sin_heading`` are in the state); (x, y) is its centre. Its destination is the last
-of its first ``n_waypoints`` ``waypoints``, or on roads of segments the end of its road, ``route``.
+``heading``; (x, y) is its centre. Its destination is the last of its first ``n_waypoints`` ``waypoints``, or on roads
+of segments the end of its road, ``route``.
 """
 
 from __future__ import annotations
@@ -90,7 +90,39 @@ TARGET = "wasm32-unknown-unknown"
 LAYOUT = "e-m:e-p:32:32-p10:8:8-p20:8:8-i64:64-i128:128-n32:64-S128-ni:1:10:20"
 ARRAYS = ("worlds", "actions", "observations", "rewards", "acted", "ended", "timed_out")
 LINKERS = ("wasm-ld", *(f"wasm-ld-{version}" for version in range(21, 13, -1)))
-LINK_OPTIONS = ("--no-entry", "--allow-undefined", "--gc-sections", "--strip-all", "--stack-first", "-z", "stack-size=262144")
+LINK_OPTIONS = ("--no-entry", "--gc-sections", "--strip-all", "--stack-first", "-z", "stack-size=262144")
+# What a browser has, by the names of C.
+MATHS = ("exp", "sin", "cos", "atan2", "log", "pow", "tan", "acos", "asin", "atan")
+# The low words of a product of 128 bits, which LLVM calls where WebAssembly has none: for checks of overflows.
+PRODUCT = """
+define hidden void @__multi3(ptr %to, i64 %a, i64 %a.high, i64 %b, i64 %b.high) noinline optnone {
+  %a0 = and i64 %a, 4294967295
+  %a1 = lshr i64 %a, 32
+  %b0 = and i64 %b, 4294967295
+  %b1 = lshr i64 %b, 32
+  %low = mul i64 %a0, %b0
+  %first = mul i64 %a0, %b1
+  %second = mul i64 %a1, %b0
+  %high = mul i64 %a1, %b1
+  %low.carry = lshr i64 %low, 32
+  %middle = add i64 %first, %low.carry
+  %middle.low = and i64 %middle, 4294967295
+  %sum = add i64 %second, %middle.low
+  %middle.carry = lshr i64 %middle, 32
+  %sum.carry = lshr i64 %sum, 32
+  %high.1 = add i64 %high, %middle.carry
+  %high.2 = add i64 %high.1, %sum.carry
+  %cross.1 = mul i64 %a, %b.high
+  %cross.2 = mul i64 %a.high, %b
+  %high.3 = add i64 %high.2, %cross.1
+  %high.4 = add i64 %high.3, %cross.2
+  %product = mul i64 %a, %b
+  store i64 %product, ptr %to
+  %next = getelementptr i64, ptr %to, i32 1
+  store i64 %high.4, ptr %next
+  ret void
+}
+"""
 
 _allow, _reset = allow, resetting(draw)
 
@@ -123,7 +155,7 @@ def describe(config: EnvConfig, env_id: str, arguments: Mapping[str, Any]) -> di
         "actionNames": list(action_sets.action_names(config.action_type)),
         "maxDecisions": config.max_decisions,
         "objectives": [
-            {"key": row.name, "name": row.name.replace("_", " "), "unit": row.unit, "sign": row.sign, "scale": row.scale}
+            {"key": row.name, "unit": row.unit, "sign": row.sign, "scale": row.scale}
             for row in (OBJECTIVES[INDEX[name]] for name in world.objectives)
         ],
         "observations": [{"name": each.name, "unit": each.unit, "scale": each.scale} for each in layout(scenario)],
@@ -241,34 +273,38 @@ def compile_module(config: EnvConfig) -> bytes:
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     machine = llvm.Target.from_triple(TARGET).create_target_machine(opt=3, features="+bulk-memory")
-    whole = llvm.parse_assembly(f'target datalayout = "{LAYOUT}"\ntarget triple = "{TARGET}"\n')
+    whole = llvm.parse_assembly(f'target datalayout = "{LAYOUT}"\ntarget triple = "{TARGET}"\n{PRODUCT}')
     exported = entries(config)
     for name, (function, signature) in exported.items():
         whole.link_in(_portable(name, function, signature))
     for function in whole.functions:
-        if not function.is_declaration and function.name not in exported:
+        if not function.is_declaration and function.name not in (*exported, "__multi3"):
             function.linkage = "internal"
     builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=3))
     builder.getModulePassManager().run(whole, builder)
     missing = {each.name for each in whole.functions if each.is_declaration and not each.name.startswith("llvm.")}
     if foreign := sorted(name for name in missing if name not in MATHS):
         raise ValueError(
-            f"{config.scenario}: its objectives cannot be compiled for a browser, since they need {', '.join(foreign)}: "
+            f"{config.scenario}: an objective cannot be compiled for a browser, since it needs {', '.join(foreign)}: "
             "a measure there computes with numbers alone, and makes no arrays, texts or errors"
         )
     with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder, "world.o"), Path(folder, "world.wasm")
+        source, target, known = (Path(folder, name) for name in ("world.o", "world.wasm", "maths"))
         source.write_bytes(machine.emit_object(whole))
+        known.write_text("\n".join(MATHS))
         exports = [f"--export={name}" for name in (*exported, *ARRAYS)]
+        exports.append(f"--allow-undefined-file={known}")
         done = subprocess.run(
-            [*linker, *LINK_OPTIONS, *exports, "-o", str(target), str(source)], capture_output=True, text=True, check=False
+            [*linker, *LINK_OPTIONS, *exports, "-o", str(target), str(source)],
+            capture_output=True,
+            text=True,
+            check=False,
         )
         if done.returncode:
             raise OSError(f"{' '.join(linker)} failed: {' '.join(done.stderr.split())[:300]}")
         return target.read_bytes()
 
 
-MATHS = {"exp", "sin", "cos", "atan2", "log", "pow", "fmod", "tan", "acos", "asin", "atan", "sqrt"}
 _C_TYPES = {types.int32: "i32", types.uint64: "i64"}
 
 
