@@ -73,30 +73,29 @@ class Explorer {
   }
 
   wire() {
-    const change = (id, event, action) => byId(id).addEventListener(event, ({ target }) => action(target.value, target));
-    byId("front-choice").hidden = this.fronts.length < 2;
-    byId("front-select").append(...options(this.fronts.map(({ title }) => title)));
-    change("front-select", "change", (value) => { this.read(`#front=${value}`); this.showFront(); });
-    change("returns", "change", (value) => {
-      Object.assign(this.state, { returns: Number(value), ranges: {} });
-      this.showFront();
-    });
-    change("dominated", "change", (_, { checked }) => this.update({ dominated: checked }));
-    change("modes", "change", (mode) => this.update({ mode }));
-    change("reset", "click", () => { this.state = this.front.initialState(); this.showFront(); });
-    change("copy-command", "click", () => copy(byId("command").value, "command", byId("copied")));
-    change("copy-link", "click", () => copy(location.href.split("#")[0] + this.hash, "link", byId("copied")));
-    change("command", "focus", (_, target) => target.select());
-    change("play", "click", () => this.togglePlay());
-    change("time", "input", (value) => { this.stop(); this.showStep(Number(value)); });
-    change("speed", "change", (value) => (this.player.speed = Number(value)));
-    change("scenario", "change", (value) => this.update({ scenario: Number(value) }));
-    change("vehicle", "change", (value) => {
-      const { step } = this;
-      this.front.vehicle = Number(value);
-      this.showFront();
-      this.showStep(step);
-    });
+    hide({ "front-choice": this.fronts.length < 2 });
+    fill("front-select", options(this.fronts.map(({ title }) => title)));
+    const actions = {
+      "front-select": ({ value }) => { this.read(`#front=${value}`); this.showFront(); },
+      returns: ({ value }) => { Object.assign(this.state, { returns: Number(value), ranges: {} }); this.showFront(); },
+      dominated: ({ checked }) => this.update({ dominated: checked }),
+      modes: ({ value }) => this.update({ mode: value }),
+      reset: () => { this.state = this.front.initialState(); this.showFront(); },
+      "copy-command": () => copy(byId("command").value, "command", byId("copied")),
+      "copy-link": () => copy(location.href.split("#")[0] + this.hash, "link", byId("copied")),
+      play: () => this.togglePlay(),
+      speed: ({ value }) => (this.player.speed = Number(value)),
+      scenario: ({ value }) => this.update({ scenario: Number(value) }),
+      vehicle: ({ value }) => {
+        const { step } = this;
+        this.front.vehicle = Number(value);
+        this.showFront();
+        this.showStep(step);
+      },
+    };
+    for (const [id, action] of Object.entries(actions)) on(id, ({ target }) => action(target));
+    byId("command").addEventListener("focus", ({ target }) => target.select());
+    byId("time").addEventListener("input", ({ target }) => { this.stop(); this.showStep(Number(target.value)); });
     window.addEventListener("hashchange", () => {
       if (location.hash === this.hash || (byId("stage") && !location.hash.startsWith("#front="))) return;
       this.read(location.hash);
@@ -121,25 +120,19 @@ class Explorer {
     const { front, state } = this;
     front.take(state.returns);
     this.stop();
-    const hidden = { "front-select": false, title: this.fronts.length > 1, content: front.size === 0,
-      "returns-choice": front.measured.length < 2, "no-drive": front.scenes.length > 0, drives: front.scenes.length === 0,
-      "budget-mode": !front.budget, modes: !front.budget, "scenario-choice": front.scenes.length < 2,
-      "vehicle-choice": front.vehicles < 2 };
-    for (const [id, away] of Object.entries(hidden)) byId(id).hidden = away;
-    byId("title").textContent = front.title;
+    hide({ title: this.fronts.length > 1, content: front.size === 0, "returns-choice": front.measured.length < 2,
+      "no-drive": front.scenes.length > 0, drives: front.scenes.length === 0, "budget-mode": !front.budget, modes: !front.budget,
+      "scenario-choice": front.scenes.length < 2, "vehicle-choice": front.vehicles < 2 });
     showMessage(front.size === 0 ? `The front “${front.title}” has no policies.`
       : front.size === 1 ? "This front has one policy: there is nothing to choose between." : "");
     if (front.size === 0) return;
-    byId("note").textContent = front.note;
-    byId("sums").textContent = front.gamma === 1 ? "undiscounted sums over a drive"
-      : `sums over a drive, discounted by γ = ${front.gamma} per decision`;
-    const menus = { returns: front.measured.map(({ gamma }) => (gamma === 1 ? "undiscounted" : `discounted, γ = ${gamma}`)),
-      scenario: front.scenes.map((scene, i) => `${i + 1} (seed ${scene.seed})`),
-      vehicle: Array.from({ length: front.vehicles }, (_, v) => String(v)) };
-    for (const [id, texts] of Object.entries(menus)) byId(id).replaceChildren(...options(texts));
-    byId("front-select").value = this.index;
-    byId("returns").value = state.returns;
-    byId("vehicle").value = front.vehicle;
+    say({ title: front.title, note: front.note, sums: front.gamma === 1 ? "undiscounted sums over a drive"
+      : `sums over a drive, discounted by γ = ${front.gamma} per decision` });
+    fill("returns", options(front.measured.map(({ gamma }) => (gamma === 1 ? "undiscounted" : `discounted, γ = ${gamma}`))));
+    fill("scenario", options(front.scenes.map((scene, i) => `${i + 1} (seed ${scene.seed})`)));
+    fill("vehicle", options(times(front.vehicles, String)));
+    const taken = { "front-select": this.index, returns: state.returns, vehicle: front.vehicle };
+    for (const [id, value] of Object.entries(taken)) byId(id).value = value;
     this.makeSliders();
     this.makeRanges();
     this.drawParallel();
@@ -196,11 +189,11 @@ class Explorer {
   makeSliders() {
     const { front, state } = this;
     const shown = front.columns.filter((i) => i < front.objectives.length).map((i) => [front.objectives[i], i]);
-    byId("weights").replaceChildren(...shown.map(([objective, i]) => slider({
+    fill("weights", shown.map(([objective, i]) => slider({
       id: `weight-${i}`, label: objective.name, value: state.weights[i], max: 100, step: 1,
       text: (importance) => `weight ${weightOf(importance, objective.scale)}`,
       change: (importance) => this.update({ mode: "weights", weights: state.weights.with(i, importance) }) })));
-    byId("budgets").replaceChildren(...Object.keys(front.budget?.excessPrices ?? {}).map((key) => {
+    fill("budgets", Object.keys(front.budget?.excessPrices ?? {}).map((key) => {
       const i = front.objectives.findIndex((objective) => objective.key === key);
       const objective = front.objectives[i];
       const most = Math.max(2 * front.budget[key], ...front.means.map((row) => row[i] * objective.sign));
@@ -214,7 +207,7 @@ class Explorer {
 
   makeRanges() {
     const { front } = this;
-    byId("ranges").replaceChildren(...front.columns.map((i) => {
+    fill("ranges", front.columns.map((i) => {
       const name = titled(front.axes[i]);
       const limit = (end, which) => element("input", { type: "number", step: "any", "data-range": `${i}/${end}`,
         "aria-label": `${which} ${name}`, onchange: ({ target }) => {
@@ -240,11 +233,10 @@ class Explorer {
   showChoice() {
     const { front, state } = this;
     const chosen = this.chosen();
-    byId("weights").hidden = state.mode === "budget";
-    byId("budgets").hidden = state.mode !== "budget";
+    hide({ weights: state.mode === "budget", budgets: state.mode !== "budget" });
     for (const input of document.querySelectorAll("input[name=mode]")) input.checked = input.value === state.mode;
     const heading = `Policy ${front.numbers[chosen]}`;
-    if (byId("chosen").textContent !== heading) byId("chosen").textContent = heading;
+    if (byId("chosen").textContent !== heading) say({ chosen: heading });
     byId("chosen").dataset.policy = chosen;
     const first = this.order()[0];
     let why = {
@@ -258,14 +250,12 @@ class Explorer {
       const better = front.axes.filter((_, i) => front.maximised[other][i] > front.maximised[chosen][i]);
       why += ` Policy ${front.numbers[other]} is nowhere worse, and better in ${better.map(({ name }) => name).join(", ")}.`;
     }
-    byId("why").textContent = why;
     const success = front.success[chosen];
     const values = front.columns.map((i) => [front.axes[i].name, withUnit(front.text(front.rows[chosen][i], i), front.axes[i].unit)]);
     if (success !== null) values.push(["arrivals", `${percent(success)}${between(front.successRange[chosen])}`]);
-    byId("values").replaceChildren(...values.flatMap(([name, text]) => [element("dt", {}, name), element("dd", {}, text)]));
+    fill("values", values.flatMap(([name, text]) => [element("dt", {}, name), element("dd", {}, text)]));
     byId("command").value = this.command();
-    byId("command-label").textContent = front.command.includes("{preference}") ? "Evaluate it again" : "Its actions";
-    byId("copied").textContent = "";
+    say({ why, "command-label": front.command.includes("{preference}") ? "Evaluate it again" : "Its actions", copied: "" });
   }
 
   showLegend() {
@@ -274,14 +264,14 @@ class Explorer {
       element("span", {}, swatch(place), `policy ${front.numbers[k]}${place ? "" : " (chosen)"}`));
     if (front.bestKnown.length) entries.push(element("span", {}, element("span", { class: "swatch",
       style: "border-top: 2px dotted var(--front)" }), `best known (${front.bestKnown.length} policies)`));
-    byId("parallel-legend").replaceChildren(...entries);
+    fill("parallel-legend", entries);
     const hidden = front.dominators.filter((other) => other >= 0).length;
-    byId("dominated-choice").hidden = hidden === 0;
+    hide({ "dominated-choice": hidden === 0 });
     byId("dominated").checked = this.state.dominated;
-    byId("dominated-label").textContent = `show dominated policies (${hidden} of ${front.size})`;
     const [count, listed] = [this.kept(), this.listed()].map((each) => each.filter(Boolean).length);
     const outside = this.inRanges(this.chosen()) ? "" : "; the chosen policy is outside of the ranges";
-    byId("kept").textContent = count === listed ? "" : `${count} of ${listed} policies are in the ranges${outside}.`;
+    say({ kept: count === listed ? "" : `${count} of ${listed} policies are in the ranges${outside}.`,
+      "dominated-label": `show dominated policies (${hidden} of ${front.size})` });
     for (const input of document.querySelectorAll("[data-range]")) {
       const [i, end] = input.dataset.range.split("/").map(Number);
       const value = this.state.ranges[i]?.[end];
@@ -372,7 +362,7 @@ class Explorer {
   drawTimes() {
     if (!this.front.scenes.length || !this.shown) return;
     const hosts = ["g_force", "jerk"].map((name) => element("div", { "data-reading": name }));
-    byId("charts").replaceChildren(...hosts);
+    fill("charts", hosts);
     const names = this.shown.map(({ label }) => `policy ${label}`).join(", ");
     this.rules = hosts.map((host, i) => drawTimes(host, ["g-force (g)", "jerk (m/s³)"][i],
       this.shown.map(({ drive }) => drive.vehicles[this.front.vehicle][host.dataset.reading]), this.scene.frequency, names));
@@ -394,19 +384,19 @@ class Explorer {
         vehicle.g_force[now].toFixed(3), vehicle.jerk[now].toFixed(1), step >= vehicle.decisions ? plain(vehicle.end) : "driving"]));
     }));
     fillTable(byId("readings-table"), ["", "speed (m/s)", "g-force (g)", "jerk (m/s³)", ""], rows);
-    if (!this.player.playing) this.showPlaying(false);
+    if (!this.player.playing) this.showPlaying();
   }
 
   togglePlay() {
-    if (this.player.playing) { this.stop(); return; }
-    this.player.play(this.step, this.last, this.scene.frequency);
-    this.showPlaying(true);
+    if (this.player.playing) this.player.stop();
+    else this.player.play(this.step, this.last, this.scene.frequency);
+    this.showPlaying();
   }
 
-  stop() { this.player.stop(); this.showPlaying(false); }
+  stop() { this.player.stop(); this.showPlaying(); }
 
-  showPlaying(playing) {
-    byId("play").textContent = playing ? "Pause" : "Play";
-    byId("play").setAttribute("aria-pressed", playing);
+  showPlaying() {
+    say({ play: this.player.playing ? "Pause" : "Play" });
+    byId("play").setAttribute("aria-pressed", this.player.playing);
   }
 }

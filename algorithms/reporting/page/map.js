@@ -161,7 +161,12 @@ class Player {
       position = Math.min(position + (Math.max(now - from, 0) / 1000) * frequency * this.speed, last);
       from = now;
       this.request = position < last ? requestAnimationFrame(frame) : 0;
-      this.tick(this.smooth ? position : Math.floor(position));
+      try {
+        this.tick(this.smooth ? position : Math.floor(position));
+      } catch (error) {
+        this.stop();
+        showError(error);
+      }
     };
     this.request = requestAnimationFrame(frame);
   }

@@ -6,6 +6,10 @@ const SVG = "http://www.w3.org/2000/svg";
 const FONT = '"DejaVu Sans", system-ui, sans-serif';
 const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
 const byId = (id) => document.getElementById(id);
+const say = (texts) => Object.entries(texts).forEach(([id, text]) => (byId(id).textContent = text));
+const hide = (away) => Object.entries(away).forEach(([id, hidden]) => (byId(id).hidden = hidden));
+const fill = (id, children) => byId(id).replaceChildren(...children);
+const on = (id, action) => byId(id).addEventListener(byId(id).tagName === "BUTTON" ? "click" : "change", action);
 const series = (place) => `var(--series-${place})`;
 const sum = (numbers) => numbers.reduce((total, each) => total + each, 0);
 const mean = (numbers) => sum(numbers) / numbers.length;
@@ -13,6 +17,7 @@ const percent = (share) => `${(100 * share).toFixed(0)}%`;
 const withUnit = (text, unit) => (unit ? `${text} ${unit}` : text);
 const titled = (objective) => (objective.unit ? `${objective.name} (${objective.unit})` : objective.name);
 const plain = (end) => end.replaceAll("_", " ");
+const capital = (text) => text[0].toUpperCase() + text.slice(1);
 
 class Refusal extends Error {}
 

@@ -59,9 +59,9 @@ function colourOf(weights) {
 }
 
 /** A row of a name, a bar in the colour of objective i of d, and a text. */
-const barOf = (name, i, d, text = "", ...inside) => element("div", { class: "bar",
-  style: `--hue: ${colourOf(Array.from({ length: d }, (_, k) => Number(k === i)))}` },
-element("span", {}, name), element("span", {}, element("i"), ...inside), element("output", {}, text));
+const barOf = (name, i, d, text = "", width = "0", ...inside) =>
+  element("div", { class: "bar", style: `--hue: ${colourOf(times(d, (k) => Number(k === i)))}` }, element("span", {}, name),
+    element("span", {}, element("i", { style: `width: ${width}` }), ...inside), element("output", {}, text));
 
 class Stage {
   constructor(page) {
@@ -72,9 +72,7 @@ class Stage {
     const actions = { world: () => this.open(), seed: () => this.begin(), other: () => this.begin(), again: () => this.begin(),
       next: () => this.next(), share: () => copy(location.href.split("#")[0] + this.link(), "link", byId("shared")),
       "share-command": () => copy(`mo-deepdrive replay '${this.link()}'`, "command", byId("shared")) };
-    for (const [id, action] of Object.entries(actions)) {
-      byId(id).addEventListener(byId(id).tagName === "BUTTON" ? "click" : "change", () => action()?.catch(showError));
-    }
+    for (const [id, action] of Object.entries(actions)) on(id, () => action().catch(showError));
     window.addEventListener("keydown", (event) => {
       if (!byId("stage").hidden && !isWriting(event)) ({ r: actions.again, n: actions.next })[event.key]?.().catch(showError);
     });
@@ -82,7 +80,7 @@ class Stage {
 
   get facts() { return this.world.facts; }
   get human() { return this.mode !== "preference"; }
-  link() { return linkOfDrive(this.episode, this.human ? "human" : this.choice.name); }
+  link() { return linkOfDrive(this.episode, this.human ? "human" : this.choice); }
 
   /** Show a tab: "drive", "preference" or "against"; `kept` is the drive of a link. */
   async show(mode, kept = null) {
@@ -91,7 +89,7 @@ class Stage {
     byId("stage").dataset.mode = mode;
     const needed = { preference: "conditioned", against: "rivals" }[mode];
     this.rows = this.page.worlds.filter((row) => !needed || row[needed]);
-    byId("world").replaceChildren(...options(this.rows.map(({ title }) => title)));
+    fill("world", options(this.rows.map(({ title }) => title)));
     byId("world").value = Math.max(this.rows.findIndex(({ name }) => name === (this.taken[mode] ?? this.row?.name)), 0);
     await this.open(kept);
   }
@@ -104,18 +102,19 @@ class Stage {
     const { facts, mode } = this;
     const alone = facts.vehicles === 1;
     this.seeds = kept && !facts.seeds.includes(kept.seed) ? [kept.seed, ...facts.seeds] : facts.seeds;
-    byId("seed").replaceChildren(...options(this.seeds.map((_, k) => String(k + 1))));
+    fill("seed", options(this.seeds.map((_, k) => String(k + 1))));
     byId("seed").value = Math.max(this.seeds.indexOf(kept?.seed), 0);
     this.rider = 0;
     this.wishes[facts.id] ??= times(facts.vehicles, (v) =>
       facts.objectives.map((__, i) => (alone ? 50 : i === v % facts.objectives.length ? 100 : 10)));
-    const ghosts = alone && mode === "against" && facts.ghost ? [{ label: "the best known drive" }] : [];
-    this.choices = [...ghosts, ...facts.policies.filter(({ conditioned }) => mode !== "preference" || conditioned)];
-    byId("other").replaceChildren(...options(this.choices.map(({ label }) => label)));
-    byId("other-label").textContent = alone && mode === "against" ? "Ghost" : "Policy";
-    byId("sampled-choice").hidden = mode === "drive" && alone;
-    byId("other-choice").hidden = this.choices.length < 2 || byId("sampled-choice").hidden;
-    byId("wishes").hidden = mode !== "preference";
+    // Policies by what they are called: of several vehicles each may have a network of its own.
+    const fit = facts.policies.filter(({ conditioned }) => mode !== "preference" || conditioned);
+    const ghosts = alone && mode === "against" && facts.ghost ? ["the best known drive"] : [];
+    this.choices = [...new Set([...ghosts, ...fit.map(({ label }) => label)])];
+    fill("other", options(this.choices));
+    say({ "other-label": alone && mode === "against" ? "Ghost" : "Policy" });
+    const single = alone && mode === "drive";
+    hide({ "sampled-choice": single, "other-choice": single || this.choices.length < 2, wishes: mode !== "preference" });
     this.makeWishes();
     await this.begin(kept);
   }
@@ -128,14 +127,14 @@ class Stage {
   makeWishes() {
     const { facts, rider } = this;
     const share = (i) => percent(this.weights(rider)[i]);
-    byId("riders").hidden = facts.vehicles < 2;
-    byId("riders").replaceChildren(...this.wishes[facts.id].map((_, v) => element("button", { type: "button",
-      "aria-pressed": v === rider ? "true" : "false", style: `border-color: ${colourOf(this.weights(v))}`, onclick: () => {
+    hide({ riders: facts.vehicles < 2 });
+    fill("riders", times(facts.vehicles, (v) => element("button", { type: "button", "aria-pressed": String(v === rider),
+      style: `border-color: ${colourOf(this.weights(v))}`, onclick: () => {
         this.rider = v;
         this.makeWishes();
         this.showBars();
       } }, String(v))));
-    byId("wish-sliders").replaceChildren(...facts.objectives.map(({ name }, i) => slider({
+    fill("wish-sliders", facts.objectives.map(({ name }, i) => slider({
       id: `wish-${i}`, label: name, value: this.wishes[facts.id][rider][i], max: 100, step: 1, text: () => share(i),
       change: (value) => {
         this.wishes[facts.id][rider][i] = value;
@@ -146,10 +145,12 @@ class Stage {
       } })));
   }
 
-  /** A policy as the driver of a vehicle; under the preference of the page if it has none of its own. */
-  async driver({ file }, v) {
-    const actor = new Actor(await load(file));
+  /** The policy of a name as the driver of a vehicle, if it can; under the preference of the page where it is shown. */
+  async driver(name, v) {
     const { facts } = this;
+    const row = facts.policies.find(({ label, vehicles }) => label === name && vehicles.includes(v));
+    if (!row) return byActions([]);
+    const actor = new Actor(await load(row.file));
     const wish = () => {
       const asked = actor.objectives.map((key) => this.weights(v)[facts.objectives.findIndex((each) => each.key === key)] ?? 0);
       return this.human && actor.preference ? actor.preference : asked.map((weight) => weight / (sum(asked) || 1));
@@ -161,33 +162,30 @@ class Stage {
     this.player.stop();
     const token = (this.token = {});
     const { facts, human, mode } = this;
-    const choice = this.choices[byId("other").value];
+    const choice = this.choices[byId("other").value] ?? "";
     const seed = this.seeds[byId("seed").value];
     const place = facts.seeds.indexOf(seed);
     const vehicles = times(facts.vehicles, (v) => v);
     const drivers = await Promise.all(vehicles.map((v) => {
       if (kept) return byActions(decodeActions(kept.actions[v]));
       if (human && v === 0) return byKeys(() => this.controls.take());
-      return choice?.file ? this.driver(choice, v) : byActions([]);
+      return this.driver(choice, v);
     }));
-    let ghost = null;
-    if (mode === "against" && facts.vehicles === 1 && choice) {
-      const driver = choice.file ? await this.driver(choice, 0) : byActions(decodeActions(facts.ghost[Math.max(place, 0)]));
-      ghost = new Episode(await World.make(this.row), seed, [driver]);
-    }
+    const rival = mode !== "against" || facts.vehicles > 1 ? null : facts.policies.some(({ label }) => label === choice)
+      ? await this.driver(choice, 0) : byActions(decodeActions(facts.ghost[Math.max(place, 0)]));
+    const ghost = rival && new Episode(await World.make(this.row), seed, [rival]);
     if (token !== this.token) return; // another drive has begun meanwhile
     Object.assign(this, { choice, ghost, place, replaying: Boolean(kept), waiting: human && !kept, from: 0 });
     this.episode = new Episode(this.world, seed, drivers);
     const colours = vehicles.map((v) => (human ? series(Math.min(v, 1)) : colourOf(this.weights(v))));
-    this.map.show(this.episode.scene, [{ label: human ? "you" : choice.label, drive: this.episode, colours },
-      ...(ghost ? [{ label: choice.label, drive: ghost, ghost: true }] : [])]);
+    this.map.show(this.episode.scene, [{ label: human ? "you" : choice, drive: this.episode, colours },
+      ...(ghost ? [{ label: choice, drive: ghost, ghost: true }] : [])]);
     this.map.move(0);
-    byId("prompt").hidden = !this.waiting;
-    byId("outcome").hidden = true;
-    byId("bars-heading").textContent = human ? "What you earn" : "What it earns";
+    hide({ prompt: !this.waiting, outcome: true });
+    say({ "bars-heading": human ? "What you earn" : "What it earns" });
     this.full = facts.objectives.map(({ scale }, i) =>
       Math.max(...facts.drivers.map(({ returns }) => Math.abs(returns[Math.max(place, 0)][i])), 0.2 * scale));
-    byId("bars").replaceChildren(...facts.objectives.map(({ name }, i) => barOf(name, i, facts.objectives.length)));
+    fill("bars", facts.objectives.map(({ name }, i) => barOf(name, i, facts.objectives.length)));
     this.showBars();
     this.player.play(0, Infinity, facts.frequency);
   }
@@ -201,17 +199,11 @@ class Stage {
 
   tick(now) {
     if (this.waiting && this.controls.gamepad().some(Boolean)) this.wake();
-    byId("prompt").hidden = !this.waiting;
+    hide({ prompt: !this.waiting });
     if (this.waiting) { this.from = now; return; }
     const { episode, ghost } = this;
     const [position, before] = [now - this.from, episode.decisions];
-    try {
-      for (const each of ghost ? [episode, ghost] : [episode]) while (!each.over && each.decisions < position) each.step();
-    } catch (error) {
-      this.player.stop();
-      showError(error);
-      return;
-    }
+    for (const each of ghost ? [episode, ghost] : [episode]) while (!each.over && each.decisions < position) each.step();
     if (episode.decisions > before) this.showBars();
     if (episode.decisions > before || ghost) this.map.extend();
     const last = Math.max(episode.decisions, ghost?.decisions ?? 0);
@@ -230,22 +222,23 @@ class Stage {
       bar.querySelector("i").style.width = percent(Math.min(Math.abs(value) / this.full[i], 1));
       bar.lastChild.textContent = withUnit(formatted(value, 4 * this.full[i]), facts.objectives[i].unit);
     });
-    byId("seconds").textContent = `${(episode.decisions / facts.frequency).toFixed(1)} s`;
-    byId("speedometer").textContent = `${(3.6 * world.of(shown, "speed")).toFixed(0)} km/h`;
+    say({ seconds: `${(episode.decisions / facts.frequency).toFixed(1)} s`,
+      speedometer: `${(3.6 * world.of(shown, "speed")).toFixed(0)} km/h` });
   }
 
   showOutcome() {
     const { facts, episode, place } = this;
     const [[mine], [{ end, decisions }]] = [episode.returns, episode.vehicles];
     const seconds = (decisions / facts.frequency).toFixed(1);
-    byId("outcome-heading").textContent = end === "arrived" ? `Arrived after ${seconds} s` : `${seconds} s: ${plain(end)}`;
     const rivals = place < 0 ? [] : facts.drivers.map(({ label, returns, ends }) => ({ label, returns: returns[place], end: ends[place] }));
     const others = [...facts.front.map(({ name, returns }) => ({ label: name, returns })), ...rivals];
     const better = ({ returns }) => (mine.every((value, i) => returns[i] >= value)
       ? facts.objectives.filter((_, i) => returns[i] > mine[i]).map(({ name }) => name) : []);
     const above = others.find((row) => better(row).length);
-    byId("verdict").textContent = above ? `${above.label} is nowhere worse, and better in ${better(above).join(", ")}.`
+    const verdict = above ? `${above.label} is nowhere worse, and better in ${better(above).join(", ")}.`
       : "Nobody on this page is better in one objective without being worse in another.";
+    say({ "outcome-heading": end === "arrived" ? `Arrived after ${seconds} s` : `${capital(plain(end))} after ${seconds} s`, shared: "",
+      verdict: capital(verdict) });
     const own = { label: "your preference", weights: this.weights(0).map((w, i) => w / facts.objectives[i].scale) };
     const utilities = [own, ...facts.utilities];
     const worth = ({ returns }, { weights }) => sum(returns.map((value, i) => value * weights[i]));
@@ -255,8 +248,7 @@ class Stage {
         ...cells([...utilities.map((utility) => formatted(worth(row, utility), 1)),
           ...row.returns.map((value, i) => formatted(value, 4 * this.full[i])), plain(row.end)]))));
     this.showStanding(others.map(({ returns }) => returns), mine);
-    byId("shared").textContent = "";
-    byId("outcome").hidden = false;
+    hide({ outcome: false });
   }
 
   /** All drives in parallel coordinates, further up is better. */

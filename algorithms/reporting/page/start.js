@@ -3,11 +3,11 @@
 const TABS = ["drive", "preference", "against", "questions", "explorer"];
 
 function explore(text) {
-  byId("content").hidden = false;
+  hide({ content: false });
   try {
     new Explorer(readData(text));
   } catch (error) {
-    byId("content").hidden = true;
+    hide({ content: true });
     showError(error);
   }
 }
@@ -48,9 +48,7 @@ class Tabs {
       byId(`tab-${each}`).setAttribute("aria-selected", each === tab);
       byId(`tab-${each}`).tabIndex = each === tab ? 0 : -1;
     }
-    byId("stage").hidden = tab === "questions" || tab === "explorer";
-    byId("questions").hidden = tab !== "questions";
-    byId("content").hidden = true;
+    hide({ stage: tab === "questions" || tab === "explorer", questions: tab !== "questions", content: true });
     showMessage("");
     this.stage.player.stop();
     this.questions.player.stop();
