@@ -7,9 +7,7 @@ class Explorer {
     this.fronts = fronts.map((front) => new FrontModel(front));
     this.map = new DriveMap(byId("map"));
     this.player = new Player((step) => this.showStep(step));
-    this.step = 0;
-    this.rules = [];
-    this.sorting = null;
+    Object.assign(this, { step: 0, rules: [], sorting: null });
     this.parallel = new Parallel(byId("parallel"), (picked) => this.update({ mode: "picked", picked }), (column, from, to) => {
       const axis = this.front.columns[column];
       const ends = [from, to].map((share) => Number(this.front.valueAt(share, axis).toPrecision(5)));
@@ -21,9 +19,7 @@ class Explorer {
   }
 
   get front() { return this.fronts[this.index]; }
-
   weightsOf() { return this.state.weights.map((importance, i) => weightOf(importance, this.front.scales[i])); }
-
   /** Policies in the order of the preference; of a policy picked by hand, of its returns as the target. */
   order() {
     const { front, state } = this;
@@ -40,17 +36,13 @@ class Explorer {
     const chosen = this.chosen();
     return [chosen, ...this.state.compared.filter((k) => k !== chosen)].slice(0, 1 + MOST_COMPARED);
   }
-
   /** Whether each policy is drawn and listed: all of them, or those that no other one dominates. */
   listed() { return this.front.dominators.map((other) => this.state.dominated || other < 0); }
 
   inRanges(k) {
-    return Object.entries(this.state.ranges).every(([i, [low, high]]) => {
-      const value = this.front.rows[k][i];
-      return value >= low && value <= high;
-    });
+    const inside = (value, [low, high]) => value >= low && value <= high;
+    return Object.entries(this.state.ranges).every(([i, range]) => inside(this.front.rows[k][i], range));
   }
-
   /** Whether each policy is listed and in the ranges. */
   kept() { return this.listed().map((listed, k) => listed && this.inRanges(k)); }
 
@@ -78,21 +70,17 @@ class Explorer {
     const actions = {
       "front-select": ({ value }) => { this.read(`#front=${value}`); this.showFront(); },
       returns: ({ value }) => { Object.assign(this.state, { returns: Number(value), ranges: {} }); this.showFront(); },
-      dominated: ({ checked }) => this.update({ dominated: checked }),
-      modes: ({ value }) => this.update({ mode: value }),
+      dominated: ({ checked }) => this.update({ dominated: checked }), modes: ({ value }) => this.update({ mode: value }),
       reset: () => { this.state = this.front.initialState(); this.showFront(); },
       "copy-command": () => copy(byId("command").value, "command", byId("copied")),
-      "copy-link": () => copy(location.href.split("#")[0] + this.hash, "link", byId("copied")),
-      play: () => this.togglePlay(),
-      speed: ({ value }) => (this.player.speed = Number(value)),
-      scenario: ({ value }) => this.update({ scenario: Number(value) }),
+      "copy-link": () => copy(location.href.split("#")[0] + this.hash, "link", byId("copied")), play: () => this.togglePlay(),
+      speed: ({ value }) => (this.player.speed = Number(value)), scenario: ({ value }) => this.update({ scenario: Number(value) }),
       vehicle: ({ value }) => {
         const { step } = this;
         this.front.vehicle = Number(value);
         this.showFront();
         this.showStep(step);
-      },
-    };
+      }, };
     for (const [id, action] of Object.entries(actions)) on(id, ({ target }) => action(target));
     byId("command").addEventListener("focus", ({ target }) => target.select());
     byId("time").addEventListener("input", ({ target }) => { this.stop(); this.showStep(Number(target.value)); });
@@ -108,13 +96,10 @@ class Explorer {
       this.drawTimes();
     }).observe(byId("parallel"));
   }
-
   /** Take over the state of a link. */
   read(hash) { ({ index: this.index, state: this.state } = stateOfLink(hash, this.fronts)); }
-
   /** Change parts of the state. */
   update(changes) { Object.assign(this.state, changes); this.refresh(); }
-
   /** Show another front, or the state of a link. */
   showFront() {
     const { front, state } = this;
@@ -161,11 +146,10 @@ class Explorer {
 
   showParallel() {
     const share = (value, axis) => Math.min(Math.max(this.front.scaled(value, axis), 0), 1);
-    const ranges = this.front.columns.map((axis, column) => [axis, column]).filter(([axis]) => this.state.ranges[axis])
-      .map(([axis, column]) => {
-        const [low, high] = this.state.ranges[axis].map((value) => share(value, axis));
-        return { axis: column, low, high };
-      });
+    const ranges = this.front.columns.flatMap((axis, column) => {
+      const [low, high] = (this.state.ranges[axis] ?? []).map((value) => share(value, axis));
+      return low === undefined ? [] : [{ axis: column, low, high }];
+    });
     this.parallel.show({ ranges, listed: this.listed(), kept: this.kept(), shown: this.shownPolicies() });
   }
 
@@ -220,16 +204,6 @@ class Explorer {
     }));
   }
 
-  /** What counts in the utility with a comfort budget. */
-  budgetRule() {
-    const { budget, objectives } = this.front;
-    const named = (prices) => Object.entries(prices)
-      .map(([key, price]) => `${objectives.find((objective) => objective.key === key).name} ${price}`);
-    const costs = [`${named(budget.excessPrices).join(" and ")} beyond their budgets`, ...named(budget.prices)];
-    return `It has the greatest expected utility. Gains per unit: ${named(budget.gains).join(", ")}. `
-      + `Costs per unit: ${costs.join(", ")}.`;
-  }
-
   showChoice() {
     const { front, state } = this;
     const chosen = this.chosen();
@@ -241,7 +215,7 @@ class Explorer {
     const first = this.order()[0];
     let why = {
       weights: () => "It has the greatest weighted sum of mean returns. A weight counts per unit of the return."
-        + (front.gamma < 1 ? " The command scores it by undiscounted returns." : ""), budget: () => this.budgetRule(),
+        + (front.gamma < 1 ? " The command scores it by undiscounted returns." : ""), budget: () => front.budget.rule,
       picked: () => (first === chosen || front.gamma < 1 ? "Chosen by hand; a slider chooses by preference again."
         : `Chosen by hand. The command chooses policy ${front.numbers[first]}, which is at least as good in every objective.`),
     }[state.mode]();
@@ -278,14 +252,12 @@ class Explorer {
       input.value = Number.isFinite(value) ? value : "";
     }
   }
-
   /** Change the state from a control in a table, which is made anew, and give the focus to the control's successor. */
   updateFrom(control, selector, changes) {
     const table = control.closest("table");
     this.update(changes);
     (table.querySelector(selector) ?? table.parentElement).focus();
   }
-
   /** Cells with the controls of a policy: choose it, and compare it with the chosen one. */
   controls(k) {
     const number = this.front.numbers[k];
@@ -325,7 +297,7 @@ class Explorer {
     const columns = [{ name: "Policy", of: (k) => front.numbers[k], text: String },
       ...front.columns.map((i) => ({ name: titled(front.axes[i]), of: (k) => front.rows[k][i], text: (value) => front.text(value, i) })),
       ...(arrivals ? [{ name: "arrivals", of: (k) => front.success[k], text: percent }] : []),
-      { name: "decisions", of: (k) => front.lengths[k], text: (value) => value.toFixed(0) }, ];
+      { name: "decisions", of: (k) => front.lengths[k], text: (value) => value.toFixed(0) } ];
     const { column: by, way } = columns[this.sorting?.column] ? this.sorting : { column: -1, way: 0 };
     const order = front.means.map((_, k) => k);
     if (way) order.sort((a, b) => way * (columns[by].of(a) - columns[by].of(b)) || a - b);

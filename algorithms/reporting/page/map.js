@@ -28,14 +28,11 @@ function car(size, attributes) {
 }
 
 /** Lanes of segments, each with the line before which those wait who have no right of way. */
-function lanes(scene) {
-  const group = svg("g", { class: "lanes" });
-  for (const [more, stroke] of [[0.3, "var(--marking)"], [-0.1, "var(--asphalt)"]]) {
-    group.append(...scene.roads.map((road) => polyline(road.line, { stroke, "stroke-width": road.width + more })));
-  }
-  group.append(...scene.roads.map((road) => polyline(road.giveWay, { stroke: "var(--marking)", "stroke-width": 0.35,
-    "stroke-dasharray": "0.5 0.4" })));
-  return group;
+function lanes({ roads: all }) {
+  const paved = [[0.3, "var(--marking)"], [-0.1, "var(--asphalt)"]].flatMap(([more, stroke]) =>
+    all.map((road) => polyline(road.line, { stroke, "stroke-width": road.width + more })));
+  return svg("g", { class: "lanes" }, ...paved, ...all.map((road) =>
+    polyline(road.giveWay, { stroke: "var(--marking)", "stroke-width": 0.35, "stroke-dasharray": "0.5 0.4" })));
 }
 
 /** Roads that cross at the centre, two lanes each. */
@@ -50,19 +47,13 @@ function roads({ centre: c, laneWidth: w }) {
 }
 
 /** A line every five metres. */
-function grid({ box: [left, low, size] }) {
-  const group = svg("g", { stroke: "var(--grid)", "stroke-width": 0.08 });
-  for (let k = -size; k <= 2 * size; k += 5) {
-    const [x, y] = [left, low].map((from) => 5 * Math.ceil(from / 5) + k);
-    group.append(polyline([[x, low - size], [x, low + 2 * size]]), polyline([[left - size, y], [left + 2 * size, y]]));
-  }
-  return group;
-}
+const grid = ({ box: [left, low, size] }) => svg("g", { stroke: "var(--grid)", "stroke-width": 0.08 },
+  ...times(Math.ceil((3 * size) / 5), (k) => [left, low].map((from) => 5 * Math.ceil((from - size) / 5 + k))).flatMap(([x, y]) => [
+    polyline([[x, low - size], [x, low + 2 * size]]), polyline([[left - size, y], [left + 2 * size, y]])]));
 
 /** The map of a scenario with the vehicles of some drives on it. */
 class DriveMap {
   constructor(element) { this.element = element; this.title = element.querySelector("title"); }
-
   /**
    * Draw a scenario. `drives` are { label, drive }, the chosen one first, and may say the `colours` of their vehicles and
    * whether they are a `ghost`.
@@ -99,13 +90,8 @@ class DriveMap {
     const names = drives.map(({ label, drive }) => `${/^\d/.test(label) ? "policy " : ""}${label} (${ends(drive)})`);
     this.title.textContent = `Map seen from above with the drives of ${names.join(", ")}`;
   }
-
   /** Give a vehicle of the first drive another colour. */
-  paint(v, colour) {
-    this.tracks[v].vehicle.setAttribute("fill", colour);
-    this.tracks[v].lines[1].setAttribute("stroke", colour);
-  }
-
+  paint(v, colour) { this.tracks[v].vehicle.setAttribute("fill", colour); this.tracks[v].lines[1].setAttribute("stroke", colour); }
   /** Draw the lines as far as the drives have come. */
   extend() {
     for (const { track, lines } of this.tracks) {
@@ -114,14 +100,10 @@ class DriveMap {
     }
   }
 
-  routes(scene, world, stroke) {
-    for (const [cx, cy, last] of scene.routes.flatMap((route) => route.map((at, k) => [...at, k === route.length - 1]))) {
-      for (const r of last ? [scene.arrivalRadius, 1.8 * scene.arrivalRadius] : [scene.arrivalRadius]) {
-        world.append(svg("circle", { cx, cy, r, fill: "none", stroke, "stroke-width": 0.15, "stroke-opacity": 0.75 }));
-      }
-    }
+  routes({ routes, arrivalRadius }, world, stroke) {
+    const ring = ([cx, cy], r) => svg("circle", { cx, cy, r, fill: "none", stroke, "stroke-width": 0.15, "stroke-opacity": 0.75 });
+    world.append(...routes.flatMap((route) => [...route.map((at) => ring(at, arrivalRadius)), ring(route.at(-1), 1.8 * arrivalRadius)]));
   }
-
   /**
    * Put every vehicle where it was after `step` decisions, between two of them on the straight line between its poses;
    * one that has ended leaves the others, or stays alone.

@@ -33,13 +33,11 @@ class FrontModel {
     this.decoded = new Map();
     this.take(0);
   }
-
   /** The axes on the page: of several vehicles those of the one that is shown, and the time. */
   get columns() {
     const others = (key) => key?.startsWith("vehicle_") && !key.startsWith(`vehicle_${this.vehicle}/`);
     return this.axes.map((_, i) => i).filter((i) => this.vehicles < 2 || !others(this.objectives[i]?.key));
   }
-
   /**
    * Take the returns of number `which` of those that were measured: undiscounted, or with a discount factor.
    *
@@ -59,10 +57,8 @@ class FrontModel {
     this.maximised = this.rows.map((row) => row.map((value, i) => this.axes[i].way * value));
     this.dominators = dominators(this.maximised);
   }
-
   /** Where a value is along an axis, from 0 for the worst to 1 for the best. */
   scaled(value, i) { const { way, low, high } = this.axes[i]; return (way > 0 ? value - low : high - value) / (high - low); }
-
   /** The value at the share of an axis. */
   valueAt(share, i) {
     const { way, low, high } = this.axes[i];

@@ -12,7 +12,6 @@ const note = (x, y, text, size, colour, anchor = "middle") => svg("text", { x, y
  */
 class Parallel {
   constructor(host, pick, brush) { Object.assign(this, { host, pick, brush }); }
-
   /** `axes` are { title, worst, best }; the rows of shares end early where a policy has no value. */
   draw(axes, learnt, bestKnown) {
     const width = this.host.clientWidth;
@@ -63,7 +62,6 @@ class Parallel {
       onpointerup: () => (from = null), onpointercancel: () => (from = null) });
     return hit;
   }
-
   /** Which policies are `listed`, and of these `kept`; those that are `shown` in their colours; the ranges as shares. */
   show({ listed, kept, shown, ranges }) {
     this.under.replaceChildren(...this.learnt.flatMap((row, k) => (listed[k] ? [this.line(row, { class: "line policy",

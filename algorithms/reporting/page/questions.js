@@ -16,11 +16,7 @@ class Questions {
     });
   }
 
-  async begin() {
-    this.node = 1;
-    await this.ask();
-  }
-
+  async begin() { this.node = 1; await this.ask(); }
   /** The question of a node of the tree of answers, or what they say at a leaf. */
   async ask() {
     this.facts = (await World.make(this.row)).facts;
@@ -52,7 +48,6 @@ class Questions {
   }
 
   play() { this.player.play(0, this.last, this.facts.frequency); }
-
   /** Both drives at one time; they start again when both have ended, while anyone looks. */
   show(step) {
     this.maps.forEach((map, which) => map.move(Math.min(step, this.episodes[which].decisions)));

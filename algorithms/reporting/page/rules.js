@@ -1,15 +1,10 @@
 // The rules by which `mo-deepdrive choose` orders policies (algorithms/commands/choose.py), on the same numbers.
 
 /** Mean returns (d) of the episodes (E, d) of a policy. */
-function meanReturns(episodes) { return episodes[0].map((_, i) => mean(episodes.map((episode) => episode[i]))); }
+const meanReturns = (episodes) => episodes[0].map((_, i) => mean(episodes.map((episode) => episode[i])));
 
 /** To the nearest integer, halves to the even one, as NumPy rounds. */
-function roundHalfEven(value) {
-  const low = Math.floor(value);
-  const rest = value - low;
-  if (rest !== 0.5) return Math.round(value);
-  return low % 2 === 0 ? low : low + 1;
-}
+const roundHalfEven = (value) => (Math.abs(value % 1) === 0.5 ? 2 * Math.round(value / 2) : Math.round(value));
 
 /** Indices of policies, the greatest value first; of equal values, the greater sum of scaled mean returns. */
 function rankPolicies(values, means, scales) {
@@ -20,32 +15,26 @@ function rankPolicies(values, means, scales) {
 }
 
 /** Weighted sums (K) of mean returns. */
-function weightedSums(returns, weights) {
-  return returns.map((episodes) => mean(episodes.map((episode) => sum(episode.map((value, i) => value * weights[i])))));
-}
+const weightedSums = (returns, weights) =>
+  returns.map((episodes) => mean(episodes.map((episode) => sum(episode.map((value, i) => value * weights[i])))));
 
 /** Expected utilities (K) of a comfort budget: ComfortBudget of mo_deepdrive/utilities.py, mean over episodes. */
 function budgetUtilities(returns, objectives, budget) {
-  const excess = (magnitude, limit) => (magnitude > limit ? magnitude - limit : 0);
   const utility = (episode) => {
-    const m = {};
-    objectives.forEach((objective, i) => (m[objective.key] = episode[i] * objective.sign));
-    let value = 0;
-    for (const [key, gain] of Object.entries(budget.gains)) value = value + gain * m[key];
-    for (const [key, price] of Object.entries(budget.excessPrices)) value = value - price * excess(m[key], budget[key]);
-    for (const [key, price] of Object.entries(budget.prices)) value = value - price * m[key];
-    return value;
+    const m = Object.fromEntries(objectives.map(({ key, sign }, i) => [key, episode[i] * sign]));
+    return sum([...Object.entries(budget.gains).map(([key, gain]) => gain * m[key]),
+      ...Object.entries(budget.excessPrices).map(([key, price]) => -price * Math.max(m[key] - budget[key], 0)),
+      ...Object.entries(budget.prices).map(([key, price]) => -price * m[key])]);
   };
   return returns.map((episodes) => mean(episodes.map(utility)));
 }
 
 /** Minus the scaled distances (K) by which mean returns fall short of a target. */
-function targetCloseness(means, target, scales) {
-  return means.map((row) => -Math.hypot(...row.map((value, i) => Math.max(target[i] - value, 0) / scales[i])));
-}
+const targetCloseness = (means, target, scales) =>
+  means.map((row) => -Math.hypot(...row.map((value, i) => Math.max(target[i] - value, 0) / scales[i])));
 
 /** The weight of a return that counts with `importance` (0 to 100), relative to its nominal scale. */
-function weightOf(importance, scale) { return Number((importance / 100 / scale).toPrecision(3)); }
+const weightOf = (importance, scale) => Number((importance / 100 / scale).toPrecision(3));
 
 /**
  * For each of the rows (K, d), all maximised, one that dominates it, or -1: it is nowhere worse, better somewhere, and

@@ -37,7 +37,6 @@ class Controls {
     const down = (...buttons) => buttons.some((k) => pad?.buttons[k]?.pressed);
     return [down(7, 0), down(6, 1), pad?.axes[0] < -0.3, pad?.axes[0] > 0.3];
   }
-
   /** What has been asked for since the last call: a short press is not lost. */
   take() {
     const asked = this.gamepad().map((on, key) => Boolean(on || this.held.has(key) || this.tapped.has(key) || this.drag[key]));
@@ -81,7 +80,6 @@ class Stage {
   get facts() { return this.world.facts; }
   get human() { return this.mode !== "preference"; }
   link() { return linkOfDrive(this.episode, this.human ? "human" : this.choice); }
-
   /** Show a tab: "drive", "preference" or "against"; `kept` is the drive of a link. */
   async show(mode, kept = null) {
     this.mode = mode;
@@ -120,7 +118,6 @@ class Stage {
   }
 
   next() { byId("seed").value = (Number(byId("seed").value) + 1) % this.seeds.length; return this.begin(); }
-
   /** Weights (d) of the world's objectives, in units of their scales, that add up to 1. */
   weights(v) { const wish = this.wishes[this.facts.id][v]; return wish.map((each) => each / (sum(wish) || 1)); }
 
@@ -144,7 +141,6 @@ class Stage {
         this.map.paint(rider, colour);
       } })));
   }
-
   /** The policy of a name as the driver of a vehicle, if it can; under the preference of the page where it is shown. */
   async driver(name, v) {
     const { facts } = this;
@@ -189,7 +185,6 @@ class Stage {
     this.showBars();
     this.player.play(0, Infinity, facts.frequency);
   }
-
   /** A key or a thumb asks for something; whether anyone is listening. */
   wake() {
     const here = !byId("stage").hidden && this.human && this.episode && !this.replaying;
@@ -250,7 +245,6 @@ class Stage {
     this.showStanding(others.map(({ returns }) => returns), mine);
     hide({ outcome: false });
   }
-
   /** All drives in parallel coordinates, further up is better. */
   showStanding(others, mine) {
     const { objectives } = this.facts;

@@ -37,7 +37,6 @@ class Tabs {
     window.addEventListener("hashchange", () => this.follow().catch(showError));
     await this.follow();
   }
-
   /** Show what the address says: a tab, a drive, or a choice of the explorer. */
   async follow() {
     const name = location.hash.slice(1).split("=")[0];

@@ -50,14 +50,12 @@ class World {
 
   of(v, name, k = 0) { return this.number(v * this.facts.state.size, this.facts.state.fields[name], k); }
   over(v) { return Boolean(this.ended[v] || this.timedOut[v]); }
-
   /** The pose of a car with a scripted driver, of undefined numbers while it is absent. */
   car(j) {
     const { offset, size, fields } = this.facts.cars;
     const of = (name) => this.number(offset + j * size, fields[name]);
     return of("present") ? { x: of("x"), y: of("y"), heading: Math.atan2(of("sin_heading"), of("cos_heading")) } : {};
   }
-
   /** What the map shows of the episode that has begun. */
   scene() {
     const { scene, obstacles } = this.facts;
@@ -90,7 +88,6 @@ class Actor {
     });
     return values;
   }
-
   /** The greedy action, or one drawn by the probabilities of the logits. */
   action(outputs, sampled) {
     const most = Math.max(...outputs);
@@ -114,12 +111,10 @@ function byActor(actor, facts, wish, sampled) {
     act(world, v) {
       const observation = world.observations.subarray(v * world.size, (v + 1) * world.size);
       return actor.action(actor.outputs(observation, accrued, discount, wish()), sampled());
-    },
-    add(rewards) {
+    }, add(rewards) {
       columns.forEach((column, i) => (accrued[i] += discount * rewards[column]));
       discount *= actor.gamma;
-    },
-  };
+    }, };
 }
 
 /** An episode as it is driven: what DriveMap shows, the actions, and the returns so far (V, d). */
