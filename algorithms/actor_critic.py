@@ -19,6 +19,7 @@ both are no part of the agent.
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from dataclasses import fields
 from functools import partial
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
+    from typing_extensions import Self
 
     from algorithms.learning.actors import Actor
     from algorithms.learning.collector import Running
@@ -308,7 +310,14 @@ class ActorCritic(Agent):
         for learner in self.learners:
             actions = learner.actor.act(inputs[:, learner.vehicles], generator).cpu().numpy()
             chosen |= {v: actions[:, j] for j, v in enumerate(learner.vehicles)}
-        return chosen[0][:, None] if len(chosen) == 1 else np.stack([chosen[v] for v in sorted(chosen)], axis=1)
+        first = next(iter(chosen.values()))
+        return np.stack([chosen.get(v, np.zeros_like(first)) for v in range(self.env.vehicles)], axis=1)
+
+    def without_partners(self) -> Self:
+        """The same policies without partners, whose vehicles get actions of zeros: for others to drive these."""
+        agent = copy.copy(self)
+        agent.partners = {}
+        return agent
 
     def eval(self, obs: NDArray[Any], accrued_reward: NDArray[Any] | None = None, discount: float = 1.0) -> Any:
         """The greedy action for one observation, as in morl-baselines; one per vehicle with several.

@@ -162,9 +162,9 @@ def _one_waypoint_satisficing(m: dict[str, Any]) -> Any:
     return m["destination"] * (2.0 + 8.0 * (1.0 - _at_most_one(short)))
 
 
-def _one_waypoint_calm_arrival(m: dict[str, Any]) -> Any:
-    arrival, calm = m["destination"], 1.0 - m["jerk"] / 60.0
-    return _where(arrival < calm, arrival, calm)
+def _one_waypoint_deadline(m: dict[str, Any]) -> Any:
+    late = m["time"] > 40.0
+    return 0.1 * m["distance"] + 10.0 * _where(late, 0.0 * m["time"], m["destination"]) - m["energy"]
 
 
 @dataclass(frozen=True)
@@ -270,7 +270,8 @@ NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = 
     ),
     # An arrival within limits of g-force, jerk and time pays five times as much as one beyond them.
     "one_waypoint_satisficing": (("destination", "g_force", "jerk", "time"), _one_waypoint_satisficing),
-    "one_waypoint_calm_arrival": (("destination", "jerk"), _one_waypoint_calm_arrival),
+    # An arrival is worth something until 40 s have passed, of which a part may have been spent before.
+    "one_waypoint_deadline": (("distance", "destination", "energy", "time"), _one_waypoint_deadline),
     **{name: (tuple(risk.weights), risk.utility) for name, risk in RISK_AVERSE.items()},
     **{
         name: (("distance", "destination", "g_force", "jerk", *budget.prices), budget.utility)

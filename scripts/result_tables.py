@@ -4,10 +4,10 @@
 
 A table after ``<!-- table: SELECT ... -->``, a query of SQLite, is made whole: its header has the names of the columns
 of the query, its rows are the results. ``docs/results/runs.csv`` is the table ``runs``, a file in a folder has the name
-``folder_file``, and what follows an empty line in ``scores.csv`` is ``scores_1``. Of the suite there are the tables
-``suite_tasks``, ``suite_learners``, ``suite_normalised`` (a score of every run) and ``suite_best`` (the best learner of
-every task, and those that are tied with it); views of ``docs/results/views.sql`` are tables, too. Below a table of
-results is a line with the commits whose code made them, from ``docs/results/provenance.csv``.
+``folder_file``, and what follows an empty line in ``scores.csv`` is ``scores_1``. Of the suite there is the table
+``suite_tasks``, with the best learner of each; views of ``docs/results/views.sql`` are tables, too. Below a table of
+results is a line with the commits whose code made them, from ``docs/results/provenance.csv``. From
+``<!-- suite: tasks -->`` to ``<!-- end -->`` is a section per task, in place of ``tasks`` of ``results`` what they say.
 """
 
 from __future__ import annotations
@@ -24,9 +24,7 @@ from typing import TYPE_CHECKING, Any
 from benchmark import REPOSITORY
 
 from algorithms.runs.cli import Command
-from algorithms.studies import REFERENCE
-from algorithms.studies.settings import load_study
-from algorithms.studies.suite_tables import Scoreboard, minutes_per_run
+from algorithms.studies.suite_tables import Scoreboard
 from algorithms.zoo import ZOO
 from mo_deepdrive import suite
 from mo_deepdrive.support.atomic_io import atomic_write
@@ -39,8 +37,11 @@ if TYPE_CHECKING:
 MADE = re.compile(
     r"(?P<comment><!-- table:(?P<query>.*?)-->\n\n)((\|[^\n]*\n)+\n?)*(Results of commits? `[^\n]*\n\n?)?", re.DOTALL
 )
+TEXT = re.compile(r"(?P<before><!-- suite: (?P<name>\w+) -->\n\n).*?(?P<after><!-- end -->)", re.DOTALL)
+FIGURE = REPOSITORY / "docs" / "results" / "suite_scores.png"  # of mo-deepdrive suite table --figure
+PICTURES = REPOSITORY / "docs" / "images" / "suite"
 PROVENANCE = REPOSITORY / "docs" / "provenance.md"
-FROM_SUITE = ("suite_normalised", "suite_best")  # tables of what docs/results/suite.csv has
+FROM_SUITE = ("suite_tasks", "suite_texts")  # tables of what docs/results/suite.csv has
 
 
 def open_results() -> sqlite3.Connection:
@@ -55,7 +56,8 @@ def open_results() -> sqlite3.Connection:
         for k, part in enumerate(path.read_text(encoding="utf-8").split("\n\n")):
             header, *rows = csv.reader(io.StringIO(part))
             fill(database, f"{name}_{k}" if k else name, header, rows)
-    fill_suite(database, suite.read_rows(folder / "suite.csv"))
+    results = suite.read_rows(folder / "suite.csv")
+    fill_suite(database, results, suite.samples_of(results, suite.read_samples(folder / "suite.csv")))
     fill(database, "result_files", ["name", "file"], [*(files | dict.fromkeys(FROM_SUITE, files["suite"])).items()])
     commits = {path.parent.name: json.loads(path.read_bytes())["commit"] for path in sorted(ZOO.glob("*/about.json"))}
     fill(database, "zoo", ["policy", "commit"], [*commits.items()])
@@ -64,27 +66,29 @@ def open_results() -> sqlite3.Connection:
     return database
 
 
-def fill_suite(database: sqlite3.Connection, results: list[suite.Row]) -> None:
-    """Make the tables of the suite: its tasks, every normalised score, the learners' labels and the scoreboard."""
-    board, minutes = Scoreboard(results), minutes_per_run(results)
+def fill_suite(database: sqlite3.Connection, results: list[suite.Row], samples: suite.Samples) -> None:
+    """Make the tables of the suite: its tasks with the best learner of each, and the texts on them."""
+    board = Scoreboard(results, samples)
     fields = ["title", "tests", "track", "core", "counted", "steps", "policy"]
     tasks: list[list[Any]] = []
-    scores: list[list[Any]] = []
+    pages: list[str] = []
     for name, task in suite.load().tasks.items():
-        values = [task.floor.value, task.floor.by, task.ceiling.value, task.ceiling.by, task.ceiling.kind]
-        tasks.append([name, *(getattr(task, field) for field in fields), *values, minutes.get(name)])
-        if task.counted and name in board.tasks:
-            by_learner = board.scores(name)
-            scores += [
-                [key, name, task.track, score] for key, its in by_learner.items() for score in its.by_seed.values()
-            ]
-    bounds = ["floor", "floor_by", "ceiling", "ceiling_by", "kind", "minutes"]
-    fill(database, "suite_tasks", ["task", *fields, *bounds], tasks)
-    fill(database, "suite_normalised", ["learner", "task", "track", "score"], scores)
-    labels = load_study(REFERENCE).labels
-    fill(database, "suite_learners", ["learner", "label"], [[name, labels.get(name, name)] for name in board.learners])
-    best = [[name, key, k] for name in board.tasks for k, key in enumerate(board.best(name))]
-    fill(database, "suite_best", ["task", "learner", "place"], best)
+        best = board.best(name)
+        first, score = (best[0], board.scores(name)[best[0]].mean.estimate.text()) if best else (None, None)
+        labels = " = ".join(board.labels.get(learner, learner) for learner in best) or "not run"
+        bounds = [task.floor.value, task.ceiling.value]
+        tasks.append([name, *(getattr(task, field) for field in fields), *bounds, first, labels, score])
+        picture = f"![{name}: two drives that are ranked differently](images/suite/{name}.png)\n\n"
+        pages.append(f"{board.page(name)}\n\n{picture if (PICTURES / f'{name}.png').is_file() else ''}")
+    fill(database, "suite_tasks", ["task", *fields, "floor", "ceiling", "first", "best", "score"], tasks)
+    figure = "![Scores of the learners by task](results/suite_scores.png)\n\n" if FIGURE.is_file() else ""
+    says = [f"- **{name}**: {' '.join(board.sentences(name))}\n" for name in suite.load().tasks]
+    fill(
+        database,
+        "suite_texts",
+        ["name", "text"],
+        [["tasks", "".join(pages)], ["results", figure + "".join(says) + "\n"]],
+    )
 
 
 def fill(database: sqlite3.Connection, table: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
@@ -128,8 +132,12 @@ def refresh(document: str, database: sqlite3.Connection, folder: Path = REPOSITO
         made = ["| " + " | ".join("" if cell is None else str(cell) for cell in line) + " |\n" for line in lines]
         return match["comment"] + "".join(made) + "\n" + made_by(read, database, folder)
 
+    def text(match: re.Match[str]) -> str:
+        ((made,),) = database.execute("SELECT text FROM suite_texts WHERE name = ?", [match["name"]])
+        return f"{match['before']}{made}{made_by({'suite_texts'}, database, folder)}{match['after']}"
+
     database.set_authorizer(note)
-    return MADE.sub(table, document)
+    return TEXT.sub(text, MADE.sub(table, document))
 
 
 def documents() -> list[Path]:

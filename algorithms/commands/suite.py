@@ -35,16 +35,18 @@ def suite_list(_options: Options) -> int:
     """Print the tasks."""
     from algorithms.reporting.tables import make_table
     from algorithms.studies.plan import PUBLISHED
-    from algorithms.studies.suite_tables import minutes_per_run
+    from algorithms.studies.suite_tables import Scoreboard
     from mo_deepdrive import suite
 
-    minutes = minutes_per_run(suite.read_rows(PUBLISHED)) if PUBLISHED.is_file() else {}
+    board = Scoreboard(suite.read_rows(PUBLISHED) if PUBLISHED.is_file() else [])
     rows = [["task", "track", "title", "steps", "minutes", "floor", "ceiling", "", "what it tests"]]
     for name, task in suite.load().tasks.items():
         track = task.track if task.counted else "(not counted)"
-        about = f"{task.steps / 1e6:g} M", f"{minutes[name]:.1f}" if name in minutes else ""
+        minutes = board.minutes(name)
+        about = f"{task.steps / 1e6:g} M", "" if minutes is None else f"{minutes:.1f}"
         bounds = f"{task.floor.value:.4g}", f"{task.ceiling.value:.4g}", task.ceiling.kind
-        rows.append([f"{name}{' *' if task.core else ''}", track, task.title, *about, *bounds, task.tests])
+        tests = f"{task.tests}; u = {task.formula}" if task.formula else task.tests
+        rows.append([f"{name}{' *' if task.core else ''}", track, task.title, *about, *bounds, tests])
     version = suite.load().version
     caption = f"version {version}; * of the core subset; minutes of one core, the median of published runs"
     make_console().print(make_table(rows, 9, title="The suite", caption=caption))
@@ -151,7 +153,6 @@ def suite_table(options: Options) -> int:
     """Print the tables of the suite, and write them if asked to."""
     from algorithms.reporting.tables import FORMATS, markdown, print_rows, write_table
     from algorithms.studies.plan import PUBLISHED
-    from algorithms.studies.settings import load_study
     from algorithms.studies.suite_tables import MEANS_NOTE, NOTE, Scoreboard, read_results
     from mo_deepdrive.support.atomic_io import atomic_write
 
@@ -172,15 +173,16 @@ def suite_table(options: Options) -> int:
     tables = board.task_tables(options.baseline)
     scores, differences = board.comparison(options.baseline, learners)
     tables += [("Scores", scores), ("Differences", differences)] if options.published or options.baseline else []
+    says = "\n".join(f"{name}: {' '.join(board.sentences(name))}" for name in board.tasks)
     for title, rows in tables:
         print_rows(console, rows, title, 1)
-    console.print(NOTE, highlight=False)
+    console.print(says, NOTE, sep="\n\n", highlight=False, markup=False)
     written: list[Path] = []
     if options.figure is not None:
-        board.draw(options.figure, load_study(REFERENCE).labels)
+        board.draw(options.figure)
         written.append(options.figure)
     if options.output is not None and options.output.suffix == ".md":
-        text = "\n".join(f"## {title}\n\n{markdown(rows, 1, NOTE)}" for title, rows in tables)
+        text = "\n".join(f"## {title}\n\n{markdown(rows, 1, NOTE)}" for title, rows in tables) + f"\n{says}\n"
         atomic_write(options.output, text.encode())
         written.append(options.output)
     elif options.output is not None:

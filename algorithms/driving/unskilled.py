@@ -1,13 +1,10 @@
-"""Policies that need no skill, by which the floors of the suite are set: a task that one of them solves tests nothing.
+"""Drivers that know the road of the left turn or the roundabout, go after a fixed time, and are blind to traffic.
 
-They see nothing of what a task is about: they stand still, act at random, hold one action, or go after a fixed time.
-The last ones know the road of the left turn or the roundabout, and are blind to traffic.
+Floors of the suite are set by them: a task that one of them solves does not test how others are met.
 """
 
 from __future__ import annotations
 
-from functools import partial
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +13,6 @@ from algorithms.driving.intersection_rules import as_in_left_turn
 from algorithms.driving.left_turn_rules import GapDriver
 from algorithms.driving.roundabout_rules import RoundaboutDriver
 from mo_deepdrive.world.action_sequences import idle
-from mo_deepdrive.world.actions import CONTINUOUS, action_names
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,12 +21,8 @@ if TYPE_CHECKING:
 
     from algorithms.driving.left_turn_rules import GapRule
     from algorithms.driving.roundabout_rules import RoundaboutRule
-    from mo_deepdrive.world.config import EnvConfig
 
     Goes = bool | NDArray[np.bool_]
-    Function = Callable[..., NDArray[Any]]
-
-STEERS, ACCELERATIONS = (-1.0, -0.3, 0.0, 0.3, 1.0), (0.25, 0.5, 1.0)  # of continuous actions that are held
 
 
 class Timed:
@@ -69,34 +61,3 @@ def blind_follower(rule: RoundaboutRule, action_type: str) -> Callable[[NDArray[
         return actions
 
     return drives
-
-
-def unskilled_policies(config: EnvConfig) -> dict[str, Function]:
-    """The policies of an environment by name, as functions for :func:`mo_deepdrive.evaluation.evaluate`."""
-    scenario, action_type = config.scenario_data, config.action_type
-    axes = (scenario.vehicles,) if scenario.vehicles > 1 else ()
-    found: dict[str, Function] = {
-        "stands still": _holding(idle(action_type), axes),
-        "acts at random": partial(_random, np.random.default_rng(0), action_type, axes),
-    }
-    if action_type == CONTINUOUS:
-        for steer, acceleration in product(STEERS, ACCELERATIONS):
-            action = np.array([steer, acceleration, -1.0], dtype=np.float32)
-            found[f"holds steer {steer:g}, acceleration {acceleration:g}"] = _holding(action, axes)
-    else:
-        names = action_names(action_type)
-        found |= {f"holds '{name}'": _holding(np.array(i), axes) for i, name in enumerate(names) if i}
-    return found
-
-
-def _holding(action: NDArray[Any], axes: tuple[int, ...]) -> Function:
-    return lambda observations, *_: np.broadcast_to(action, (len(observations), *axes, *action.shape)).copy()
-
-
-def _random(
-    rng: np.random.Generator, action_type: str, axes: tuple[int, ...], observations: NDArray[Any], *_: Any
-) -> NDArray[Any]:
-    size = (len(observations), *axes)
-    if action_type == CONTINUOUS:
-        return rng.uniform(-1.0, 1.0, (*size, 3)).astype(np.float32)
-    return rng.integers(len(action_names(action_type)), size=size)

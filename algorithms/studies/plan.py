@@ -378,7 +378,9 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
             learner = tuned.with_changes(own)
             values = _base(learner, where)
             entry = find_algorithm(values["algorithm"]["name"], where)
-            if task.task is not None and entry.known_utility != (suite.load().task(task.task).utility is not None):
+            # Where preferences are hidden, one policy for a utility of the learner's own is blind to them.
+            known_there = task.task is None or suite.load().task(task.task).utility is not None
+            if task.task is not None and entry.known_utility != (known_there or "utility" in learner.overrides):
                 if key in task.learners:
                     raise ValueError(f"{where}: it learns for {'a' if entry.known_utility else 'no'} known utility")
                 continue

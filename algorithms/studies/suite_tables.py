@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cache
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
+from algorithms.reporting.tables import markdown
+from algorithms.studies import REFERENCE
 from algorithms.studies.results import FINISHED
+from algorithms.studies.settings import Learner, load_study
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.statistics import Resampled, holm, shares
 from mo_deepdrive.suite.results import FAILED
 from mo_deepdrive.suite.scorers import SCORE, SCORERS
 from mo_deepdrive.suite.tasks import LOWEST
 from mo_deepdrive.support.names import nearest
+from mo_deepdrive.world.objectives import OBJECTIVES
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Mapping, Sequence
+    from collections.abc import Container, Iterable, Sequence
     from pathlib import Path
 
     import numpy as np
@@ -32,7 +37,7 @@ NOTE = (
     "Scores between floor (0) and ceiling (1), and their differences on the same scenarios: means over seeds with 95% "
     "bootstrap intervals. Seeds and scenarios are resampled together; seeds alone where no samples are kept. "
     f"A run whose training failed counts as {LOWEST:g}; a seed has failed if it is not above the floor. P-values are "
-    f"corrected by Holm's method; a tie has p >= {SIGNIFICANT:g}."
+    f"corrected by Holm's method; the best are a tie where intervals overlap, or p >= {SIGNIFICANT:g}."
 )
 MEANS_NOTE = f"{NOTE.partition(' P-values')[0]} Of differences with a *, p < {SIGNIFICANT:g} after Holm's correction."
 
@@ -62,14 +67,6 @@ def run_minutes(rows: Iterable[Row]) -> dict[tuple[str, str], list[float]]:
     return {arm: [used / 60.0 for used in runs.values()] for arm, runs in seconds.items()}
 
 
-def minutes_per_run(rows: Iterable[Row]) -> dict[str, float]:
-    """The median minutes of a core that a run takes, by task, of those for which they are known."""
-    by_task: dict[str, list[float]] = defaultdict(list)
-    for (task, _), minutes in run_minutes(rows).items():
-        by_task[task] += minutes
-    return {task: median(minutes) for task, minutes in by_task.items()}
-
-
 @dataclass(frozen=True)
 class Scores:
     """The normalised scores of a learner on a task, of the runs that finished or failed."""
@@ -92,6 +89,11 @@ class Difference(NamedTuple):
     p: float  # corrected for all that the other one is compared with
 
 
+def _reaches(high: float | None, low: float | None) -> bool:
+    """Whether two intervals overlap, of which one has the upper end ``high``; also where there is none."""
+    return high is None or low is None or high >= low
+
+
 class Scoreboard:
     """The normalised scores of a table of results, of tasks of the suite in its version."""
 
@@ -104,11 +106,11 @@ class Scoreboard:
         # In the order of the suite, and in that of the results.
         self.tasks: dict[str, Task] = {name: task for name, task in suite.load().tasks.items() if name in scored}
         self.learners = list(dict.fromkeys(result.learner for result in results))
-        self.scores = cache(self._scores)
+        self.scores, self.labels = cache(self._scores), load_study(REFERENCE).labels
 
     def _scores(self, name: str) -> dict[str, Scores]:
         """The scores by learner of the policy that a task ranks, of those of whom a run has ended; the best first."""
-        task, by_learner = self.tasks[name], {}
+        task, by_learner = suite.load().task(name), {}
         part_of = {(learner, seed): part for (of, learner, seed), part in self._samples.items() if of == name}
         drawn = shares(task.episodes, stream=name) if part_of else None
         for learner in self.learners:
@@ -128,6 +130,11 @@ class Scoreboard:
             by_learner[learner] = Scores(known, mean, unfinished)
         return dict(sorted(by_learner.items(), key=lambda item: -item[1].mean.value))
 
+    def minutes(self, task: str) -> float | None:
+        """The median minutes of a core that a run on a task takes; None where that is not known."""
+        minutes = [used for (of, _), runs in self._minutes.items() if of == task for used in runs]
+        return median(minutes) if minutes else None
+
     def differences(self, task: str, other: str | None = None) -> dict[str, Difference]:
         """What the learners score more on a task than another one, by default than the best."""
         scores = self.scores(task)
@@ -138,8 +145,17 @@ class Scoreboard:
 
     def best(self, task: str) -> list[str]:
         """The learner with the highest mean on a task, and those that are not told apart from it."""
-        tied = [learner for learner, difference in self.differences(task).items() if difference.p >= SIGNIFICANT]
-        return [next(iter(self.scores(task))), *tied] if self.scores(task) else []
+        scores = self.scores(task)
+        if not scores:
+            return []
+        first = next(iter(scores))
+        lowest = scores[first].mean.estimate.low
+        tied = [
+            learner
+            for learner, difference in self.differences(task).items()
+            if difference.p >= SIGNIFICANT or _reaches(scores[learner].mean.estimate.high, lowest)
+        ]
+        return [first, *tied]
 
     def _reference(self, learner: str | None) -> str:
         """The learner that others are compared with: the one that is named, or else :data:`BASELINE`, or the first."""
@@ -147,8 +163,11 @@ class Scoreboard:
             raise ValueError(f"--baseline {learner}: there are no results of it; {nearest(learner, self.learners)}")
         return learner or (BASELINE if BASELINE in self.learners else self.learners[0])
 
-    def task_tables(self, baseline: str | None = None) -> list[tuple[str, Rows]]:
-        """A table per task with its title: the learners between ceiling and floor, the best first.
+    def _label(self, learner: str) -> str:
+        return self.labels.get(learner, learner)
+
+    def task_tables(self, baseline: str | None = None, only: str | None = None) -> list[tuple[str, Rows]]:
+        """A table per task, or of one, with its title: the learners between ceiling and floor, the best first.
 
         They are compared with a baseline that has been trained on it, or else with the best.
         """
@@ -156,12 +175,15 @@ class Scoreboard:
             self._reference(baseline)
         tables: list[tuple[str, Rows]] = []
         for name, task in self.tasks.items():
-            if not (scores := self.scores(name)):
+            if only not in (None, name) or not (scores := self.scores(name)):
                 continue
             other = baseline if baseline in scores else next(iter(scores))
             differences = self.differences(name, other)
             header = ["", "score", "failed seeds", "CPU minutes", f"difference from {other}", "p", ""]
             rows = [(1.0, [f"ceiling ({task.ceiling.kind})", f"1 ({task.ceiling.value:.4g})"])]
+            if task.rule is not None:
+                rule = float(task.normalised(task.rule.value))
+                rows.append((rule, ["reference rule", f"{rule:.2f} ({task.rule.value:.4g})"]))
             tied = self.best(name)
             for learner, its in scores.items():
                 minutes = self._minutes.get((name, learner))
@@ -173,6 +195,64 @@ class Scoreboard:
             lines = [[*row, *[""] * (len(header) - len(row))] for _, row in sorted(rows, key=lambda item: -item[0])]
             tables.append((f"{name}: {task.title}{'' if task.counted else ' (not counted)'}", [header, *lines]))
         return tables
+
+    def sentences(self, name: str) -> list[str]:
+        """What the results of a task say, each sentence with the test that it follows from."""
+        scores, ablation = self.scores(name), suite.load().task(name).ablation
+        if not scores:
+            return ["Not run."]
+        whole = any(of == name for of, _, _ in self._samples)
+        test = f"paired bootstrap over seeds{' and scenarios' if whole else ''}"
+        tied, differences = self.best(name), self.differences(name)
+        first, *others = [f"{self._label(learner)} ({scores[learner].mean.estimate.text()})" for learner in tied]
+        said = f"{first} is tied with {' and '.join(others)}" if others else f"{first} is the best"
+        for learner in [learner for learner in differences if learner not in tied][:1]:
+            gap = (scores[tied[0]].mean - scores[learner].mean).estimate.text()
+            said += f", ahead of {self._label(learner)} by {gap} with p = {differences[learner].p:.3f}"
+        said += f" ({test}, Holm's correction for {len(differences)})" if differences else " that was run"
+        if ablation not in scores or len(scores) == 1:
+            return [f"{said}."]
+        ablated = load_study(REFERENCE).learners_of(name).get(ablation, Learner()).ablation_of
+        if ablated not in scores:
+            ablated = next(learner for learner in scores if learner != ablation)
+        difference = scores[ablated].mean - scores[ablation].mean
+        ahead = difference.value > 0.0 and difference.p < SIGNIFICANT
+        cause = f"{self._label(ablated)} is {'' if ahead else 'not '}ahead of the ablation, {self._label(ablation)}"
+        cause += f" ({difference.estimate.text()}, p = {difference.p:.3f}, {test})"
+        return [f"{said}.", f"{cause}{'' if ahead else ': no cause is claimed'}."]
+
+    def page(self, name: str) -> str:
+        """All about a task as Markdown: utility, bounds, reference rule, ablation, CPU minutes, and its learners."""
+        task = suite.load().task(name)
+        if task.rulebook is None:
+            parts = [part for part in OBJECTIVES if part.name in re.findall(r"\w+", task.formula)]
+            units = [part.name + f" ({part.unit})" * (part.unit != "1") for part in parts]
+            judged = f"u = `{task.formula}`, with sums over an episode of {', '.join(units)}"
+        else:
+            rules = [f"{rule.objective} at most {rule.at_most:g}" for rule in task.rulebook.rules]
+            judged = (
+                f"{', then '.join(rules)}, then {task.rulebook.then}; of the first rule that is broken minus the excess"
+            )
+        rule = task.rule or (task.ceiling if task.ceiling.kind == "best known" else None)
+        minutes = self.minutes(name)
+        about = {
+            "Tests": task.tests,
+            "Utility" if task.rulebook is None else "Rules": judged,
+            "Score": f"{task.score.replace('_', ' ')}, {task.episodes} episodes",
+            "Floor": f"{task.floor.value:.4g}, {task.floor.by}",
+            "Ceiling": f"{task.ceiling.value:.4g} ({task.ceiling.kind}), {task.ceiling.by}",
+            "Reference rule": f"score {task.normalised(rule.value):.2f}, {rule.by}" if rule else "none",
+            "Ablation": self._label(task.ablation) if task.ablation else "none",
+            "Training": f"{task.steps / 1e6:g} M steps" + (f", {minutes:.1f} CPU minutes a run" if minutes else ""),
+        }
+        lines = [f"### {name}: {task.title}", "\n".join(f"- **{key}**: {text}" for key, text in about.items())]
+        if not self.scores(name):
+            return "\n\n".join([*lines, "Not run."])
+        ((_, (header, *rows)),) = self.task_tables(only=name)
+        first = next(iter(self.scores(name)))
+        header = [cell.replace(f"from {first}", f"from {self._label(first)}") for cell in header]
+        table = [header, *([self._label(learner), *rest] for learner, *rest in rows)]
+        return "\n\n".join([*lines, markdown(table, 1, "").strip()])
 
     def comparison(self, baseline: str | None, own: Container[str] = ()) -> tuple[Rows, Rows]:
         """Scores of learners by tasks, and their differences from a baseline; the last row is the mean over tasks.
@@ -198,7 +278,7 @@ class Scoreboard:
             differences.append([name, *texts])
         return scores, differences
 
-    def draw(self, path: Path, labels: Mapping[str, str]) -> None:
+    def draw(self, path: Path) -> None:
         """Draw the learners of every task, the best on top: the mean with its interval, and every seed."""
         from matplotlib.figure import Figure
 
@@ -224,13 +304,13 @@ class Scoreboard:
                     if mean.low is not None:
                         axes.plot([mean.low, mean.high], [y, y], color=colour, linewidth=2)
                     axes.plot([mean.value], [y], "o", color=colour, markersize=5)
-                for bound in (0.0, 1.0):
-                    axes.axvline(bound, color=style.DIM, linewidth=0.8, linestyle=":")
-                axes.set_yticks(range(len(scores)), [labels.get(learner, learner) for learner in scores])
+                rule = self.tasks[name].rule
+                rules = [] if rule is None else [float(self.tasks[name].normalised(rule.value))]
+                for bound, line in [(0.0, ":"), (1.0, ":"), *((place, "--") for place in rules)]:
+                    axes.axvline(bound, color=style.DIM, linewidth=0.8, linestyle=line)
+                axes.set_yticks(range(len(scores)), [self._label(learner) for learner in scores])
                 axes.set(title=name, ylim=(tallest - 0.5, -0.5))
                 axes.xaxis.set_tick_params(labelbottom=True)
-            note = (
-                "Means with 95% intervals over seeds and scenarios; a stroke is a seed. Dotted: floor (0), ceiling (1)."
-            )
+            note = "Means with 95% intervals; a stroke is a seed. Dotted: floor and ceiling; dashed: a reference rule."
             style.surround(figure, "Scores of the learners by task", [note])
             style.save_figure(figure, path)

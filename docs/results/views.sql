@@ -1,60 +1,20 @@
 -- What the made tables of the documentation select from: views of the CSV files in this folder and of the suite's tasks.
 
-CREATE VIEW suite_tracks AS -- README: learners by tracks
-WITH cells AS (
-  SELECT learner, track, printf('%.2f (%d)', avg(score), count(DISTINCT task)) AS cell
-  FROM suite_normalised GROUP BY learner, track)
-SELECT label AS learner,
-  max(CASE track WHEN 'known utility' THEN cell END) AS "known utility",
-  max(CASE track WHEN 'unknown utility' THEN cell END) AS "unknown utility",
-  max(CASE track WHEN 'many vehicles' THEN cell END) AS "many vehicles"
-FROM cells JOIN suite_learners USING (learner) GROUP BY learner
-ORDER BY (SELECT avg(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
-
-CREATE VIEW suite_list AS -- scoreboard: what the tasks are
-SELECT '`' || task || '`' AS task, CASE core WHEN 1 THEN 'core' ELSE '' END AS " ", title, tests AS "what it tests",
-  printf('%g M', steps / 1e6) AS steps, track
+CREATE VIEW suite_list AS -- README and scoreboard: the tasks that count, and their best learners
+SELECT '`' || task || '`' AS task, title, tests AS "what it tests", printf('%g M', steps / 1e6) AS steps,
+  best AS "best learner", score, core
 FROM suite_tasks WHERE counted;
-
-CREATE VIEW suite_bounds AS -- scoreboard: floors, ceilings and the best learner of each task
-WITH means AS (SELECT task, learner, avg(score) AS score, count(*) AS seeds, sum(score <= 0) AS failed
-  FROM suite_normalised GROUP BY task, learner),
-best AS (SELECT b.task, max(CASE place WHEN 0 THEN label END) AS label, group_concat(CASE WHEN place > 0 THEN label END, ', ') AS tied,
-  max(CASE place WHEN 0 THEN score END) AS score, max(CASE place WHEN 0 THEN failed || ' of ' || seeds END) AS failed
-  FROM suite_best AS b JOIN means USING (task, learner) JOIN suite_learners USING (learner) GROUP BY b.task)
-SELECT '`' || task || '`' AS task, printf('%.4g', t.floor) || ' (' || floor_by || ')' AS floor,
-  printf('%.4g', t.ceiling) || ' (' || CASE kind WHEN 'best known' THEN ceiling_by ELSE kind END || ')' AS ceiling,
-  label AS "best learner", decimals(score, 2) AS "its score", tied AS "tied with", failed AS "its failed seeds",
-  decimals(minutes, 1) AS "CPU minutes a run"
-FROM suite_tasks AS t LEFT JOIN best USING (task) WHERE counted;
-
-CREATE VIEW suite_core AS -- README: the tasks to begin with
-SELECT list.task, title, "what it tests", steps, "best learner", "its score"
-FROM suite_list AS list JOIN suite_bounds USING (task) WHERE " " = 'core';
-
-CREATE VIEW suite_scores AS -- scoreboard: learners by tasks
-WITH cells AS (
-  SELECT learner, task, printf('%.2f', round(avg(score), 2) + 0.0) AS cell FROM suite_normalised GROUP BY learner, task)
-SELECT label AS learner, max(CASE task WHEN 'K1' THEN cell END) AS K1, max(CASE task WHEN 'K2' THEN cell END) AS K2,
-  max(CASE task WHEN 'K3' THEN cell END) AS K3, max(CASE task WHEN 'K4' THEN cell END) AS K4,
-  max(CASE task WHEN 'K5' THEN cell END) AS K5, max(CASE task WHEN 'K6-ESR' THEN cell END) AS "K6-ESR",
-  max(CASE task WHEN 'K6-SER' THEN cell END) AS "K6-SER", max(CASE task WHEN 'U1' THEN cell END) AS U1,
-  max(CASE task WHEN 'U2' THEN cell END) AS U2, max(CASE task WHEN 'U3' THEN cell END) AS U3,
-  max(CASE task WHEN 'V1' THEN cell END) AS V1
-FROM cells JOIN suite_learners USING (learner) GROUP BY learner
-ORDER BY (SELECT avg(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
 
 CREATE VIEW suite_generalisation AS -- scoreboard: scores of the best learners where nobody has trained
 WITH scored AS (
-  SELECT task, learner, suite."column" AS setting, max(-1.0, (value - floor) / (ceiling - floor)) AS score
-  FROM suite JOIN suite_tasks USING (task, policy) WHERE value <> '' AND counted)
-SELECT '`' || scored.task || '`' AS task, label AS learner,
+  SELECT task, best, suite."column" AS setting, max(-1.0, (value - floor) / (ceiling - floor)) AS score
+  FROM suite JOIN suite_tasks AS t USING (task, policy) WHERE value <> '' AND counted AND learner = first)
+SELECT '`' || task || '`' AS task, best AS learner,
   decimals(avg(CASE setting WHEN 'score' THEN score END), 2) AS "as trained",
   decimals(avg(CASE setting WHEN 'yaw_friction' THEN score END), 2) AS "less grip",
   decimals(avg(CASE setting WHEN 'action_delay' THEN score END), 2) AS "delayed actions",
   decimals(avg(CASE setting WHEN 'hidden_car' THEN score END), 2) AS "a hidden car"
-FROM scored JOIN suite_learners USING (learner)
-JOIN suite_bounds AS bounds ON bounds.task = '`' || scored.task || '`' AND bounds."best learner" = label GROUP BY scored.task;
+FROM scored GROUP BY scored.task;
 
 CREATE VIEW speed AS -- README
 SELECT CASE WHEN measurement LIKE '%make_vec%'

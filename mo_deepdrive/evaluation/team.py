@@ -35,7 +35,9 @@ class Team:
             raise ValueError(f"{len(self.seats)} members for {self.env.vehicles} vehicles")
         for member in members[1:]:
             check_same_task(member.env, self.env)
-        self.members = tuple(members)
+        self.members = tuple(
+            _driving(member, {v for v, seat in enumerate(self.seats) if seat == k}) for k, member in enumerate(members)
+        )
 
     @property
     def utilities(self) -> tuple[Utility, ...]:
@@ -100,6 +102,12 @@ class Population:
         for rows, part in parts:
             actions[rows] = part
         return actions
+
+
+def _driving(policy: Any, vehicles: set[int]) -> Policy:
+    """The policy, without its partners if others drive the vehicles of these."""
+    partners = getattr(policy, "partners", {})
+    return policy.without_partners() if partners and vehicles.isdisjoint(partners) else policy  # type: ignore[no-any-return]
 
 
 def _gamma_of(policy: Policy, vehicle: int) -> float:

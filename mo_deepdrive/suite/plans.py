@@ -11,6 +11,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from mo_deepdrive.evaluation.drives import Playback
+from mo_deepdrive.evaluation.episodes import OUR_ENVS
 from mo_deepdrive.suite.tasks import DATA, load
 from mo_deepdrive.world.action_sequences import decode
 
@@ -39,10 +40,11 @@ def planned_actions(task_id: str, scenario: int) -> list[NDArray[Any]]:
     return [decode(text, action_type) for text in texts[scenario]]
 
 
-def planned(task_id: str, preference: int = 0) -> Playback:
-    """The policy that replays the plans of a task, of one hidden preference, in the first scenarios of the test split.
+def planned(task_id: str, preference: int = 0, first: int = 0) -> Playback:
+    """The policy that replays the plans of a task, of one hidden preference, in scenarios of the test split.
 
-    A ValueError if the task has no plans.
+    They are those from the ``first`` of the split on, at most as many as are driven at a time. A ValueError if the task
+    has no plans.
     """
     action_type, texts = _sequences(task_id)
-    return Playback([decode(text[preference], action_type) for text in texts], action_type)
+    return Playback([decode(text[preference], action_type) for text in texts[first : first + OUR_ENVS]], action_type)

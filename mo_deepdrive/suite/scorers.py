@@ -16,11 +16,9 @@ import scipy
 
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import OUR_ENVS, as_policy, evaluate
-from mo_deepdrive.evaluation.pareto import hypervolume
 from mo_deepdrive.evaluation.policy import FunctionPolicy, drive, seeded_generator
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.evaluation.team import Team
-from mo_deepdrive.fronts.reference_fronts import reference_point
 from mo_deepdrive.support.importing import import_named
 from mo_deepdrive.utilities import RISK_AVERSE
 
@@ -38,7 +36,7 @@ if TYPE_CHECKING:
 
 CHOICE_EPISODES = 50  # of the validation split, by which a policy of a front is chosen for a preference
 TAIL = 0.1  # share of the worst episodes in CVaR10
-SCORE, CVAR, WORST, CONTROLLABILITY = "score", "cvar10", "worst_partner", "controllability"
+SCORE, CVAR, WORST, CONTROLLABILITY = "score", "cvar10", "worst_family", "controllability"
 
 
 @dataclass(frozen=True)
@@ -60,11 +58,11 @@ class Drives:
             driver = import_named("partners.made_by", settings.made_by)(partner, self.task.config().action_type)
 
             def drive(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
-                return np.stack([driver(observations[:, settings.vehicle])] * adapter.vehicles, axis=1)
+                actions: NDArray[Any] = driver(observations.reshape(-1, observations.shape[-1]))
+                return actions.reshape(*observations.shape[:2], *actions.shape[1:])
 
-            members = [actor] * adapter.vehicles
-            members[settings.vehicle] = FunctionPolicy(drive, adapter)
-            actor = Team(members)
+            seats = np.arange(adapter.vehicles) != self.task.vehicle
+            actor = Team([actor, FunctionPolicy(drive, adapter)], seats.astype(int).tolist())
         found = evaluate(actor, self.env, seed=self.seed, episodes=self.episodes, greedy=greedy, gamma=1.0)
         return found.returns[:, self.task.vehicle]
 
@@ -154,16 +152,6 @@ def returns(drives: Drives, policy: Any) -> NDArray[np.float64]:
     return drives.returns(single(policy))
 
 
-def returns_of_front(drives: Drives, policy: Any) -> NDArray[np.float64]:
-    """(E, K, d) the undiscounted returns of K policies; a ValueError if it is told weights and has no front."""
-    policies = policies_of(policy)
-    if not isinstance(policies, list):
-        policies = list(getattr(policy, "front", ()))
-        if not policies:
-            raise ValueError("the hypervolume needs a list of policies; a policy that is told weights is not one")
-    return np.stack([drives.returns(member) for member in policies], axis=1)
-
-
 def returns_by_preference(drives: Drives, policy: Any) -> NDArray[np.float64]:
     """(E, P, d) the undiscounted returns under P preferences, of a policy that is told them, or of a front's best."""
     task, policies = drives.task, policies_of(policy)
@@ -180,14 +168,17 @@ def returns_by_preference(drives: Drives, policy: Any) -> NDArray[np.float64]:
 
 
 def values_under_changes(drives: Drives, policy: Any) -> NDArray[np.float64]:
-    """(E, P) what every episode is worth under P preferences that give way to the next one, to a policy that is told.
+    """(E, P) what every episode is worth under P preferences that give way to the next one.
 
-    A ValueError for a policy that is not told weights.
+    The policy is told them, or is one that is blind to them; a ValueError for a front.
     """
     task, policies = drives.task, policies_of(policy)
     assert task.preferences is not None
     if isinstance(policies, list):
-        raise ValueError("preferences that change need a policy that is told them")
+        if len(policies) > 1:
+            raise ValueError("preferences that change need a policy that is told them, or a single one")
+        blind = policies[0]
+        policies = lambda _weights: blind  # noqa: E731  # a function of the weights like the others
     told, weights, times = task.told_weights(), task.hidden_weights(), task.preferences.change_times()
     pairs = list(zip(told, np.roll(told, -1, axis=0), strict=True))
     values = [
@@ -216,21 +207,9 @@ def scenario_means(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.floa
     return np.asarray(samples.reshape(len(samples), -1).mean(axis=1, keepdims=True))
 
 
-def flattened(_task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(E, k) all samples of each scenario."""
-    return samples.reshape(len(samples), -1)
-
-
-def gains(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(E, 1) what is gained over the best policy that is blind to the preferences, their mean; planned drives are 1.
-
-    Samples are returns (E, P, d), or what they are worth (E, P).
-    """
-    preferences = task.preferences
-    assert preferences is not None
-    worth = (samples * task.hidden_weights()).sum(axis=2) if samples.ndim > 2 else samples
-    blind, planned = np.array(preferences.blind), np.array(preferences.planned)
-    return scenario_means(task, (worth - blind) / (planned - blind))
+def weighted_means(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(E, 1) what returns (E, P, d) are worth under P preferences, their mean."""
+    return scenario_means(task, (samples * task.hidden_weights()).sum(axis=2))
 
 
 def costs(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -249,27 +228,10 @@ def mean(_task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
     return means[..., 0]
 
 
-def utility_of_mean(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The utility of the mean return (SER)."""
-    return np.asarray(task.make_utility()(means))
-
-
 def certainty_equivalent(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
     """The certain value that is worth as much as these episodes."""
     risk = RISK_AVERSE[task.utility.name]  # type: ignore[union-attr]
     return np.asarray(risk.certainty_equivalent(means[..., 0]))
-
-
-def dominated_volume(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The hypervolume of the mean returns of a front."""
-    config = task.config()
-    corner = reference_point(config.scenario, config.action_type, 1.0, task.objectives()).values
-
-    def volume(point_row: NDArray[np.float64]) -> float:
-        points = point_row.reshape(-1, len(corner))
-        return float(hypervolume(points, corner)) if (points > corner).all(axis=1).any() else 0.0
-
-    return np.apply_along_axis(volume, -1, means)
 
 
 def lexicographic(task: Task, means: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -298,9 +260,12 @@ def conditional_value_at_risk(task: Task) -> Statistic:
     return worst_tenth
 
 
-def worst_partner(_task: Task) -> Statistic:
-    """The mean utility with the partner with whom it is least."""
-    return lambda samples: float(samples.mean(axis=0).min())
+def worst_family(task: Task) -> Statistic:
+    """The mean utility with the family of partners with whom it is least; a name is that of a family and a number."""
+    assert task.partners is not None
+    _, families = np.unique([name.rpartition("_")[0] for name in task.partners.names], return_inverse=True)
+    members = np.eye(families.max() + 1)[families]
+    return lambda samples: float((samples.mean(axis=0) @ members / members.sum(axis=0)).min())
 
 
 def mean_costs(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
@@ -311,12 +276,13 @@ def mean_costs(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
 def controllability(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
     """Spearman's correlation of weight and mean return over the preferences, of each objective, and their mean.
 
-    It is 0 where the return is always the same.
+    It is 0 where the return is always the same, and none of an objective on which all preferences agree.
     """
     weights, achieved = task.hidden_weights(), samples.mean(axis=0)
     found = {
         f"{CONTROLLABILITY}/{name}": float(scipy.stats.spearmanr(w, r).statistic) if np.ptp(r) > 0.0 else 0.0
         for name, w, r in zip(task.objectives(), weights.T, achieved.T, strict=True)
+        if np.ptp(w) > 0.0
     }
     return {CONTROLLABILITY: float(np.mean(list(found.values()))), **found}
 
@@ -342,13 +308,11 @@ class Scorer:
 
 SCORERS: dict[str, Scorer] = {
     "mean_utility": Scorer(utilities, scenario_means, mean),
-    "utility_of_mean": Scorer(returns, flattened, utility_of_mean),
     "certainty_equivalent": Scorer(utilities, scenario_means, certainty_equivalent, {CVAR: conditional_value_at_risk}),
-    "hypervolume": Scorer(returns_of_front, flattened, dominated_volume),
-    "mean_over_preferences": Scorer(returns_by_preference, gains, mean, details=controllability),
-    "mean_over_changing_preferences": Scorer(values_under_changes, gains, mean),
+    "mean_over_preferences": Scorer(returns_by_preference, weighted_means, mean, details=controllability),
+    "mean_over_changing_preferences": Scorer(values_under_changes, scenario_means, mean),
     "rulebook": Scorer(returns, costs, lexicographic, details=mean_costs),
-    "mean_over_partners": Scorer(utilities_by_partner, scenario_means, mean, {WORST: worst_partner}),
+    "mean_over_partners": Scorer(utilities_by_partner, scenario_means, mean, {WORST: worst_family}),
 }
 
 

@@ -73,11 +73,7 @@ class HiddenPreferences(Settings):
     changes: tuple[float, float] | None = None
     """Between how many seconds a preference gives way to the next one, once in an episode; None for never."""
     left_out: list[int] = []
-    """The drawn preferences, counted from 0, for which the planned drives gain less than 0.1 over ``blind``."""
-    blind: list[float] = []
-    """What the best policy for the mean of the preferences, or for those before the change, is worth under each."""
-    planned: list[float] = []
-    """What the planned drives are worth under each."""
+    """The drawn preferences, counted from 0, under which planned drives gain less than 0.1 over those for the mean."""
 
     def weights(self, objectives: Sequence[str]) -> NDArray[np.float64]:
         """(count, d) weights of undiscounted returns."""
@@ -96,10 +92,8 @@ class HiddenPreferences(Settings):
 
 
 class Partners(Settings):
-    """Scripted drivers of the other vehicle, which no learner has met."""
+    """Scripted drivers of all vehicles but the one that is scored, which no learner has met; one at a time."""
 
-    vehicle: int = Field(ge=0, le=1)
-    """The vehicle that they drive."""
     made_by: str
     """The function that makes one of its name and the action type, as "package.module:function"."""
     names: list[str]
@@ -126,6 +120,11 @@ class Task(Settings):
     """A few words."""
     tests: str
     """What it asks of a method, in a sentence."""
+    formula: str = ""
+    """The utility of an episode, in magnitudes of its objectives: [x <= 1] is 1 where that is so and else 0, (x)+ is
+    the positive part, and p_time a preference's price of time. Empty where a rulebook judges."""
+    ablation: str | None = None
+    """The learner of the reference study that lacks what the task tests."""
     track: Track
     """The table that it belongs to."""
     core: bool = False
@@ -143,7 +142,7 @@ class Task(Settings):
     vehicle: int = 0
     """The vehicle whose driver is scored."""
     partners: Partners | None = None
-    """Who drives the other vehicle when it is scored."""
+    """Who drives the other vehicles when it is scored."""
     steps: int = Field(ge=1)
     """Environment steps that a learner may take."""
     episodes: int = Field(ge=1)
@@ -155,7 +154,9 @@ class Task(Settings):
     columns: list[str] = []
     """The perturbations under which it is scored too, keys of :attr:`Suite.perturbations`."""
     floor: Bound
-    """What the best policy earns that needs no skill."""
+    """What the best policy earns that is blind to what the task tests."""
+    rule: Bound | None = None
+    """What the best scripted driver earns, where that is neither floor nor ceiling."""
     ceiling: Ceiling
     """What counts as 1."""
 

@@ -88,7 +88,7 @@ class FrontSearch:
             reference_point(scenario, action_type, criterion.gamma, names).values
             for criterion, names in zip(CRITERIA, self.objectives, strict=True)
         ]
-        self.evaluator = PlanEvaluator(scenario, action_type)
+        self.evaluator = PlanEvaluator(front_config(scenario, action_type))
         self.rng = np.random.default_rng(seed)
         self.generations = 0
         self.archive = self.evaluator.evaluate(self.evaluator.format.idle_plans(1), UNKNOWN_SOURCE)

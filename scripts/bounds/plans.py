@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from algorithms.driving.controls import CURVATURE_PER_STEER, DRAG
-from mo_deepdrive.fronts.reference_fronts import GAMMA, TIME, front_config
+from mo_deepdrive.fronts.reference_fronts import GAMMA, TIME
 from mo_deepdrive.simulation import observation, traffic
 from mo_deepdrive.simulation.actions import (
     CURL,
@@ -34,7 +34,7 @@ from mo_deepdrive.simulation.actions import (
     decode_discrete,
 )
 from mo_deepdrive.simulation.dynamics import make_scratch
-from mo_deepdrive.simulation.kernel import step_worlds
+from mo_deepdrive.simulation.kernel import rewarding, step_worlds
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, RUNNING, STEER_RANGE
 from mo_deepdrive.world.action_sequences import CONTINUOUS_UNIT
 from mo_deepdrive.world.action_sequences import idle as idle_action
@@ -46,6 +46,8 @@ from scripts.bounds.variation import FULL_SCALE, make_offspring
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from mo_deepdrive.world.config import EnvConfig
 
 Plans = NDArray[np.int16]  # (n, decisions, k)
 
@@ -233,6 +235,9 @@ def simulate_plans(
     sight: NDArray[Any],
     seen: NDArray[Any],
     controls: NDArray[Any],
+    acted: NDArray[Any],
+    rewards: NDArray[Any],
+    write_rewards: Any,
     weights: NDArray[Any],
     returns: NDArray[Any],
     lengths: NDArray[Any],
@@ -255,28 +260,22 @@ def simulate_plans(
                 steer, acceleration, brake = plans[i, t, 0], plans[i, t, 1], plans[i, t, 2]
                 decode_continuous(i, 0, steer / FULL_SCALE, acceleration / FULL_SCALE, brake / FULL_SCALE, controls)
             step_worlds(worlds, i, i + 1, controls, params[0], motion, cars, path)
-            for k in range(params[0].n_objectives):
-                value = params[0].objective_sign[k] * vehicle.objectives[params[0].objective_index[k]]
-                for g in range(len(weights)):
-                    returns[g, i, k] += weights[g, t] * np.float32(value)
+            write_rewards(worlds, i, params, acted, rewards)
+            for g in range(len(weights)):
+                for k in range(rewards.shape[2]):
+                    returns[g, i, k] += weights[g, t] * rewards[i, 0, k]
             if vehicle.end != RUNNING:
                 lengths[i] = t + 1
                 break
 
 
 class PlanEvaluator:
-    """Evaluates plans from the start in ``batch``, at first that of the scenario of a best-known front.
+    """Evaluates plans of one vehicle from the start in ``batch``, at first that of an environment without draws."""
 
-    An episode ends after ``time_limit`` seconds, the environment's by default.
-    """
-
-    def __init__(self, scenario: str, action_type: str, time_limit: float | None = None):
-        config = front_config(scenario, action_type)
-        if time_limit is not None:
-            config = config.model_copy(update={"time_limit": time_limit})
+    def __init__(self, config: EnvConfig):
         self.batch = WorldBatch(config, 1)
         self.batch.place()
-        self.format = PlanFormat(action_type, config.max_decisions)
+        self.format = PlanFormat(config.action_type, config.max_decisions)
         self.simulated_decisions = 0
         motion, path = make_scratch(1, config.physics_steps)
         self._scratch = (motion, traffic.make_scratch(0), path, np.zeros(1, dtype=observation.SIGHT))
@@ -303,6 +302,9 @@ class PlanEvaluator:
             *self._scratch,
             np.zeros((n, 1, self._observed), dtype=np.float32),
             np.zeros((n, 1, 3)),
+            np.ones((n, 1), dtype=np.bool_),
+            np.zeros((n, 1, d), dtype=np.float32),
+            rewarding(self.batch.measures),
             self._weights,
             returns,
             lengths,

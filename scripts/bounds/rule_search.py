@@ -23,10 +23,10 @@ from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import OUR_ENVS, evaluate_each
 from mo_deepdrive.evaluation.policy import FunctionPolicy
 from mo_deepdrive.evaluation.splits import SPLITS
-from mo_deepdrive.evaluation.statistics import resample
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
+from mo_deepdrive.suite.scorers import SCORERS
 from mo_deepdrive.world.actions import action_table
-from scripts.bounds.plans import RULE, follow_rule
+from scripts.bounds.plans import AFTER_DISTANCE, RULE, follow_rule
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
     from mo_deepdrive.evaluation.evaluation import Evaluation
     from mo_deepdrive.evaluation.splits import Split
-    from mo_deepdrive.evaluation.statistics import Estimate
+    from mo_deepdrive.suite import Task
 
     Floats = NDArray[np.float64]
     Function = Callable[..., NDArray[Any]]
 
-ROUNDS = ((256, 8), (64, 32), (16, 128))  # rules, and episodes of each with each partner
+ROUNDS = ((1024, 8), (256, 8), (64, 32), (16, 128))  # rules, and episodes of each with each partner
 VARIATION = 0.1  # standard deviation of a variation, as a share of the range
 DECISION = 0.1  # s
 
@@ -63,12 +63,6 @@ class Family:
     def rules(self, points: Floats) -> Floats:
         """The rules (N, F) of points (N, F)."""
         return np.where([name in self.logarithmic for name in self.ranges], np.exp(points), points)
-
-    def drawn(self, count: int, action_type: str) -> dict[str, Function]:
-        """Rules that are drawn, by name, as policies of all vehicles."""
-        low, high = self.points()
-        rules = self.rules(np.random.default_rng(0).uniform(low, high, (count, len(low))))
-        return {self.name(rule): self.policy(rule, action_type) for rule in rules}
 
     def name(self, rule: Floats) -> str:
         """The rule (F,) in words."""
@@ -110,12 +104,15 @@ class Setting:
         """An evaluation with each partner, or one, of each of the rules (K, F), all in the same scenarios."""
         pairs = len(rules) * max(1, len(self.partners))
         with closing(make_env(self.env_id, min(OUR_ENVS, pairs * episodes), dict(self.arguments))) as env:
-            policy_of = partial(self._policy, EnvAdapter(env), family, rules)
-            seed = SPLITS[split].start
+            adapter, seed = EnvAdapter(env), SPLITS[split].start
+
+            def policy_of(pairs: NDArray[np.intp]) -> FunctionPolicy:
+                return FunctionPolicy(self.driver(family, rules, pairs), adapter, gamma=1.0)
+
             found = evaluate_each(policy_of, pairs, env, episodes=episodes, seed=seed, gamma=1.0)
         return [tuple(found[k :: len(rules)]) for k in range(len(rules))]
 
-    def _policy(self, adapter: EnvAdapter, family: Family, rules: Floats, pairs: NDArray[np.intp]) -> FunctionPolicy:
+    def driver(self, family: Family, rules: Floats, pairs: NDArray[np.intp]) -> Function:
         """The policy of which episode n is driven by the n-th of the pairs of a partner and a rule."""
         partners, rows = np.divmod(pairs, len(rules))
         action_type = self.arguments.get("action_type", "discrete")
@@ -131,7 +128,13 @@ class Setting:
                 actions[partners == partner, 1:] = driven.reshape(*theirs.shape[:2], *ours.shape[2:])
             return actions
 
-        return FunctionPolicy(drive if others else driver, adapter, gamma=1.0)
+        return drive if others else driver
+
+
+def setting_of(task: Task) -> Setting:
+    """The setting of a task."""
+    names = task.partners.names if task.partners is not None else ()
+    return Setting(task.environment.id, task.environment.arguments, tuple(names))
 
 
 def search(
@@ -155,12 +158,6 @@ def search(
         worth = np.array([objective.number(objective.samples(evaluations)) for evaluations in driven])
         points = points[np.argsort(-worth, kind="stable")]
     return np.asarray(family.rules(points[:1])[0])
-
-
-def measure(setting: Setting, family: Family, rule: Floats, objective: Objective, episodes: int) -> Estimate:
-    """What a rule (F,) achieves on the test split, with its interval over scenarios."""
-    (evaluations,) = setting.drive(family, rule[None], episodes, "test")
-    return resample(objective.samples(evaluations), objective.number)
 
 
 # ------------------------------------------------------------------------------------------------------------ families
@@ -221,71 +218,67 @@ class _Following:
     def __init__(self, action_type: str, **numbers: Any):
         self._table, self._numbers = action_table(action_type), numbers
 
-    def __call__(self, observations: NDArray[Any], *_: Any) -> NDArray[Any]:
-        """Actions (N,) for observations (N, o)."""
+    def __call__(self, observations: NDArray[Any], *_: Any, **numbers: Any) -> NDArray[Any]:
+        """Actions (N,) for observations (N, o), perhaps with other numbers of the rules."""
         rules = np.zeros(len(observations), dtype=RULE)
         rules["max_steer"], rules["throttle"] = STEER_RANGE, MAX_ACCELERATION
-        for name, values in self._numbers.items():
+        for name, values in {**self._numbers, **numbers}.items():
             rules[name] = values > 0.5 if name == "hold_speed" else values
         actions = np.zeros((len(observations), 1), dtype=np.int16)
         _follow_rules(observations, rules.view(np.recarray), self._table, actions)
         return actions[:, 0].astype(np.int64)
 
 
-SEEING["one_waypoint"] = Family(
+class _InTime:
+    """Drives to the waypoint at a speed by which it arrives within what is left of DEADLINE_SECONDS, if it can.
+
+    The last of the accrued rewards is minus the time.
+    """
+
+    def __init__(self, action_type: str, reserve: Floats, least_speed: Floats, most_speed: Floats, **numbers: Any):
+        self._following = _Following(action_type, **numbers)
+        self._reserve, self._least, self._most = reserve, least_speed, most_speed
+
+    def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], _discounts: NDArray[Any]) -> NDArray[Any]:
+        """Actions (N,) for observations (N, o)."""
+        left = DEADLINE_SECONDS - self._reserve + accrued[:, -1]
+        needed = observations[:, AFTER_DISTANCE] / np.maximum(left, 0.1)
+        too_late = (left <= 0.0) | (needed > self._most)
+        return self._following(
+            observations, target_speed=np.where(too_late, self._least, np.maximum(needed, self._least))
+        )
+
+
+_FOLLOWING = {
+    "speed_slack": (0.02, 0.9),
+    "hold_speed": (0.0, 1.0),
+    "gain": (0.1, 4.0),
+    "max_steer": (0.001, 0.3),
+    "dead_zone": (0.0, 0.15),
+}
+FOLLOWING = Family(
     "a rule that drives at the waypoint",
-    {
-        "target_speed": (0.5, 10.0),
-        "speed_slack": (0.02, 0.9),
-        "hold_speed": (0.0, 1.0),
-        "gain": (0.1, 4.0),
-        "max_steer": (0.001, 0.3),
-        "dead_zone": (0.0, 0.15),
-        "brake_distance": (0.0, 8.0),
-    },
+    {"target_speed": (0.5, 10.0), **_FOLLOWING, "brake_distance": (0.0, 8.0)},
     _Following,
     logarithmic=("target_speed", "gain", "max_steer"),
 )
+DEADLINE_SECONDS = 40.0
+DEADLINE = Family(
+    "a rule that arrives in time",
+    {"reserve": (0.0, 10.0), "least_speed": (0.05, 4.0), "most_speed": (1.0, 12.0), **_FOLLOWING},
+    _InTime,
+    logarithmic=("least_speed", "gain", "max_steer"),
+)
 
-# ---------------------------------------------------------------------------------------------------------- objectives
-
-
-def _utilities(utility: Any, evaluation: Evaluation) -> Floats:
-    """(E, V) utilities of episodes and vehicles."""
-    return np.asarray(utility(evaluation.returns))
-
-
-def family_of(name: str) -> str:
-    """The family of a driver, as it is named."""
-    return name.rpartition("_")[0]
+# ----------------------------------------------------------------------------------------------------------- objectives
 
 
-def mean_utility(utility: Any) -> Objective:
-    """The mean utility of vehicle 0, over episodes and partners."""
-    return Objective(lambda met: np.stack([_utilities(utility, one)[:, 0] for one in met], axis=1), np.mean)
+def objective_of(task: Task, utility: Any = None) -> Objective:
+    """The score of a task, or what it were with another utility."""
+    scorer, utility = SCORERS[task.score], utility or (task.make_utility() if task.utility else None)
 
+    def samples(met: Any) -> Any:
+        returns = np.stack([evaluation.returns[:, task.vehicle] for evaluation in met], axis=1)
+        return returns[:, 0] if task.rulebook else utility(returns)
 
-def worst_family(utility: Any, partners: Sequence[str]) -> Objective:
-    """The mean utility of vehicle 0 with the family of partners with whom it is least."""
-    _, families = np.unique([family_of(name) for name in partners], return_inverse=True)
-
-    def number(samples: Floats) -> float:
-        means = samples.mean(axis=0)
-        return float(min(means[families == family].mean() for family in np.unique(families)))
-
-    return Objective(mean_utility(utility).samples, number)
-
-
-def mean_over_vehicles(utility: Any) -> Objective:
-    """The mean utility of all vehicles."""
-    return Objective(lambda met: _utilities(utility, met[0]).mean(axis=1), np.mean)
-
-
-def worst_off(utility: Any) -> Objective:
-    """The mean over episodes of the utility of the vehicle for which it is least."""
-    return Objective(lambda met: _utilities(utility, met[0]).min(axis=1), np.mean)
-
-
-def certainty_equivalent(utility: Any, risk: Any) -> Objective:
-    """The certain value that is worth as much, by a :class:`mo_deepdrive.utilities.RiskAversion`."""
-    return Objective(mean_utility(utility).samples, lambda samples: float(risk.certainty_equivalent(samples.mean())))
+    return Objective(samples, lambda drawn: float(scorer.score(task, scorer.part(task, drawn).mean(axis=0))))

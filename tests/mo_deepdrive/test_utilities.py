@@ -109,8 +109,8 @@ def one_waypoint_satisficing(r: float, g: float, j: float, t: float) -> float:
     return r * (2 + 8 * (1 - min(1.0, beyond)))
 
 
-def one_waypoint_calm_arrival(r: float, j: float) -> float:
-    return min(r, 1 - j / 60)
+def one_waypoint_deadline(d: float, r: float, e: float, t: float) -> float:
+    return 0.1 * d + (10 * r if t <= 40 else 0.0) - e
 
 
 ROUNDABOUT = (*LEFT_TURN, "near_miss", "right_of_way", "energy")
@@ -133,7 +133,7 @@ OWN: dict[str, tuple[tuple[str, ...], Callable[..., float]]] = {
     "intersection_hurried": (LEFT_TURN, intersection_hurried),
     "left_turn_hurried_risk_averse": (LEFT_TURN, left_turn_hurried_risk_averse),
     "one_waypoint_satisficing": (("destination", "g_force", "jerk", "time"), one_waypoint_satisficing),
-    "one_waypoint_calm_arrival": (("destination", "jerk"), one_waypoint_calm_arrival),
+    "one_waypoint_deadline": (("distance", "destination", "energy", "time"), one_waypoint_deadline),
     "roundabout_linear": (ROUNDABOUT, roundabout_linear),
 }
 NAMED = {**PAPER, **OWN}

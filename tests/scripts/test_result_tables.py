@@ -77,16 +77,25 @@ def test_the_code_of_a_result_has_the_changes_that_its_row_says() -> None:
 
 
 @pytest.mark.slow
-def test_the_scoreboard_normalises_and_counts_failed_runs(script: ModuleType) -> None:
-    ceiling = suite.load().tasks["K1"].ceiling.value
-    run = {"task": "K1", "learner": "a", "state": "finished", "cpu_seconds": 60.0}
-    results = [suite.Row(**run, seed=seed, policy="stochastic", column="score", value=ceiling) for seed in range(2)]
-    results += [suite.Row(**run, seed=0, policy="greedy", column="score", value=100.0)]
-    results += [suite.Row(**{**run, "state": "failed", "cpu_seconds": None}, seed=2, policy="", column="", value=None)]
+def test_the_scoreboard_has_a_section_and_a_sentence_per_task_whether_it_has_been_run_or_not(
+    script: ModuleType,
+) -> None:
+    task = suite.load().tasks["K4"]
+    run = {"task": "K4", "policy": "stochastic", "column": "score", "version": suite.load().version}
+    results = [suite.Row(**run, learner="ppo", seed=seed, value=task.ceiling.value) for seed in range(3)]
+    results += [suite.Row(**run, learner="lintune", seed=seed, value=task.floor.value) for seed in range(3)]
     database = script.open_results()
-    for table in ("tasks", "normalised", "learners", "best"):
-        database.execute(f"DROP TABLE suite_{table}")
-    script.fill_suite(database, results)
-    scores = database.execute("SELECT learner, score FROM suite_normalised").fetchall()
-    assert scores == [("a", 1.0), ("a", 1.0), ("a", -1.0)]
-    assert database.execute("SELECT * FROM suite_tracks").fetchall() == [("a", "0.33 (1)", None, None)]
+    script.fill_suite(database, results, {})
+    document = (
+        "<!-- suite: results -->\n\nold\n<!-- end -->\n<!-- table: SELECT task, score FROM suite_list -->\n\n| a |\n"
+    )
+    page = script.refresh(document, database)
+    assert "- **K3**: Not run.\n" in page
+    assert "- **K4**: PPO (1) is the best, ahead of LinTune by 1 with p = 0.001" in page
+    assert "PPO is ahead of the ablation, LinTune (1, p = 0.001" in page
+    assert "| `K4` | 1 |" in page
+    assert "old" not in page
+    ((text,),) = database.execute("SELECT text FROM suite_texts WHERE name = 'tasks'").fetchall()
+    assert text.count("### ") == len(suite.load().tasks)
+    assert f"`{task.formula}`" in text
+    assert text.count("Not run.") == len(suite.load().tasks) - 1

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from algorithms.commands.suite import main
+from algorithms.studies import REFERENCE
 from algorithms.studies.manifest import read_manifest
 from algorithms.studies.plan import plan_of
+from algorithms.studies.settings import load_study
 from algorithms.studies.suite_tables import Scoreboard
 from mo_deepdrive import suite
 from mo_deepdrive.suite import Row, write_rows
@@ -83,14 +85,56 @@ def test_learners_are_told_apart_on_the_same_scenarios_though_their_intervals_ov
     assert first.low is not None
     assert behind.high is not None
     assert behind.high > first.low
-    assert sorted(board.best("K1")) == ["close", "first"]
     assert board.differences("K1", "first")["behind"].p < 0.01
+    # The best are a tie all the same, where intervals overlap.
+    assert sorted(board.best("K1")) == ["behind", "close", "first"]
     ((_, table),) = board.task_tables()
-    assert [row[-1] for row in table[1:]] == ["", "tie", "tie", "", ""]
+    assert [row[-1] for row in table[1:]] == ["", "tie", "tie", "tie", ""]
     # Without samples the interval is of the seeds alone, which are nearly equal.
     alone = Scoreboard(rows).scores("K1")["first"].mean.estimate
     assert alone.low is not None
     assert first.low < alone.low - 0.02
+
+
+def test_sentences_say_who_is_best_and_whether_the_ablation_is_behind_each_with_its_test() -> None:
+    def said(scores: dict[str, list[float]]) -> str:
+        found = [scored("K3", learner, score, seed) for learner in scores for seed, score in enumerate(scores[learner])]
+        return " ".join(Scoreboard(found).sentences("K3"))
+
+    best, blind, noisy = [0.8, 0.81, 0.82, 0.8], [0.3, 0.31, 0.32, 0.3], [0.2, 0.9, 0.5, 0.8]
+    apart = said({"mo_ppo": best, "accrued_blind": blind, "ppo": noisy})
+    assert apart.startswith("MO-PPO (0.808 [0.800, 0.817]) is tied with PPO (")
+    assert "ahead of MO-PPO without what has accrued by 0.5" in apart
+    assert "Holm's correction for 2" in apart
+    assert "MO-PPO is ahead of the ablation, MO-PPO without what has accrued (0.5" in apart
+    assert apart.count("paired bootstrap over seeds") == 2
+    same = said({"mo_ppo": best, "accrued_blind": best})
+    assert "is not ahead of the ablation" in same
+    assert same.endswith("): no cause is claimed.")
+    assert said({"mo_ppo": best}) == "MO-PPO (0.808 [0.800, 0.817]) is the best that was run."
+    assert Scoreboard([]).sentences("K3") == ["Not run."]
+
+
+def test_every_task_that_counts_has_its_ablation_in_the_study_and_the_rulebook_of_its_learner() -> None:
+    study = load_study(REFERENCE)
+    for name, task in suite.load().tasks.items():
+        if task.counted:
+            assert task.ablation in study.learners_of(name), name
+        if task.rulebook is not None:
+            plan = plan_of(["rulebook_ppo"], [name], 1)
+            (values,) = [arm.values for arm in plan.arms if arm.key in plan.selected]
+            assert values["algorithm"]["rulebook"] == [rule.model_dump() for rule in task.rulebook.rules]
+
+
+def test_one_policy_for_all_hidden_preferences_is_a_learner_with_a_utility_of_its_own() -> None:
+    plan = plan_of(["one_policy"], ["U2"], 1)
+    (arm,) = [arm for arm in plan.arms if arm.key in plan.selected]
+    assert arm.values["algorithm"]["name"] == "mo_ppo"
+    weights, preferences = arm.values["utility"]["arguments"]["weights"], suite.load().task("U2").preferences
+    assert preferences is not None
+    prices = {name: preferences.common.get(name, 0.0) for name in weights}
+    prices |= {name: prices[name] + 1 / len(preferences.units) / unit for name, unit in preferences.units.items()}
+    assert weights == pytest.approx(prices, rel=2e-3), "the mean of the preferences"
 
 
 def test_a_difference_among_many_needs_a_smaller_p_value_than_a_single_one() -> None:
@@ -139,7 +183,7 @@ def test_the_command_prints_the_tables_and_writes_page_and_picture(
 
 def test_an_own_learner_gets_the_help_of_all_and_no_tuning() -> None:
     plan = plan_of(["suite/mo_ppo"], ["core"], 2)
-    assert {task for task, _ in plan.selected} == {"K1", "K3", "K5", "V1"}
+    assert {task for task, _ in plan.selected} == {"K3", "K4", "K5", "V1"}
     k5 = next(arm for arm in plan.arms if arm.task == "K5")
     assert (k5.learner, k5.seeds, k5.candidates) == ("mo_ppo", (0, 1), ())
     assert k5.values["algorithm"]["gamma"] == 0.9995
@@ -202,7 +246,7 @@ def test_the_manifest_of_suite_run_holds_what_was_asked_for(
     ("learners", "tasks", "seeds", "message"),
     [
         (["suite/ppo"], ["K99"], 1, "task 'K99' is unknown"),
-        (["suite/ppo"], ["U1"], 1, "--tasks U1: no learner of the study is trained on it"),
+        (["suite/ppo"], ["U2"], 1, "--tasks U2: no learner of the study is trained on it"),
         (["nowhere"], ["K1"], 1, "config file 'nowhere' does not exist"),
         (["ppo", "suite/ppo"], ["K1"], 101, "seeds has 100, a seed of the tuning"),
         (["ppo", "ppo"], ["K1"], 1, "--learner ppo is given twice"),

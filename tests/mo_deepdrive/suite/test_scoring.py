@@ -33,16 +33,6 @@ def number(task_id: str, column: str, samples: Any) -> float:
     return float(scorer.score(task, scorer.part(task, collected).mean(axis=0)))
 
 
-def test_a_mixture_of_drives_is_worth_more_than_its_members_where_the_mean_counts_alone() -> None:
-    names = TASKS["K6-SER"].objectives()
-    calm = np.array([{"destination": 1.0, "jerk": -24.0}.get(name, 0.0) for name in names])
-    arrivals = np.array([calm] * 5 + [0.0 * calm] * 2)  # with probability 1 / (1 + x), x = 0.4
-    assert number("K6-SER", "score", [calm]) == pytest.approx(0.6)
-    assert number("K6-SER", "score", arrivals) == pytest.approx(1.0 / 1.4)
-    utility = TASKS["K6-ESR"].make_utility()
-    assert number("K6-ESR", "score", utility(arrivals)) == pytest.approx(0.6 * 5 / 7)
-
-
 def test_rare_disasters_lower_the_certainty_equivalent_and_the_mean_of_the_worst_tenth() -> None:
     values = np.array([8.0] * 19 + [-40.0])
     utilities = 20.0 * (1.0 - np.exp(-values / 20.0))
@@ -56,11 +46,11 @@ def test_rare_disasters_lower_the_certainty_equivalent_and_the_mean_of_the_worst
     ("collisions", "braking", "time", "score"),
     [
         (0, 0.00, 60.0, 0.0),  # stands still
-        (1, 0.25, 60.0, 0.0),  # a rule is kept at its limit
+        (2, 0.40, 60.0, 0.0),  # a rule is kept at its limit
         (0, 0.10, BOOK.best, 1.0),
         (0, 0.10, (BOOK.best + BOOK.worst) / 2, 0.5),
-        (0, 0.30, BOOK.best, -0.2),  # breaks the second rule by a fifth
-        (2, 9.00, BOOK.best, -1.0),  # the first rule that is broken counts alone
+        (0, 0.48, BOOK.best, -0.2),  # breaks the second rule by a fifth
+        (4, 9.00, BOOK.best, -1.0),  # the first rule that is broken counts alone
         (9, 0.00, BOOK.best, -1.0),
     ],
 )
@@ -74,20 +64,20 @@ def test_a_rulebook_scores_the_first_rule_that_is_broken_or_else_the_time(
     assert number("R5", "score", returns) == pytest.approx(score, abs=1e-6)
 
 
-def test_the_worst_partner_is_the_one_with_the_least_mean() -> None:
-    samples = [[1.0, 5.0, 3.0], [3.0, -3.0, 3.0]]
-    assert number("V1", "score", samples) == pytest.approx(2.0)
-    assert number("V1", "worst_partner", samples) == pytest.approx(1.0)
+def test_the_worst_family_of_partners_is_the_one_with_the_least_mean() -> None:
+    parked, stops, others = [9.0, -9.0, 6.0], [1.0, 3.0, 2.0], [5.0] * 6
+    samples = [parked + stops + others, [*parked, 1.0, 1.0, 1.0, *others]]
+    assert number("V1", "score", samples) == pytest.approx((2 * 3 + 1.5 * 3 + 5 * 6) / 12)
+    assert number("V1", "worst_family", samples) == pytest.approx(1.5)
 
 
 def test_returns_that_follow_the_weights_are_controllable_and_constant_ones_are_not() -> None:
     task = TASKS["U2"]
     returns = task.hidden_weights()[None].copy()
-    returns[..., 0] = 7.0
+    returns[..., task.objectives().index("jerk")] = 7.0
     found = controllability(task, returns)
-    assert found["controllability/distance"] == 0.0
+    assert found["controllability/jerk"] == 0.0
     assert found["controllability/time"] == pytest.approx(1.0)
-    assert found["controllability"] == pytest.approx(1.0 - 1.0 / len(task.objectives()))
 
 
 @pytest.mark.slow
@@ -100,10 +90,20 @@ def test_the_best_of_a_front_is_taken_for_each_preference() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task_id", ["K1", "K2", "K3", "K4", "K6-ESR"])
+def test_one_policy_that_is_blind_to_preferences_is_scored_where_they_change_and_a_front_is_not() -> None:
+    (blind,), (told,) = (
+        suite.score(policy, "U4", episodes=2, perturbed=False)
+        for policy in (faster, lambda seen, accrued, discounts, weights: faster(seen))
+    )
+    assert blind.value == told.value
+    with pytest.raises(ValueError, match="preferences that change need a policy that is told them, or a single one"):
+        suite.score([still, faster], "U4", episodes=2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task_id", ["K1", "K4", "smoke"])
 def test_planned_drives_earn_the_ceiling(task_id: str) -> None:
-    episodes = 1 if task_id == "K6-ESR" else None
-    (row,) = suite.score(suite.planned(task_id), task_id, episodes=episodes, perturbed=False)
+    (row,) = suite.score(suite.planned(task_id), task_id, perturbed=False)
     assert row.value == pytest.approx(TASKS[task_id].ceiling.value, rel=1e-3)
     assert row.normalised == pytest.approx(1.0, abs=1e-3)
 
@@ -114,10 +114,10 @@ def test_a_policy_is_scored_under_perturbations_and_with_strangers() -> None:
         return np.zeros(observations.shape[:2], dtype=np.int64)
 
     rows = {row.column: row for row in suite.score(both_still, "V1", episodes=2, learner="nobody", seed=3)}
-    assert list(rows) == ["score", "worst_partner", "yaw_friction", "action_delay"]
+    assert list(rows) == ["score", "worst_family", "yaw_friction", "action_delay"]
     assert rows["score"].value == pytest.approx(-60.0, abs=0.01)
     assert rows["score"].normalised == -1.0
-    assert rows["worst_partner"].normalised is None
+    assert rows["worst_family"].normalised is None
     assert {(row.learner, row.seed, row.policy, row.version) for row in rows.values()} == {
         ("nobody", 3, "stochastic", suite.load().version)
     }
@@ -127,7 +127,6 @@ def test_a_policy_is_scored_under_perturbations_and_with_strangers() -> None:
     ("policy", "task_id", "message"),
     [
         (still, "V1", r"task V1: the policy returned actions of shape \(2,\); expected \(2, 2\) integers"),
-        (still, "K2", r"task K2: the policy returned actions of shape \(2,\); expected \(2, 3\) numbers"),
         (lambda seen, *_: np.full(len(seen), 40), "K1", "task K1: the policy returned the action 40; it must be from"),
         ([still, faster], "K1", "task K1: a front, or a policy that is told weights, has no place where the utility"),
         ([], "U2", "task U2: the front has no policy"),
@@ -141,7 +140,7 @@ def test_a_policy_that_cannot_drive_in_a_task_is_refused(policy: Any, task_id: s
 def test_rows_are_written_and_read_again(tmp_path: Path) -> None:
     rows = [
         Row("K1", "ppo", 3, "greedy", "score", 1.5, 1.25, 1.75, "runs/a", "finished", 12.5, 1),
-        Row("K1", "ppo", 4, "", "", None, state="failed", version=1),
+        Row("K1", "ppo", 4, "", "", None, state="failed", version=suite.load().version),
     ]
     suite.write_rows(tmp_path / "rows.csv", rows)
     assert suite.read_rows(tmp_path / "rows.csv") == rows

@@ -6,7 +6,7 @@ import moocore
 import numpy as np
 import pytest
 
-from mo_deepdrive.fronts.reference_fronts import reference_point
+from mo_deepdrive.fronts.reference_fronts import front_config, reference_point
 from scripts.bounds import front
 from scripts.bounds.front import (
     RULE_GENERATIONS,
@@ -56,7 +56,7 @@ def test_the_greedy_subset_is_that_of_a_plain_loop() -> None:
 
 
 def test_plans_that_do_not_dominate_the_reference_points_are_not_selected() -> None:
-    evaluator = PlanEvaluator("one_waypoint", "continuous")
+    evaluator = PlanEvaluator(front_config("one_waypoint", "continuous"))
     gentle, hard = np.array([[0.0, 0.1, -1.0]] * 30), np.array([[0.0, 1.0, -1.0], [0.0, -0.9, -1.0]] * 30)
     evaluated = evaluator.evaluate(evaluator.format.from_sequences([gentle, hard, np.zeros((0, 3))]), 0)
     references = [

@@ -51,7 +51,7 @@ def test_continuous_actions_of_a_run_are_rounded_to_what_can_be_written(make_run
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
 @pytest.mark.parametrize("action_type", ["discrete", "continuous"])
 def test_returns_are_those_of_a_replay(scenario: str, action_type: str) -> None:
-    evaluator = PlanEvaluator(scenario, action_type)
+    evaluator = PlanEvaluator(front_config(scenario, action_type))
     rules = random_calm_rules(8, np.random.default_rng(1))
     evaluated = evaluator.evaluate(evaluator.format.idle_plans(8), 3, rules)
     sequences = [evaluator.format.to_sequence(plan) for plan in evaluated.plans]
@@ -69,7 +69,7 @@ def test_returns_are_those_of_a_replay(scenario: str, action_type: str) -> None:
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
 @pytest.mark.parametrize("draw", [random_rules, random_calm_rules])
 def test_some_random_rules_arrive(scenario: str, action_type: str, draw: Callable[..., NDArray[Any]]) -> None:
-    evaluator = PlanEvaluator(scenario, action_type)
+    evaluator = PlanEvaluator(front_config(scenario, action_type))
     rules = draw(256, np.random.default_rng(0))
     evaluated = evaluator.evaluate(evaluator.format.idle_plans(256), 0, rules)
     destination = evaluator.batch.objectives.index("destination")
