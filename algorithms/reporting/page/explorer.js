@@ -1,7 +1,5 @@
 // The explorer: its state, and what shows it.
 
-const between = (range) => (range === null ? "" : ` (95% interval ${(100 * range[0]).toFixed(0)} to ${percent(range[1])})`);
-
 class Explorer {
   constructor(fronts) {
     this.fronts = fronts.map((front) => new FrontModel(front));
@@ -50,15 +48,12 @@ class Explorer {
     const { front, state } = this;
     const named = (values) => values.map((value, i) => [front.objectives[i].key, value]);
     const written = (pairs) => pairs.map(([key, value]) => `${key}=${value}`).join(" ");
-    let preference;
-    if (state.mode === "weights") {
-      const weights = named(this.weightsOf());
-      const counting = weights.filter(([, w]) => w > 0);
-      preference = `--weights ${written(counting.length ? counting : weights)}`;
-    } else if (state.mode === "budget") {
-      const { g_force: g, jerk } = state.budget;
-      preference = `--utility ${front.budget.name} --arguments '{g_force: ${g}, jerk: ${jerk}}'`;
-    } else preference = `--target ${written(named(front.undiscounted[state.picked]))}`;
+    const weights = named(this.weightsOf());
+    const counting = weights.filter(([, w]) => w > 0);
+    const { g_force: g, jerk } = state.budget ?? {};
+    let preference = { weights: `--weights ${written(counting.length ? counting : weights)}`,
+      budget: `--utility ${front.budget?.name} --arguments '{g_force: ${g}, jerk: ${jerk}}'`,
+      picked: `--target ${written(named(front.undiscounted[state.picked]))}` }[state.mode];
     // The command chooses by undiscounted returns, so it is told the policy where others are shown.
     if (front.gamma < 1) preference += ` --policy ${front.numbers[this.chosen()]}`;
     return front.command.replace("{preference}", () => preference).replace("{policy}", front.numbers[this.chosen()]);
@@ -127,11 +122,9 @@ class Explorer {
   }
 
   setRange(i, range) {
-    const ranges = { ...this.state.ranges };
-    delete ranges[i];
-    const whole = !range || (range[0] === -Infinity && range[1] === Infinity);
-    if (!whole && range[0] <= range[1]) ranges[i] = range;
-    this.update({ ranges });
+    const { [i]: _, ...ranges } = this.state.ranges;
+    const isOne = range && range[0] <= range[1] && range.some(Number.isFinite);
+    this.update({ ranges: isOne ? { ...ranges, [i]: range } : ranges });
   }
 
   drawParallel() {
@@ -226,7 +219,8 @@ class Explorer {
     }
     const success = front.success[chosen];
     const values = front.columns.map((i) => [front.axes[i].name, withUnit(front.text(front.rows[chosen][i], i), front.axes[i].unit)]);
-    if (success !== null) values.push(["arrivals", `${percent(success)}${between(front.successRange[chosen])}`]);
+    const [low, high] = (front.successRange[chosen] ?? []).map((share) => (100 * share).toFixed(0));
+    if (success !== null) values.push(["arrivals", percent(success) + (low ? ` (95% interval ${low} to ${high}%)` : "")]);
     fill("values", values.flatMap(([name, text]) => [element("dt", {}, name), element("dd", {}, text)]));
     byId("command").value = this.command();
     say({ why, "command-label": front.command.includes("{preference}") ? "Evaluate it again" : "Its actions", copied: "" });
@@ -321,8 +315,7 @@ class Explorer {
     if (!front.scenes.length) return;
     byId("scenario").value = state.scenario;
     this.scene = front.scenes[state.scenario];
-    this.shown = this.shownPolicies().map((k) => ({
-      label: String(front.numbers[k]), drive: front.drive(state.scenario, k) }));
+    this.shown = this.shownPolicies().map((k) => ({ label: String(front.numbers[k]), drive: front.drive(state.scenario, k) }));
     this.last = Math.max(...this.shown.map(({ drive }) => drive.decisions));
     byId("time").max = this.last;
     byId("cars").hidden = this.shown[0].drive.cars.length === 0 || this.shown.length === 1;

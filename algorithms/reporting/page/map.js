@@ -54,10 +54,7 @@ const grid = ({ box: [left, low, size] }) => svg("g", { stroke: "var(--grid)", "
 /** The map of a scenario with the vehicles of some drives on it. */
 class DriveMap {
   constructor(element) { this.element = element; this.title = element.querySelector("title"); }
-  /**
-   * Draw a scenario. `drives` are { label, drive }, the chosen one first, and may say the `colours` of their vehicles and
-   * whether they are a `ghost`.
-   */
+  /** Draw a scenario with drives { label, drive }, the chosen one first; `colours` by vehicle and `ghost` are optional. */
   show(scene, drives) {
     const [left, low, size] = scene.box;
     const world = svg("g", { transform: "scale(1 -1)" }); // y points up
@@ -104,10 +101,7 @@ class DriveMap {
     const ring = ([cx, cy], r) => svg("circle", { cx, cy, r, fill: "none", stroke, "stroke-width": 0.15, "stroke-opacity": 0.75 });
     world.append(...routes.flatMap((route) => [...route.map((at) => ring(at, arrivalRadius)), ring(route.at(-1), 1.8 * arrivalRadius)]));
   }
-  /**
-   * Put every vehicle where it was after `step` decisions, between two of them on the straight line between its poses;
-   * one that has ended leaves the others, or stays alone.
-   */
+  /** Put every vehicle where it was after `step` decisions; between two of them, between its poses. Of several, those leave that end. */
   move(step) {
     const place = (element, { x, y, heading }, at) => {
       const [now, share] = [Math.floor(at), at % 1];

@@ -17,6 +17,8 @@ class Questions {
   }
 
   async begin() { this.node = 1; await this.ask(); }
+  async resume() { if (this.episodes && !byId("pair").hidden) this.play(); else await this.begin(); }
+
   /** The question of a node of the tree of answers, or what they say at a leaf. */
   async ask() {
     this.facts = (await World.make(this.row)).facts;

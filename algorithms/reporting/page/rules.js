@@ -36,10 +36,7 @@ const targetCloseness = (means, target, scales) =>
 /** The weight of a return that counts with `importance` (0 to 100), relative to its nominal scale. */
 const weightOf = (importance, scale) => Number((importance / 100 / scale).toPrecision(3));
 
-/**
- * For each of the rows (K, d), all maximised, one that dominates it, or -1: it is nowhere worse, better somewhere, and
- * itself not dominated.
- */
+/** For each of the rows (K, d), all maximised, one that dominates it and is itself not dominated, or -1. */
 function dominators(rows) {
   const dominates = (a, b) => a.every((value, i) => value >= b[i]) && a.some((value, i) => value > b[i]);
   const on = rows.map((row) => !rows.some((other) => dominates(other, row)));
@@ -47,11 +44,8 @@ function dominators(rows) {
 }
 
 /**
- * What the policies next to `chosen` offer, of those `among` (booleans) the rows (K, d), which are all maximised.
- *
- * They are policies `k` with the columns for which they are listed: for each column the nearest policy that is better
- * in it by at least a twentieth of the front's extent, and the nearest ones overall that differ by more than a
- * hundredth. Distances are in extents of the front.
+ * Policies `k` near `chosen`, of those `among` (booleans) the rows (K, d), all maximised, with the columns in which they are `better`:
+ * for each column the nearest that is better by a twentieth of the front's extent, and the nearest that differ by a hundredth.
  */
 function alternatives(rows, chosen, among, nearest = 3) {
   const extents = rows[chosen].map((_, i) => Math.max(...rows.map((row) => row[i])) - Math.min(...rows.map((row) => row[i])));

@@ -3,7 +3,6 @@
 const FORMAT = /* format */ 0;
 const VERSION = /* version */ "";
 const SVG = "http://www.w3.org/2000/svg";
-const FONT = '"DejaVu Sans", system-ui, sans-serif';
 const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
 const byId = (id) => document.getElementById(id);
 const say = (texts) => Object.entries(texts).forEach(([id, text]) => (byId(id).textContent = text));
@@ -60,8 +59,8 @@ function slider({ id, label, value, max, step, text, change }) {
 }
 
 /** A piece of the line of the policy at a place: its colour and its dashes. */
-const swatch = (place, colour = series(place)) => svg("svg", { width: 32, height: 8, "aria-hidden": "true" },
-  svg("line", { x1: 0, y1: 4, x2: 26, y2: 4, stroke: colour, "stroke-width": 3.5, "stroke-dasharray": DASHES[place].join(" ") }));
+const swatch = (place) => svg("svg", { width: 32, height: 8, "aria-hidden": "true" },
+  svg("line", { x1: 0, y1: 4, x2: 26, y2: 4, stroke: series(place), "stroke-width": 3.5, "stroke-dasharray": DASHES[place].join(" ") }));
 
 async function copy(text, what, note) {
   try {
@@ -80,11 +79,12 @@ function showError(error) {
   showMessage(error instanceof Refusal ? error.message : `This page cannot be shown: ${error.message}`);
 }
 
-function setTheme(theme) {
-  const dark = theme === "dark" || (theme === "auto" && matchMedia("(prefers-color-scheme: dark)").matches);
+const scheme = matchMedia("(prefers-color-scheme: dark)");
+
+function setTheme() {
+  const dark = byId("theme").value === "dark" || (byId("theme").value === "auto" && scheme.matches);
   document.documentElement.dataset.theme = dark ? "dark" : "light";
 }
 
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => setTheme(byId("theme").value));
-byId("theme").addEventListener("change", (event) => setTheme(event.target.value));
-setTheme("auto");
+for (const each of [scheme, byId("theme")]) each.addEventListener("change", setTheme);
+setTheme();

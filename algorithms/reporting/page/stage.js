@@ -203,10 +203,11 @@ class Stage {
     if (episode.decisions > before || ghost) this.map.extend();
     const last = Math.max(episode.decisions, ghost?.decisions ?? 0);
     this.map.move(Math.min(position, last));
-    if (!episode.over || position < episode.decisions) return;
-    if (byId("outcome").hidden && (this.human || this.replaying)) this.showOutcome();
-    if (this.human && position > last) this.player.stop();
-    if (!this.human && position > last + HOLD * this.facts.frequency) this.next().catch(showError);
+    const [{ end, decisions }] = episode.vehicles;
+    if (this.human && end && position >= decisions && byId("outcome").hidden) this.showOutcome();
+    if (!episode.over || position < last) return;
+    if (this.human) this.player.stop();
+    else if (position > last + HOLD * this.facts.frequency) this.next().catch(showError);
   }
 
   showBars() {
@@ -232,8 +233,7 @@ class Stage {
     const above = others.find((row) => better(row).length);
     const verdict = above ? `${above.label} is nowhere worse, and better in ${better(above).join(", ")}.`
       : "Nobody on this page is better in one objective without being worse in another.";
-    say({ "outcome-heading": end === "arrived" ? `Arrived after ${seconds} s` : `${capital(plain(end))} after ${seconds} s`, shared: "",
-      verdict: capital(verdict) });
+    say({ "outcome-heading": `${capital(plain(end))} after ${seconds} s`, shared: "", verdict: capital(verdict) });
     const own = { label: "your preference", weights: this.weights(0).map((w, i) => w / facts.objectives[i].scale) };
     const utilities = [own, ...facts.utilities];
     const worth = ({ returns }, { weights }) => sum(returns.map((value, i) => value * weights[i]));
@@ -252,7 +252,6 @@ class Stage {
     const ends = objectives.map((_, i) => [Math.min, Math.max].map((most) => most(...[...others, mine].map((row) => row[i]))));
     const y = (value, i) => 92 - 84 * (ends[i][1] > ends[i][0] ? (value - ends[i][0]) / (ends[i][1] - ends[i][0]) : 0.5);
     const line = (row, attributes) => polyline(row.map((value, i) => [x(i), y(value, i)]), attributes);
-    byId("standing").setAttribute("viewBox", "0 0 300 116");
     byId("standing").replaceChildren(...objectives.map((_, i) => polyline([[x(i), 8], [x(i), 92]], { stroke: "var(--line)" })),
       ...others.map((row) => line(row, { stroke: "var(--front)", "stroke-opacity": 0.6 })),
       line(mine, { stroke: "var(--accent)", "stroke-width": 2.5 }),

@@ -21,9 +21,7 @@ const bytesOf = (text) => Uint8Array.from(atob(text), (character) => character.c
 class World {
   /** Of a row of page.json; what the page says of the world is in `facts`. */
   static async make(row) {
-    if (!globalThis.WebAssembly) {
-      throw new Refusal("This browser has no WebAssembly, or it is switched off. Open the page in a current Firefox, Chrome or Safari.");
-    }
+    if (!globalThis.WebAssembly) throw new Refusal("This browser has no WebAssembly. Open the page in a current Firefox, Chrome or Safari.");
     const [facts, bytes] = await Promise.all([load(row.json), load(row.wasm, "arrayBuffer")]);
     if (facts.format !== WORLD_FORMAT || facts.version !== VERSION) {
       throw new Refusal(`The module of ${row.title} is of version ${facts.version}, this page of ${VERSION}. ${AGAIN}`);
@@ -170,12 +168,8 @@ class Episode {
 
 /** Discrete actions as runs of equal ones, "d12a": mo_deepdrive/world/action_sequences.py. */
 function encodeActions(actions) {
-  const runs = [];
-  for (const action of actions) {
-    if (runs.at(-1)?.action === action) runs.at(-1).count += 1;
-    else runs.push({ action, count: 1 });
-  }
-  return runs.map(({ action, count }) => String.fromCharCode(97 + action) + (count > 1 ? count : "")).join("");
+  const letters = actions.map((action) => String.fromCharCode(97 + action)).join("");
+  return letters.replace(/(.)\1+/g, (run, letter) => letter + run.length);
 }
 
 const decodeActions = (text) => [...text.matchAll(/([a-z])(\d*)/g)].flatMap(([, letter, count]) =>
