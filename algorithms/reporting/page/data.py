@@ -23,7 +23,7 @@ from mo_deepdrive.world.objectives import signs
 from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -102,6 +102,7 @@ class ExplorableFront:
                 "prices": dict(budget.prices),
                 "gains": budget.GAINS,
                 "excessPrices": dict(budget.excess_prices),
+                "rule": _rule(budget),
             },
             "scenes": self._scenes_to_json(),
         }
@@ -208,6 +209,17 @@ def explorable_best_known(name: str) -> ExplorableFront:
         budget_name=budget_name,
         budget=budget,
     )
+
+
+def _rule(budget: ComfortBudget) -> str:
+    """What counts in a utility with a comfort budget, in words."""
+
+    def priced(prices: Mapping[str, float]) -> list[str]:
+        return [f"{name_and_unit(key)[0]} {price:g}" for key, price in prices.items()]
+
+    costs = [f"{' and '.join(priced(budget.excess_prices))} beyond their budgets", *priced(budget.prices)]
+    gains = ", ".join(priced(budget.GAINS))
+    return f"It has the greatest expected utility. Gains per unit: {gains}. Costs per unit: {', '.join(costs)}."
 
 
 def _budget(scenario: str | None, objectives: tuple[str, ...]) -> tuple[str, ComfortBudget | None]:

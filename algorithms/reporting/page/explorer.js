@@ -1,15 +1,11 @@
 // The explorer: its state, and what shows it.
 
-const between = (range) => (range === null ? "" : ` (95% interval ${(100 * range[0]).toFixed(0)} to ${percent(range[1])})`);
-
 class Explorer {
   constructor(fronts) {
     this.fronts = fronts.map((front) => new FrontModel(front));
     this.map = new DriveMap(byId("map"));
     this.player = new Player((step) => this.showStep(step));
-    this.step = 0;
-    this.rules = [];
-    this.sorting = null;
+    Object.assign(this, { step: 0, rules: [], sorting: null });
     this.parallel = new Parallel(byId("parallel"), (picked) => this.update({ mode: "picked", picked }), (column, from, to) => {
       const axis = this.front.columns[column];
       const ends = [from, to].map((share) => Number(this.front.valueAt(share, axis).toPrecision(5)));
@@ -20,107 +16,69 @@ class Explorer {
     this.showFront();
   }
 
-  get front() {
-    return this.fronts[this.index];
-  }
-
-  // ----------------------------------------------------------------------------------------------------- the choice
-
-  weightsOf() {
-    return this.state.weights.map((importance, i) => weightOf(importance, this.front.scales[i]));
-  }
-
+  get front() { return this.fronts[this.index]; }
+  weightsOf() { return this.state.weights.map((importance, i) => weightOf(importance, this.front.scales[i])); }
   /** Policies in the order of the preference; of a policy picked by hand, of its returns as the target. */
   order() {
     const { front, state } = this;
     const values = {
       weights: () => weightedSums(front.returns, this.weightsOf()),
       budget: () => budgetUtilities(front.returns, front.objectives, { ...front.budget, ...state.budget }),
-      picked: () => targetCloseness(front.means, front.means[state.picked], front.scales),
-    }[state.mode]();
+      picked: () => targetCloseness(front.means, front.means[state.picked], front.scales) }[state.mode]();
     return rankPolicies(values, front.means, front.scales);
   }
 
-  chosen() {
-    return this.state.mode === "picked" ? this.state.picked : this.order()[0];
-  }
+  chosen() { return this.state.mode === "picked" ? this.state.picked : this.order()[0]; }
 
   shownPolicies() {
     const chosen = this.chosen();
     return [chosen, ...this.state.compared.filter((k) => k !== chosen)].slice(0, 1 + MOST_COMPARED);
   }
-
   /** Whether each policy is drawn and listed: all of them, or those that no other one dominates. */
-  listed() {
-    return this.front.dominators.map((other) => this.state.dominated || other < 0);
-  }
+  listed() { return this.front.dominators.map((other) => this.state.dominated || other < 0); }
 
   inRanges(k) {
-    return Object.entries(this.state.ranges).every(([i, [low, high]]) => {
-      const value = this.front.rows[k][i];
-      return value >= low && value <= high;
-    });
+    const inside = (value, [low, high]) => value >= low && value <= high;
+    return Object.entries(this.state.ranges).every(([i, range]) => inside(this.front.rows[k][i], range));
   }
-
   /** Whether each policy is listed and in the ranges. */
-  kept() {
-    return this.listed().map((listed, k) => listed && this.inRanges(k));
-  }
+  kept() { return this.listed().map((listed, k) => listed && this.inRanges(k)); }
 
   command() {
     const { front, state } = this;
     const named = (values) => values.map((value, i) => [front.objectives[i].key, value]);
     const written = (pairs) => pairs.map(([key, value]) => `${key}=${value}`).join(" ");
-    let preference;
-    if (state.mode === "weights") {
-      const weights = named(this.weightsOf());
-      const counting = weights.filter(([, w]) => w > 0);
-      preference = `--weights ${written(counting.length ? counting : weights)}`;
-    } else if (state.mode === "budget") {
-      const { g_force: g, jerk } = state.budget;
-      preference = `--utility ${front.budget.name} --arguments '{g_force: ${g}, jerk: ${jerk}}'`;
-    } else preference = `--target ${written(named(front.undiscounted[state.picked]))}`;
+    const weights = named(this.weightsOf());
+    const counting = weights.filter(([, w]) => w > 0);
+    const { g_force: g, jerk } = state.budget ?? {};
+    let preference = { weights: `--weights ${written(counting.length ? counting : weights)}`,
+      budget: `--utility ${front.budget?.name} --arguments '{g_force: ${g}, jerk: ${jerk}}'`,
+      picked: `--target ${written(named(front.undiscounted[state.picked]))}` }[state.mode];
     // The command chooses by undiscounted returns, so it is told the policy where others are shown.
     if (front.gamma < 1) preference += ` --policy ${front.numbers[this.chosen()]}`;
     return front.command.replace("{preference}", () => preference).replace("{policy}", front.numbers[this.chosen()]);
   }
 
-  // ------------------------------------------------------------------------------------------------ what is on the page
-
   wire() {
-    const change = (id, event, action) => byId(id).addEventListener(event, ({ target }) => action(target.value, target));
-    byId("front-choice").hidden = this.fronts.length < 2;
-    byId("front-select").append(...options(this.fronts.map(({ title }) => title)));
-    change("front-select", "change", (value) => {
-      this.read(`#front=${value}`);
-      this.showFront();
-    });
-    change("returns", "change", (value) => {
-      Object.assign(this.state, { returns: Number(value), ranges: {} });
-      this.showFront();
-    });
-    change("dominated", "change", (_, { checked }) => this.update({ dominated: checked }));
-    change("modes", "change", (mode) => this.update({ mode }));
-    change("reset", "click", () => {
-      this.state = this.front.initialState();
-      this.showFront();
-    });
-    change("copy-command", "click", () => copy(byId("command").value, "command", byId("copied")));
-    change("copy-link", "click", () => copy(location.href.split("#")[0] + this.hash, "link", byId("copied")));
-    change("command", "focus", (_, target) => target.select());
-    change("play", "click", () => this.togglePlay());
-    change("time", "input", (value) => {
-      this.stop();
-      this.showStep(Number(value));
-    });
-    change("speed", "change", (value) => (this.player.speed = Number(value)));
-    change("scenario", "change", (value) => this.update({ scenario: Number(value) }));
-    change("vehicle", "change", (value) => {
-      const { step } = this;
-      this.front.vehicle = Number(value);
-      this.showFront();
-      this.showStep(step);
-    });
+    hide({ "front-choice": this.fronts.length < 2 });
+    fill("front-select", options(this.fronts.map(({ title }) => title)));
+    const actions = {
+      "front-select": ({ value }) => { this.read(`#front=${value}`); this.showFront(); },
+      returns: ({ value }) => { Object.assign(this.state, { returns: Number(value), ranges: {} }); this.showFront(); },
+      dominated: ({ checked }) => this.update({ dominated: checked }), modes: ({ value }) => this.update({ mode: value }),
+      reset: () => { this.state = this.front.initialState(); this.showFront(); },
+      "copy-command": () => copy(byId("command").value, "command", byId("copied")),
+      "copy-link": () => copy(location.href.split("#")[0] + this.hash, "link", byId("copied")), play: () => this.togglePlay(),
+      speed: ({ value }) => (this.player.speed = Number(value)), scenario: ({ value }) => this.update({ scenario: Number(value) }),
+      vehicle: ({ value }) => {
+        const { step } = this;
+        this.front.vehicle = Number(value);
+        this.showFront();
+        this.showStep(step);
+      }, };
+    for (const [id, action] of Object.entries(actions)) on(id, ({ target }) => action(target));
+    byId("command").addEventListener("focus", ({ target }) => target.select());
+    byId("time").addEventListener("input", ({ target }) => { this.stop(); this.showStep(Number(target.value)); });
     window.addEventListener("hashchange", () => {
       if (location.hash === this.hash || (byId("stage") && !location.hash.startsWith("#front="))) return;
       this.read(location.hash);
@@ -133,42 +91,28 @@ class Explorer {
       this.drawTimes();
     }).observe(byId("parallel"));
   }
-
   /** Take over the state of a link. */
-  read(hash) {
-    ({ index: this.index, state: this.state } = stateOfLink(hash, this.fronts));
-  }
-
+  read(hash) { ({ index: this.index, state: this.state } = stateOfLink(hash, this.fronts)); }
   /** Change parts of the state. */
-  update(changes) {
-    Object.assign(this.state, changes);
-    this.refresh();
-  }
-
+  update(changes) { Object.assign(this.state, changes); this.refresh(); }
   /** Show another front, or the state of a link. */
   showFront() {
     const { front, state } = this;
     front.take(state.returns);
     this.stop();
-    const hidden = { "front-select": false, title: this.fronts.length > 1, content: front.size === 0,
-      "returns-choice": front.measured.length < 2, "no-drive": front.scenes.length > 0, drives: front.scenes.length === 0,
-      "budget-mode": !front.budget, modes: !front.budget, "scenario-choice": front.scenes.length < 2,
-      "vehicle-choice": front.vehicles < 2 };
-    for (const [id, away] of Object.entries(hidden)) byId(id).hidden = away;
-    byId("title").textContent = front.title;
+    hide({ title: this.fronts.length > 1, content: front.size === 0, "returns-choice": front.measured.length < 2,
+      "no-drive": front.scenes.length > 0, drives: front.scenes.length === 0, "budget-mode": !front.budget, modes: !front.budget,
+      "scenario-choice": front.scenes.length < 2, "vehicle-choice": front.vehicles < 2 });
     showMessage(front.size === 0 ? `The front “${front.title}” has no policies.`
       : front.size === 1 ? "This front has one policy: there is nothing to choose between." : "");
     if (front.size === 0) return;
-    byId("note").textContent = front.note;
-    byId("sums").textContent = front.gamma === 1 ? "undiscounted sums over a drive"
-      : `sums over a drive, discounted by γ = ${front.gamma} per decision`;
-    const menus = { returns: front.measured.map(({ gamma }) => (gamma === 1 ? "undiscounted" : `discounted, γ = ${gamma}`)),
-      scenario: front.scenes.map((scene, i) => `${i + 1} (seed ${scene.seed})`),
-      vehicle: Array.from({ length: front.vehicles }, (_, v) => String(v)) };
-    for (const [id, texts] of Object.entries(menus)) byId(id).replaceChildren(...options(texts));
-    byId("front-select").value = this.index;
-    byId("returns").value = state.returns;
-    byId("vehicle").value = front.vehicle;
+    say({ title: front.title, note: front.note, sums: front.gamma === 1 ? "undiscounted sums over a drive"
+      : `sums over a drive, discounted by γ = ${front.gamma} per decision` });
+    fill("returns", options(front.measured.map(({ gamma }) => (gamma === 1 ? "undiscounted" : `discounted, γ = ${gamma}`))));
+    fill("scenario", options(front.scenes.map((scene, i) => `${i + 1} (seed ${scene.seed})`)));
+    fill("vehicle", options(times(front.vehicles, String)));
+    const taken = { "front-select": this.index, returns: state.returns, vehicle: front.vehicle };
+    for (const [id, value] of Object.entries(taken)) byId(id).value = value;
     this.makeSliders();
     this.makeRanges();
     this.drawParallel();
@@ -178,11 +122,9 @@ class Explorer {
   }
 
   setRange(i, range) {
-    const ranges = { ...this.state.ranges };
-    delete ranges[i];
-    const whole = !range || (range[0] === -Infinity && range[1] === Infinity);
-    if (!whole && range[0] <= range[1]) ranges[i] = range;
-    this.update({ ranges });
+    const { [i]: _, ...ranges } = this.state.ranges;
+    const isOne = range && range[0] <= range[1] && range.some(Number.isFinite);
+    this.update({ ranges: isOne ? { ...ranges, [i]: range } : ranges });
   }
 
   drawParallel() {
@@ -197,11 +139,10 @@ class Explorer {
 
   showParallel() {
     const share = (value, axis) => Math.min(Math.max(this.front.scaled(value, axis), 0), 1);
-    const ranges = this.front.columns.map((axis, column) => [axis, column]).filter(([axis]) => this.state.ranges[axis])
-      .map(([axis, column]) => {
-        const [low, high] = this.state.ranges[axis].map((value) => share(value, axis));
-        return { axis: column, low, high };
-      });
+    const ranges = this.front.columns.flatMap((axis, column) => {
+      const [low, high] = (this.state.ranges[axis] ?? []).map((value) => share(value, axis));
+      return low === undefined ? [] : [{ axis: column, low, high }];
+    });
     this.parallel.show({ ranges, listed: this.listed(), kept: this.kept(), shown: this.shownPolicies() });
   }
 
@@ -222,17 +163,14 @@ class Explorer {
     this.showDrives();
   }
 
-  // ------------------------------------------------------------------------------------------------ beside the plots
-
   makeSliders() {
     const { front, state } = this;
     const shown = front.columns.filter((i) => i < front.objectives.length).map((i) => [front.objectives[i], i]);
-    byId("weights").replaceChildren(...shown.map(([objective, i]) => slider({
+    fill("weights", shown.map(([objective, i]) => slider({
       id: `weight-${i}`, label: objective.name, value: state.weights[i], max: 100, step: 1,
       text: (importance) => `weight ${weightOf(importance, objective.scale)}`,
-      change: (importance) => this.update({ mode: "weights", weights: state.weights.with(i, importance) }),
-    })));
-    byId("budgets").replaceChildren(...Object.keys(front.budget?.excessPrices ?? {}).map((key) => {
+      change: (importance) => this.update({ mode: "weights", weights: state.weights.with(i, importance) }) })));
+    fill("budgets", Object.keys(front.budget?.excessPrices ?? {}).map((key) => {
       const i = front.objectives.findIndex((objective) => objective.key === key);
       const objective = front.objectives[i];
       const most = Math.max(2 * front.budget[key], ...front.means.map((row) => row[i] * objective.sign));
@@ -240,14 +178,13 @@ class Explorer {
       return slider({
         id: `budget-${i}`, label: `${objective.name} free up to`, value: state.budget[key], max: Math.ceil(most / step) * step, step,
         text: (limit) => withUnit(String(limit), objective.unit),
-        change: (limit) => this.update({ mode: "budget", budget: { ...this.state.budget, [key]: limit } }),
-      });
+        change: (limit) => this.update({ mode: "budget", budget: { ...this.state.budget, [key]: limit } }) });
     }));
   }
 
   makeRanges() {
     const { front } = this;
-    byId("ranges").replaceChildren(...front.columns.map((i) => {
+    fill("ranges", front.columns.map((i) => {
       const name = titled(front.axes[i]);
       const limit = (end, which) => element("input", { type: "number", step: "any", "data-range": `${i}/${end}`,
         "aria-label": `${which} ${name}`, onchange: ({ target }) => {
@@ -260,30 +197,18 @@ class Explorer {
     }));
   }
 
-  /** What counts in the utility with a comfort budget. */
-  budgetRule() {
-    const { budget, objectives } = this.front;
-    const named = (prices) => Object.entries(prices)
-      .map(([key, price]) => `${objectives.find((objective) => objective.key === key).name} ${price}`);
-    const costs = [`${named(budget.excessPrices).join(" and ")} beyond their budgets`, ...named(budget.prices)];
-    return `It has the greatest expected utility. Gains per unit: ${named(budget.gains).join(", ")}. `
-      + `Costs per unit: ${costs.join(", ")}.`;
-  }
-
   showChoice() {
     const { front, state } = this;
     const chosen = this.chosen();
-    byId("weights").hidden = state.mode === "budget";
-    byId("budgets").hidden = state.mode !== "budget";
+    hide({ weights: state.mode === "budget", budgets: state.mode !== "budget" });
     for (const input of document.querySelectorAll("input[name=mode]")) input.checked = input.value === state.mode;
     const heading = `Policy ${front.numbers[chosen]}`;
-    if (byId("chosen").textContent !== heading) byId("chosen").textContent = heading;
+    if (byId("chosen").textContent !== heading) say({ chosen: heading });
     byId("chosen").dataset.policy = chosen;
     const first = this.order()[0];
     let why = {
       weights: () => "It has the greatest weighted sum of mean returns. A weight counts per unit of the return."
-        + (front.gamma < 1 ? " The command scores it by undiscounted returns." : ""),
-      budget: () => this.budgetRule(),
+        + (front.gamma < 1 ? " The command scores it by undiscounted returns." : ""), budget: () => front.budget.rule,
       picked: () => (first === chosen || front.gamma < 1 ? "Chosen by hand; a slider chooses by preference again."
         : `Chosen by hand. The command chooses policy ${front.numbers[first]}, which is at least as good in every objective.`),
     }[state.mode]();
@@ -292,14 +217,13 @@ class Explorer {
       const better = front.axes.filter((_, i) => front.maximised[other][i] > front.maximised[chosen][i]);
       why += ` Policy ${front.numbers[other]} is nowhere worse, and better in ${better.map(({ name }) => name).join(", ")}.`;
     }
-    byId("why").textContent = why;
     const success = front.success[chosen];
     const values = front.columns.map((i) => [front.axes[i].name, withUnit(front.text(front.rows[chosen][i], i), front.axes[i].unit)]);
-    if (success !== null) values.push(["arrivals", `${percent(success)}${between(front.successRange[chosen])}`]);
-    byId("values").replaceChildren(...values.flatMap(([name, text]) => [element("dt", {}, name), element("dd", {}, text)]));
+    const [low, high] = (front.successRange[chosen] ?? []).map((share) => (100 * share).toFixed(0));
+    if (success !== null) values.push(["arrivals", percent(success) + (low ? ` (95% interval ${low} to ${high}%)` : "")]);
+    fill("values", values.flatMap(([name, text]) => [element("dt", {}, name), element("dd", {}, text)]));
     byId("command").value = this.command();
-    byId("command-label").textContent = front.command.includes("{preference}") ? "Evaluate it again" : "Its actions";
-    byId("copied").textContent = "";
+    say({ why, "command-label": front.command.includes("{preference}") ? "Evaluate it again" : "Its actions", copied: "" });
   }
 
   showLegend() {
@@ -308,28 +232,26 @@ class Explorer {
       element("span", {}, swatch(place), `policy ${front.numbers[k]}${place ? "" : " (chosen)"}`));
     if (front.bestKnown.length) entries.push(element("span", {}, element("span", { class: "swatch",
       style: "border-top: 2px dotted var(--front)" }), `best known (${front.bestKnown.length} policies)`));
-    byId("parallel-legend").replaceChildren(...entries);
+    fill("parallel-legend", entries);
     const hidden = front.dominators.filter((other) => other >= 0).length;
-    byId("dominated-choice").hidden = hidden === 0;
+    hide({ "dominated-choice": hidden === 0 });
     byId("dominated").checked = this.state.dominated;
-    byId("dominated-label").textContent = `show dominated policies (${hidden} of ${front.size})`;
     const [count, listed] = [this.kept(), this.listed()].map((each) => each.filter(Boolean).length);
     const outside = this.inRanges(this.chosen()) ? "" : "; the chosen policy is outside of the ranges";
-    byId("kept").textContent = count === listed ? "" : `${count} of ${listed} policies are in the ranges${outside}.`;
+    say({ kept: count === listed ? "" : `${count} of ${listed} policies are in the ranges${outside}.`,
+      "dominated-label": `show dominated policies (${hidden} of ${front.size})` });
     for (const input of document.querySelectorAll("[data-range]")) {
       const [i, end] = input.dataset.range.split("/").map(Number);
       const value = this.state.ranges[i]?.[end];
       input.value = Number.isFinite(value) ? value : "";
     }
   }
-
   /** Change the state from a control in a table, which is made anew, and give the focus to the control's successor. */
   updateFrom(control, selector, changes) {
     const table = control.closest("table");
     this.update(changes);
     (table.querySelector(selector) ?? table.parentElement).focus();
   }
-
   /** Cells with the controls of a policy: choose it, and compare it with the chosen one. */
   controls(k) {
     const number = this.front.numbers[k];
@@ -366,12 +288,10 @@ class Explorer {
     const { front } = this;
     const [kept, chosen] = [this.kept(), this.chosen()];
     const arrivals = front.success.every((share) => share !== null);
-    const columns = [
-      { name: "Policy", of: (k) => front.numbers[k], text: String },
+    const columns = [{ name: "Policy", of: (k) => front.numbers[k], text: String },
       ...front.columns.map((i) => ({ name: titled(front.axes[i]), of: (k) => front.rows[k][i], text: (value) => front.text(value, i) })),
       ...(arrivals ? [{ name: "arrivals", of: (k) => front.success[k], text: percent }] : []),
-      { name: "decisions", of: (k) => front.lengths[k], text: (value) => value.toFixed(0) },
-    ];
+      { name: "decisions", of: (k) => front.lengths[k], text: (value) => value.toFixed(0) } ];
     const { column: by, way } = columns[this.sorting?.column] ? this.sorting : { column: -1, way: 0 };
     const order = front.means.map((_, k) => k);
     if (way) order.sort((a, b) => way * (columns[by].of(a) - columns[by].of(b)) || a - b);
@@ -390,15 +310,12 @@ class Explorer {
       heading.setAttribute("aria-sort", column === by ? ["descending", "none", "ascending"][way + 1] : "none"));
   }
 
-  // ------------------------------------------------------------------------------------------------------ the drives
-
   showDrives() {
     const { front, state } = this;
     if (!front.scenes.length) return;
     byId("scenario").value = state.scenario;
     this.scene = front.scenes[state.scenario];
-    this.shown = this.shownPolicies().map((k) => ({
-      label: String(front.numbers[k]), drive: front.drive(state.scenario, k) }));
+    this.shown = this.shownPolicies().map((k) => ({ label: String(front.numbers[k]), drive: front.drive(state.scenario, k) }));
     this.last = Math.max(...this.shown.map(({ drive }) => drive.decisions));
     byId("time").max = this.last;
     byId("cars").hidden = this.shown[0].drive.cars.length === 0 || this.shown.length === 1;
@@ -410,7 +327,7 @@ class Explorer {
   drawTimes() {
     if (!this.front.scenes.length || !this.shown) return;
     const hosts = ["g_force", "jerk"].map((name) => element("div", { "data-reading": name }));
-    byId("charts").replaceChildren(...hosts);
+    fill("charts", hosts);
     const names = this.shown.map(({ label }) => `policy ${label}`).join(", ");
     this.rules = hosts.map((host, i) => drawTimes(host, ["g-force (g)", "jerk (m/s³)"][i],
       this.shown.map(({ drive }) => drive.vehicles[this.front.vehicle][host.dataset.reading]), this.scene.frequency, names));
@@ -432,25 +349,19 @@ class Explorer {
         vehicle.g_force[now].toFixed(3), vehicle.jerk[now].toFixed(1), step >= vehicle.decisions ? plain(vehicle.end) : "driving"]));
     }));
     fillTable(byId("readings-table"), ["", "speed (m/s)", "g-force (g)", "jerk (m/s³)", ""], rows);
-    if (!this.player.playing) this.showPlaying(false);
+    if (!this.player.playing) this.showPlaying();
   }
 
   togglePlay() {
-    if (this.player.playing) {
-      this.stop();
-      return;
-    }
-    this.player.play(this.step, this.last, this.scene.frequency);
-    this.showPlaying(true);
+    if (this.player.playing) this.player.stop();
+    else this.player.play(this.step, this.last, this.scene.frequency);
+    this.showPlaying();
   }
 
-  stop() {
-    this.player.stop();
-    this.showPlaying(false);
-  }
+  stop() { this.player.stop(); this.showPlaying(); }
 
-  showPlaying(playing) {
-    byId("play").textContent = playing ? "Pause" : "Play";
-    byId("play").setAttribute("aria-pressed", playing);
+  showPlaying() {
+    say({ play: this.player.playing ? "Pause" : "Play" });
+    byId("play").setAttribute("aria-pressed", this.player.playing);
   }
 }

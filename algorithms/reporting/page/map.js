@@ -3,19 +3,18 @@
 /** A stored drive with its readings as numbers: each is the sum of the stored differences up to it. */
 function decodeDrive(stored, resolution) {
   const decoded = ({ end, ...readings }) => {
-    const vehicle = { end, decisions: readings.x.length - 1 };
-    for (const [name, differences] of Object.entries(readings)) {
+    const sums = Object.entries(readings).map(([name, differences]) => {
       let total = 0;
-      vehicle[name] = differences.map((step) => (step === null ? null : (total += step) * resolution[name]));
-    }
-    return vehicle;
+      return [name, differences.map((step) => (step === null ? null : (total += step) * resolution[name]))];
+    });
+    return { end, decisions: readings.x.length - 1, ...Object.fromEntries(sums) };
   };
   const [vehicles, cars] = [stored.vehicles.map(decoded), stored.cars.map(decoded)];
   return { vehicles, cars, decisions: Math.max(...vehicles.map((vehicle) => vehicle.decisions)) };
 }
 
 const joined = (points) => points.map((point) => point.join(",")).join(" ");
-const polyline = (points, attributes) =>
+const polyline = (points, attributes = {}) =>
   svg("polyline", { points: joined(points), fill: "none", "stroke-linejoin": "round", ...attributes });
 
 /** A car that faces up, with its centre at the origin. */
@@ -29,14 +28,11 @@ function car(size, attributes) {
 }
 
 /** Lanes of segments, each with the line before which those wait who have no right of way. */
-function lanes(scene) {
-  const group = svg("g", { class: "lanes" });
-  for (const [more, stroke] of [[0.3, "var(--marking)"], [-0.1, "var(--asphalt)"]]) {
-    group.append(...scene.roads.map((road) => polyline(road.line, { stroke, "stroke-width": road.width + more })));
-  }
-  group.append(...scene.roads.map((road) => polyline(road.giveWay, { stroke: "var(--marking)", "stroke-width": 0.35,
-    "stroke-dasharray": "0.5 0.4" })));
-  return group;
+function lanes({ roads: all }) {
+  const paved = [[0.3, "var(--marking)"], [-0.1, "var(--asphalt)"]].flatMap(([more, stroke]) =>
+    all.map((road) => polyline(road.line, { stroke, "stroke-width": road.width + more })));
+  return svg("g", { class: "lanes" }, ...paved, ...all.map((road) =>
+    polyline(road.giveWay, { stroke: "var(--marking)", "stroke-width": 0.35, "stroke-dasharray": "0.5 0.4" })));
 }
 
 /** Roads that cross at the centre, two lanes each. */
@@ -51,26 +47,14 @@ function roads({ centre: c, laneWidth: w }) {
 }
 
 /** A line every five metres. */
-function grid({ box: [left, low, size] }) {
-  const group = svg("g", { stroke: "var(--grid)", "stroke-width": 0.08 });
-  for (let k = 0; k <= size; k += 5) {
-    const [x, y] = [5 * Math.ceil(left / 5) + k, 5 * Math.ceil(low / 5) + k];
-    group.append(svg("line", { x1: x, y1: low, x2: x, y2: low + size }), svg("line", { x1: left, y1: y, x2: left + size, y2: y }));
-  }
-  return group;
-}
+const grid = ({ box: [left, low, size] }) => svg("g", { stroke: "var(--grid)", "stroke-width": 0.08 },
+  ...times(Math.ceil((3 * size) / 5), (k) => [left, low].map((from) => 5 * Math.ceil((from - size) / 5 + k))).flatMap(([x, y]) => [
+    polyline([[x, low - size], [x, low + 2 * size]]), polyline([[left - size, y], [left + 2 * size, y]])]));
 
 /** The map of a scenario with the vehicles of some drives on it. */
 class DriveMap {
-  constructor(element) {
-    this.element = element;
-    this.title = element.querySelector("title");
-  }
-
-  /**
-   * Draw a scenario. `drives` are { label, drive }, the chosen one first, and may say the `colours` of their vehicles and
-   * whether they are a `ghost`.
-   */
+  constructor(element) { this.element = element; this.title = element.querySelector("title"); }
+  /** Draw a scenario with drives { label, drive }, the chosen one first; `colours` by vehicle and `ghost` are optional. */
   show(scene, drives) {
     const [left, low, size] = scene.box;
     const world = svg("g", { transform: "scale(1 -1)" }); // y points up
@@ -79,10 +63,8 @@ class DriveMap {
     this.element.style.background = paved ? "var(--grass)" : "";
     world.append(scene.roads.length ? lanes(scene) : scene.lanes ? roads(scene) : grid(scene));
     this.routes(scene, world, paved ? "var(--marking)" : "var(--ink)");
-    for (const [start, end] of scene.obstacles) {
-      world.append(polyline([start, end], { stroke: "var(--obstacle)", "stroke-width": 0.5, "stroke-linecap": "round",
-        class: "obstacle" }));
-    }
+    world.append(...scene.obstacles.map((ends) => polyline(ends, { stroke: "var(--obstacle)", "stroke-width": 0.5,
+      "stroke-linecap": "round", class: "obstacle" })));
     const many = drives[0].drive.vehicles.length > 1;
     this.tracks = drives.flatMap(({ drive, label, colours, ghost }, place) => drive.vehicles.map((track, v) => {
       const fill = colours?.[v] ?? series(place);
@@ -105,13 +87,8 @@ class DriveMap {
     const names = drives.map(({ label, drive }) => `${/^\d/.test(label) ? "policy " : ""}${label} (${ends(drive)})`);
     this.title.textContent = `Map seen from above with the drives of ${names.join(", ")}`;
   }
-
   /** Give a vehicle of the first drive another colour. */
-  paint(v, colour) {
-    this.tracks[v].vehicle.setAttribute("fill", colour);
-    this.tracks[v].lines[1].setAttribute("stroke", colour);
-  }
-
+  paint(v, colour) { this.tracks[v].vehicle.setAttribute("fill", colour); this.tracks[v].lines[1].setAttribute("stroke", colour); }
   /** Draw the lines as far as the drives have come. */
   extend() {
     for (const { track, lines } of this.tracks) {
@@ -120,18 +97,11 @@ class DriveMap {
     }
   }
 
-  routes(scene, world, stroke) {
-    for (const [cx, cy, last] of scene.routes.flatMap((route) => route.map((at, k) => [...at, k === route.length - 1]))) {
-      for (const r of last ? [scene.arrivalRadius, 1.8 * scene.arrivalRadius] : [scene.arrivalRadius]) {
-        world.append(svg("circle", { cx, cy, r, fill: "none", stroke, "stroke-width": 0.15, "stroke-opacity": 0.75 }));
-      }
-    }
+  routes({ routes, arrivalRadius }, world, stroke) {
+    const ring = ([cx, cy], r) => svg("circle", { cx, cy, r, fill: "none", stroke, "stroke-width": 0.15, "stroke-opacity": 0.75 });
+    world.append(...routes.flatMap((route) => [...route.map((at) => ring(at, arrivalRadius)), ring(route.at(-1), 1.8 * arrivalRadius)]));
   }
-
-  /**
-   * Put every vehicle where it was after `step` decisions, between two of them on the straight line between its poses;
-   * one that has ended leaves the others, or stays alone.
-   */
+  /** Put every vehicle where it was after `step` decisions; between two of them, between its poses. Of several, those leave that end. */
   move(step) {
     const place = (element, { x, y, heading }, at) => {
       const [now, share] = [Math.floor(at), at % 1];
@@ -157,13 +127,8 @@ class DriveMap {
 
 /** Calls `tick` with the present step up to the last one, at `frequency` steps per second; whole ones unless `smooth`. */
 class Player {
-  constructor(tick, smooth = false) {
-    Object.assign(this, { tick, smooth, speed: 1, request: 0 });
-  }
-
-  get playing() {
-    return this.request !== 0;
-  }
+  constructor(tick, smooth = false) { Object.assign(this, { tick, smooth, speed: 1, request: 0 }); }
+  get playing() { return this.request !== 0; }
 
   play(step, last, frequency) {
     this.stop();
@@ -172,13 +137,15 @@ class Player {
       position = Math.min(position + (Math.max(now - from, 0) / 1000) * frequency * this.speed, last);
       from = now;
       this.request = position < last ? requestAnimationFrame(frame) : 0;
-      this.tick(this.smooth ? position : Math.floor(position));
+      try {
+        this.tick(this.smooth ? position : Math.floor(position));
+      } catch (error) {
+        this.stop();
+        showError(error);
+      }
     };
     this.request = requestAnimationFrame(frame);
   }
 
-  stop() {
-    cancelAnimationFrame(this.request);
-    this.request = 0;
-  }
+  stop() { cancelAnimationFrame(this.request); this.request = 0; }
 }

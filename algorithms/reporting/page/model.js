@@ -33,18 +33,12 @@ class FrontModel {
     this.decoded = new Map();
     this.take(0);
   }
-
   /** The axes on the page: of several vehicles those of the one that is shown, and the time. */
   get columns() {
     const others = (key) => key?.startsWith("vehicle_") && !key.startsWith(`vehicle_${this.vehicle}/`);
     return this.axes.map((_, i) => i).filter((i) => this.vehicles < 2 || !others(this.objectives[i]?.key));
   }
-
-  /**
-   * Take the returns of number `which` of those that were measured: undiscounted, or with a discount factor.
-   *
-   * The policies have a row of values each, one per axis: the objectives and, if it is not among them, the time.
-   */
+  /** Take the undiscounted returns, or those with a discount factor; a policy's row has them and, if it is not among them, the time. */
   take(which) {
     const { gamma, episodes, bestKnown } = this.measured[which];
     Object.assign(this, { gamma, returns: episodes, bestKnown, means: episodes.map(meanReturns) });
@@ -59,22 +53,12 @@ class FrontModel {
     this.maximised = this.rows.map((row) => row.map((value, i) => this.axes[i].way * value));
     this.dominators = dominators(this.maximised);
   }
-
+  ends(i) { const { way, low, high } = this.axes[i]; return way > 0 ? [low, high] : [high, low]; }
   /** Where a value is along an axis, from 0 for the worst to 1 for the best. */
-  scaled(value, i) {
-    const { way, low, high } = this.axes[i];
-    return (way > 0 ? value - low : high - value) / (high - low);
-  }
-
+  scaled(value, i) { const [worst, best] = this.ends(i); return (value - worst) / (best - worst); }
   /** The value at the share of an axis. */
-  valueAt(share, i) {
-    const { way, low, high } = this.axes[i];
-    return way > 0 ? low + share * (high - low) : high - share * (high - low);
-  }
-
-  text(value, i, signed = false) {
-    return formatted(value, this.axes[i].high - this.axes[i].low, signed);
-  }
+  valueAt(share, i) { const [worst, best] = this.ends(i); return worst + share * (best - worst); }
+  text(value, i, signed = false) { return formatted(value, this.axes[i].high - this.axes[i].low, signed); }
 
   drive(scenario, k) {
     const [key, scene] = [`${scenario}/${k}`, this.scenes[scenario]];

@@ -1,20 +1,12 @@
 // The explorer's plots.
 
-const HIT = 14; // pixels beside an axis that belong to it
-
 /** A text on the map's ground. */
 const note = (x, y, text, size, colour, anchor = "middle") => svg("text", { x, y, "font-size": size, fill: colour, stroke: "var(--panel)",
   "stroke-width": 4, "paint-order": "stroke", "text-anchor": anchor, "dominant-baseline": "middle", "pointer-events": "none" }, text);
 
-/**
- * Parallel coordinates of shares, from 0 for the worst to 1 for the best. Axes are upright if there is room, else on top of
- * each other. `pick(policy)` is told of a click on a line, `brush(axis, from, to)` of a drag along an axis.
- */
+/** Parallel coordinates of shares, 0 the worst and 1 the best; `pick(policy)` and `brush(axis, from, to)` are told of clicks and drags. */
 class Parallel {
-  constructor(host, pick, brush) {
-    Object.assign(this, { host, pick, brush });
-  }
-
+  constructor(host, pick, brush) { Object.assign(this, { host, pick, brush }); }
   /** `axes` are { title, worst, best }; the rows of shares end early where a policy has no value. */
   draw(axes, learnt, bestKnown) {
     const width = this.host.clientWidth;
@@ -49,9 +41,7 @@ class Parallel {
     this.host.replaceChildren(this.svg);
   }
 
-  line(row, attributes) {
-    return polyline(row.map((share, i) => this.at(i, share)), { class: "line", ...attributes });
-  }
+  line(row, attributes) { return polyline(row.map((share, i) => this.at(i, share)), { class: "line", ...attributes }); }
 
   handle(i) {
     let from = null;
@@ -59,17 +49,14 @@ class Parallel {
       const box = this.svg.getBoundingClientRect();
       return this.share({ x: event.clientX - box.x, y: event.clientY - box.y });
     };
-    const hit = svg("rect", { class: "hit", fill: "transparent", ...this.box(i, 0, 1, HIT, 6),
-      onpointerdown: (event) => {
+    const hit = svg("rect", { class: "hit", fill: "transparent", ...this.box(i, 0, 1, 14, 6), onpointerdown: (event) => {
         hit.setPointerCapture(event.pointerId);
         from = share(event);
         this.brush(i, from, from);
-      },
-      onpointermove: (event) => from !== null && this.brush(i, from, share(event)),
+      }, onpointermove: (event) => from !== null && this.brush(i, from, share(event)),
       onpointerup: () => (from = null), onpointercancel: () => (from = null) });
     return hit;
   }
-
   /** Which policies are `listed`, and of these `kept`; those that are `shown` in their colours; the ranges as shares. */
   show({ listed, kept, shown, ranges }) {
     this.under.replaceChildren(...this.learnt.flatMap((row, k) => (listed[k] ? [this.line(row, { class: "line policy",
@@ -85,8 +72,8 @@ class Parallel {
 function marks(most, count) {
   const rough = Math.max(most, 1e-9) / count;
   const unit = 10 ** Math.floor(Math.log10(rough));
-  const step = unit * [1, 2, 5, 10].find((times) => times * unit >= rough);
-  return Array.from({ length: Math.ceil(most / step - 1e-9) + 1 }, (_, k) => Number((k * step).toPrecision(6)));
+  const step = unit * [1, 2, 5, 10].find((each) => each * unit >= rough);
+  return times(Math.ceil(most / step - 1e-9) + 1, (k) => Number((k * step).toPrecision(6)));
 }
 
 /** Readings over time, a line (values, one per decision) for each policy shown; returns what moves the rule of the present. */

@@ -1,62 +1,42 @@
 // The rules by which `mo-deepdrive choose` orders policies (algorithms/commands/choose.py), on the same numbers.
 
 /** Mean returns (d) of the episodes (E, d) of a policy. */
-function meanReturns(episodes) {
-  return episodes[0].map((_, i) => mean(episodes.map((episode) => episode[i])));
-}
+const meanReturns = (episodes) => episodes[0].map((_, i) => mean(episodes.map((episode) => episode[i])));
 
 /** To the nearest integer, halves to the even one, as NumPy rounds. */
-function roundHalfEven(value) {
-  const low = Math.floor(value);
-  const rest = value - low;
-  if (rest !== 0.5) return Math.round(value);
-  return low % 2 === 0 ? low : low + 1;
-}
+const roundHalfEven = (value) => (Math.abs(value % 1) === 0.5 ? 2 * Math.round(value / 2) : Math.round(value));
 
 /** Indices of policies, the greatest value first; of equal values, the greater sum of scaled mean returns. */
 function rankPolicies(values, means, scales) {
   const largest = Math.max(...values.map(Math.abs));
   const rounded = largest > 0 ? values.map((value) => roundHalfEven((value / largest) * 1e9) / 1e9) : values;
   const overall = means.map((row) => sum(row.map((value, i) => value / scales[i])));
-  return values
-    .map((_, k) => k)
-    .sort((a, b) => rounded[b] - rounded[a] || overall[b] - overall[a] || a - b);
+  return values.map((_, k) => k).sort((a, b) => rounded[b] - rounded[a] || overall[b] - overall[a] || a - b);
 }
 
 /** Weighted sums (K) of mean returns. */
-function weightedSums(returns, weights) {
-  return returns.map((episodes) => mean(episodes.map((episode) => sum(episode.map((value, i) => value * weights[i])))));
-}
+const weightedSums = (returns, weights) =>
+  returns.map((episodes) => mean(episodes.map((episode) => sum(episode.map((value, i) => value * weights[i])))));
 
 /** Expected utilities (K) of a comfort budget: ComfortBudget of mo_deepdrive/utilities.py, mean over episodes. */
 function budgetUtilities(returns, objectives, budget) {
-  const excess = (magnitude, limit) => (magnitude > limit ? magnitude - limit : 0);
   const utility = (episode) => {
-    const m = {};
-    objectives.forEach((objective, i) => (m[objective.key] = episode[i] * objective.sign));
-    let value = 0;
-    for (const [key, gain] of Object.entries(budget.gains)) value = value + gain * m[key];
-    for (const [key, price] of Object.entries(budget.excessPrices)) value = value - price * excess(m[key], budget[key]);
-    for (const [key, price] of Object.entries(budget.prices)) value = value - price * m[key];
-    return value;
+    const m = Object.fromEntries(objectives.map(({ key, sign }, i) => [key, episode[i] * sign]));
+    return sum([...Object.entries(budget.gains).map(([key, gain]) => gain * m[key]),
+      ...Object.entries(budget.excessPrices).map(([key, price]) => -price * Math.max(m[key] - budget[key], 0)),
+      ...Object.entries(budget.prices).map(([key, price]) => -price * m[key])]);
   };
   return returns.map((episodes) => mean(episodes.map(utility)));
 }
 
 /** Minus the scaled distances (K) by which mean returns fall short of a target. */
-function targetCloseness(means, target, scales) {
-  return means.map((row) => -Math.hypot(...row.map((value, i) => Math.max(target[i] - value, 0) / scales[i])));
-}
+const targetCloseness = (means, target, scales) =>
+  means.map((row) => -Math.hypot(...row.map((value, i) => Math.max(target[i] - value, 0) / scales[i])));
 
 /** The weight of a return that counts with `importance` (0 to 100), relative to its nominal scale. */
-function weightOf(importance, scale) {
-  return Number((importance / 100 / scale).toPrecision(3));
-}
+const weightOf = (importance, scale) => Number((importance / 100 / scale).toPrecision(3));
 
-/**
- * For each of the rows (K, d), all maximised, one that dominates it, or -1: it is nowhere worse, better somewhere, and
- * itself not dominated.
- */
+/** For each of the rows (K, d), all maximised, one that dominates it and is itself not dominated, or -1. */
 function dominators(rows) {
   const dominates = (a, b) => a.every((value, i) => value >= b[i]) && a.some((value, i) => value > b[i]);
   const on = rows.map((row) => !rows.some((other) => dominates(other, row)));
@@ -64,39 +44,24 @@ function dominators(rows) {
 }
 
 /**
- * What the policies next to `chosen` offer, of those `among` (booleans) the rows (K, d), which are all maximised.
- *
- * They are policies `k` with the columns for which they are listed: for each column the nearest policy that is better
- * in it by at least a twentieth of the front's extent, and the nearest ones overall that differ by more than a
- * hundredth. Distances are in extents of the front.
+ * Policies `k` near `chosen`, of those `among` (booleans) the rows (K, d), all maximised, with the columns in which they are `better`:
+ * for each column the nearest that is better by a twentieth of the front's extent, and the nearest that differ by a hundredth.
  */
 function alternatives(rows, chosen, among, nearest = 3) {
-  const d = rows[chosen].length;
-  const extents = rows[chosen].map((_, i) => {
-    const column = rows.map((row) => row[i]);
-    return Math.max(...column) - Math.min(...column);
-  });
-  const scaled = (k) => rows[k].map((value, i) => (extents[i] > 0 ? (value - rows[chosen][i]) / extents[i] : 0));
-  const others = rows
-    .map((_, k) => k)
-    .filter((k) => k !== chosen && among[k])
-    .map((k) => ({ k, step: scaled(k) }))
-    .map((each) => ({ ...each, distance: Math.hypot(...each.step) }))
+  const extents = rows[chosen].map((_, i) => Math.max(...rows.map((row) => row[i])) - Math.min(...rows.map((row) => row[i])));
+  const apart = (a, b) => rows[a].map((value, i) => (extents[i] > 0 ? (value - rows[b][i]) / extents[i] : 0));
+  const others = rows.map((_, k) => k).filter((k) => k !== chosen && among[k])
+    .map((k) => ({ k, step: apart(k, chosen), distance: Math.hypot(...apart(k, chosen)) }))
     .sort((a, b) => a.distance - b.distance || a.k - b.k);
-  const found = [];
-  for (let i = 0; i < d; i++) {
-    const best = others.find((each) => each.step[i] >= 0.05);
-    const same = found.find((each) => each.k === best?.k);
-    if (same) same.better.push(i);
-    else if (best) found.push({ k: best.k, better: [i] });
+  const found = new Map();
+  rows[chosen].forEach((_, i) => {
+    const best = others.find(({ step }) => step[i] >= 0.05);
+    if (best) found.set(best.k, [...(found.get(best.k) ?? []), i]);
+  });
+  const most = found.size + nearest;
+  for (const { k, distance } of others) {
+    const differs = distance >= 0.01 && [...found.keys()].every((other) => Math.hypot(...apart(k, other)) >= 0.01);
+    if (differs && found.size < most) found.set(k, []);
   }
-  let count = 0;
-  for (const each of others) {
-    const apart = (k) => Math.hypot(...scaled(k).map((value, i) => value - each.step[i])) >= 0.01;
-    if (count === nearest) break;
-    if (each.distance < 0.01 || !found.every(({ k }) => apart(k))) continue;
-    found.push({ k: each.k, better: [] });
-    count += 1;
-  }
-  return found;
+  return [...found].map(([k, better]) => ({ k, better }));
 }

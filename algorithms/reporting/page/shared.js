@@ -3,9 +3,12 @@
 const FORMAT = /* format */ 0;
 const VERSION = /* version */ "";
 const SVG = "http://www.w3.org/2000/svg";
-const FONT = '"DejaVu Sans", system-ui, sans-serif';
 const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
 const byId = (id) => document.getElementById(id);
+const say = (texts) => Object.entries(texts).forEach(([id, text]) => (byId(id).textContent = text));
+const hide = (away) => Object.entries(away).forEach(([id, hidden]) => (byId(id).hidden = hidden));
+const fill = (id, children) => byId(id).replaceChildren(...children);
+const on = (id, action) => byId(id).addEventListener(byId(id).tagName === "BUTTON" ? "click" : "change", action);
 const series = (place) => `var(--series-${place})`;
 const sum = (numbers) => numbers.reduce((total, each) => total + each, 0);
 const mean = (numbers) => sum(numbers) / numbers.length;
@@ -13,6 +16,7 @@ const percent = (share) => `${(100 * share).toFixed(0)}%`;
 const withUnit = (text, unit) => (unit ? `${text} ${unit}` : text);
 const titled = (objective) => (objective.unit ? `${objective.name} (${objective.unit})` : objective.name);
 const plain = (end) => end.replaceAll("_", " ");
+const capital = (text) => text[0].toUpperCase() + text.slice(1);
 
 class Refusal extends Error {}
 
@@ -27,6 +31,7 @@ function filled(made, attributes, children) {
 
 const element = (name, attributes = {}, ...children) => filled(document.createElement(name), attributes, children);
 const svg = (name, attributes = {}, ...children) => filled(document.createElementNS(SVG, name), attributes, children);
+const times = (count, make) => Array.from({ length: count }, (_, k) => make(k));
 const cells = (texts, name = "td", attributes = {}) => texts.map((text) => element(name, attributes, text));
 const options = (texts) => texts.map((text, value) => element("option", { value }, text));
 
@@ -45,8 +50,7 @@ function formatted(value, extent, signed = false) {
 
 function slider({ id, label, value, max, step, text, change }) {
   const output = element("output", { for: id }, text(value));
-  const input = element("input", { type: "range", id, min: 0, max, step, value, "aria-valuetext": text(value),
-    oninput: () => {
+  const input = element("input", { type: "range", id, min: 0, max, step, value, "aria-valuetext": text(value), oninput: () => {
       output.textContent = text(Number(input.value));
       input.setAttribute("aria-valuetext", output.textContent);
       change(Number(input.value));
@@ -55,8 +59,8 @@ function slider({ id, label, value, max, step, text, change }) {
 }
 
 /** A piece of the line of the policy at a place: its colour and its dashes. */
-const swatch = (place, colour = series(place)) => svg("svg", { width: 32, height: 8, "aria-hidden": "true" },
-  svg("line", { x1: 0, y1: 4, x2: 26, y2: 4, stroke: colour, "stroke-width": 3.5, "stroke-dasharray": DASHES[place].join(" ") }));
+const swatch = (place) => svg("svg", { width: 32, height: 8, "aria-hidden": "true" },
+  svg("line", { x1: 0, y1: 4, x2: 26, y2: 4, stroke: series(place), "stroke-width": 3.5, "stroke-dasharray": DASHES[place].join(" ") }));
 
 async function copy(text, what, note) {
   try {
@@ -67,10 +71,7 @@ async function copy(text, what, note) {
   }
 }
 
-function showMessage(text) {
-  byId("message").textContent = text;
-  byId("message").hidden = !text;
-}
+function showMessage(text) { byId("message").textContent = text; byId("message").hidden = !text; }
 
 /** Show what went wrong: a refusal in its own words. */
 function showError(error) {
@@ -78,11 +79,12 @@ function showError(error) {
   showMessage(error instanceof Refusal ? error.message : `This page cannot be shown: ${error.message}`);
 }
 
-function setTheme(theme) {
-  const dark = theme === "dark" || (theme === "auto" && matchMedia("(prefers-color-scheme: dark)").matches);
+const scheme = matchMedia("(prefers-color-scheme: dark)");
+
+function setTheme() {
+  const dark = byId("theme").value === "dark" || (byId("theme").value === "auto" && scheme.matches);
   document.documentElement.dataset.theme = dark ? "dark" : "light";
 }
 
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => setTheme(byId("theme").value));
-byId("theme").addEventListener("change", (event) => setTheme(event.target.value));
-setTheme("auto");
+for (const each of [scheme, byId("theme")]) each.addEventListener("change", setTheme);
+setTheme();

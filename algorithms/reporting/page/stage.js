@@ -6,54 +6,48 @@ const HOLD = 1.5; // s for which the last picture of a drive without a person st
 /** What keys, thumb and gamepad ask for: accelerate, brake, left, right. */
 class Controls {
   constructor(pad, thumb, wake) {
-    Object.assign(this, { pad, thumb, wake, held: new Set(), tapped: new Set(), drag: [] });
-    window.addEventListener("keydown", (event) => this.key(event, true));
-    window.addEventListener("keyup", (event) => this.key(event, false));
+    Object.assign(this, { thumb, wake, held: new Set(), tapped: new Set(), drag: [], from: null });
+    window.addEventListener("keydown", (event) => this.press(event));
+    window.addEventListener("keyup", ({ key }) => this.held.delete(KEYS[key] ?? KEYS[key.toLowerCase()]));
     window.addEventListener("blur", () => this.held.clear());
-    pad.addEventListener("pointerdown", (event) => {
-      pad.setPointerCapture(event.pointerId);
-      this.from = [event.clientX, event.clientY];
-      this.move(event);
-    });
+    pad.addEventListener("pointerdown", (event) => { pad.setPointerCapture(event.pointerId); this.from = event; });
     pad.addEventListener("pointermove", (event) => this.from && this.move(event));
     for (const name of ["pointerup", "pointercancel"]) pad.addEventListener(name, () => this.move(null));
   }
 
-  key(event, down) {
+  press(event) {
     const key = KEYS[event.key] ?? KEYS[event.key.toLowerCase()];
-    const writing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName) || event.ctrlKey || event.metaKey || event.altKey;
-    if (!down) this.held.delete(key);
-    if (!down || writing || key === undefined || !this.wake()) return;
+    if (key === undefined || isWriting(event) || !this.wake()) return;
     event.preventDefault();
     this.held.add(key);
     this.tapped.add(key);
   }
 
   move(event) {
-    const [x, y] = event ? [event.clientX - this.from[0], event.clientY - this.from[1]] : [0, 0];
+    const [x, y] = event ? [event.clientX - this.from.clientX, event.clientY - this.from.clientY] : [0, 0];
     if (!event) this.from = null;
     const dead = 14; // pixels
     this.drag = [y < -dead, y > dead, x < -dead, x > dead];
-    this.thumb.style.transform = `translate(${Math.max(-60, Math.min(x, 60))}px, ${Math.max(-50, Math.min(y, 50))}px)`;
+    this.thumb.style.transform = `translate(${Math.max(-60, Math.min(x, 60))}px, ${Math.max(-38, Math.min(y, 38))}px)`;
     if (this.drag.some(Boolean)) this.wake();
   }
 
   gamepad() {
     const pad = [...(navigator.getGamepads?.() ?? [])].find(Boolean);
-    const asked = pad ? [pad.buttons[7]?.pressed || pad.buttons[0]?.pressed, pad.buttons[6]?.pressed || pad.buttons[1]?.pressed,
-      pad.axes[0] < -0.3, pad.axes[0] > 0.3] : [];
-    if (asked.some(Boolean)) this.wake();
-    return asked;
+    const down = (...buttons) => buttons.some((k) => pad?.buttons[k]?.pressed);
+    return [down(7, 0), down(6, 1), pad?.axes[0] < -0.3, pad?.axes[0] > 0.3];
   }
-
   /** What has been asked for since the last call: a short press is not lost. */
   take() {
-    const pad = this.gamepad();
-    const asked = [0, 1, 2, 3].map((key) => Boolean(this.held.has(key) || this.tapped.has(key) || this.drag[key] || pad[key]));
+    const asked = this.gamepad().map((on, key) => Boolean(on || this.held.has(key) || this.tapped.has(key) || this.drag[key]));
     this.tapped.clear();
     return asked;
   }
 }
+
+/** Whether a key is meant for a field, or for the browser. */
+const isWriting = ({ target, ctrlKey, metaKey, altKey }) =>
+  /^(INPUT|SELECT|TEXTAREA)$/.test(target.tagName) || ctrlKey || metaKey || altKey;
 
 /** Colour of weights (d): the hues of the objectives, mixed. */
 function colourOf(weights) {
@@ -63,163 +57,134 @@ function colourOf(weights) {
   return `oklch(0.66 ${(0.04 + 0.16 * Math.hypot(x, y)).toFixed(3)} ${((Math.atan2(y, x) * 180) / Math.PI).toFixed(0)})`;
 }
 
+/** A row of a name, a bar in the colour of objective i of d, and a text. */
+const barOf = (name, i, d, text = "", width = "0", ...inside) =>
+  element("div", { class: "bar", style: `--hue: ${colourOf(times(d, (k) => Number(k === i)))}` }, element("span", {}, name),
+    element("span", {}, element("i", { style: `width: ${width}` }), ...inside), element("output", {}, text));
+
 class Stage {
   constructor(page) {
-    Object.assign(this, { page, mode: "drive", taken: {}, rider: 0, wishes: {} });
+    Object.assign(this, { page, taken: {}, rider: 0, wishes: {} });
     this.map = new DriveMap(byId("stage-map"));
+    this.player = new Player((position) => this.tick(position), true);
     this.controls = new Controls(byId("pad"), byId("thumb"), () => this.wake());
-    const change = (id, action) => byId(id).addEventListener(byId(id).tagName === "BUTTON" ? "click" : "change", action);
-    change("world", () => this.open());
-    change("seed", () => this.begin());
-    change("other", () => this.begin());
-    change("again", () => this.begin());
-    change("next", () => this.next());
-    change("share", () => copy(location.href.split("#")[0] + this.link(), "link", byId("shared")));
-    change("share-command", () => copy(`mo-deepdrive replay '${this.link()}'`, "command", byId("shared")));
-    window.addEventListener("keydown", ({ key, target, ctrlKey, metaKey }) => {
-      if (byId("stage").hidden || ctrlKey || metaKey || target.tagName === "SELECT") return;
-      if (key === "r") this.begin();
-      if (key === "n") this.next();
+    const actions = { world: () => this.open(), seed: () => this.begin(), other: () => this.begin(), again: () => this.begin(),
+      next: () => this.next(), share: () => copy(location.href.split("#")[0] + this.link(), "link", byId("shared")),
+      "share-command": () => copy(`mo-deepdrive replay '${this.link()}'`, "command", byId("shared")) };
+    for (const [id, action] of Object.entries(actions)) on(id, () => action().catch(showError));
+    window.addEventListener("keydown", (event) => {
+      if (!byId("stage").hidden && !isWriting(event)) ({ r: actions.again, n: actions.next })[event.key]?.().catch(showError);
     });
   }
 
-  get facts() {
-    return this.world.facts;
-  }
-
-  get human() {
-    return this.mode !== "preference";
-  }
-
-  link() {
-    return linkOfDrive(this.episode, this.human ? "human" : this.actors[0]?.name ?? "human");
-  }
-
-  // --------------------------------------------------------------------------------------------- who drives, and where
-
+  get facts() { return this.world.facts; }
+  get human() { return this.mode !== "preference"; }
+  link() { return linkOfDrive(this.episode, this.human ? "human" : this.choice); }
   /** Show a tab: "drive", "preference" or "against"; `kept` is the drive of a link. */
   async show(mode, kept = null) {
     this.mode = mode;
     byId("stage").setAttribute("aria-labelledby", `tab-${mode}`);
     byId("stage").dataset.mode = mode;
-    const fit = { drive: () => true, preference: ({ conditioned }) => conditioned, against: ({ rivals }) => rivals }[mode];
-    this.rows = this.page.worlds.filter(fit);
-    byId("world").replaceChildren(...options(this.rows.map(({ title }) => title)));
-    const same = this.rows.findIndex(({ name }) => name === (this.taken[mode] ?? this.row?.name));
-    byId("world").value = Math.max(same, 0);
+    const needed = { preference: "conditioned", against: "rivals" }[mode];
+    this.rows = this.page.worlds.filter((row) => !needed || row[needed]);
+    fill("world", options(this.rows.map(({ title }) => title)));
+    byId("world").value = Math.max(this.rows.findIndex(({ name }) => name === (this.taken[mode] ?? this.row?.name)), 0);
     await this.open(kept);
   }
 
   async open(kept = null) {
-    this.stop();
+    this.player.stop();
     this.row = this.rows[byId("world").value];
     this.taken[this.mode] = this.row.name;
-    this.world = await World.make(this.row, this.page.version);
+    this.world = await World.make(this.row);
     const { facts, mode } = this;
-    this.seeds = kept?.actions && !facts.seeds.includes(kept.seed) ? [kept.seed, ...facts.seeds] : facts.seeds;
-    byId("seed").replaceChildren(...options(this.seeds.map((_, k) => String(k + 1))));
+    const alone = facts.vehicles === 1;
+    this.seeds = kept && !facts.seeds.includes(kept.seed) ? [kept.seed, ...facts.seeds] : facts.seeds;
+    fill("seed", options(this.seeds.map((_, k) => String(k + 1))));
     byId("seed").value = Math.max(this.seeds.indexOf(kept?.seed), 0);
-    this.wishes[facts.id] ??= Array.from({ length: facts.vehicles }, (_, v) =>
-      facts.objectives.map((__, i) => (facts.vehicles > 1 && i === v % facts.objectives.length ? 100 : 30)));
+    this.rider = 0;
+    this.wishes[facts.id] ??= times(facts.vehicles, (v) =>
+      facts.objectives.map((__, i) => (alone ? 50 : i === v % facts.objectives.length ? 100 : 10)));
+    // Policies by what they are called: of several vehicles each may have a network of its own.
     const fit = facts.policies.filter(({ conditioned }) => mode !== "preference" || conditioned);
-    const ghosts = facts.vehicles === 1 && mode === "against" && facts.ghost ? ["the best known drive"] : [];
-    this.choices = [...ghosts.map((label) => ({ label })), ...fit];
-    byId("other").replaceChildren(...options(this.choices.map(({ label }) => label)));
-    byId("other-label").textContent = facts.vehicles === 1 && mode === "against" ? "Ghost" : "Policy";
-    byId("other-choice").hidden = this.choices.length < 2 || (mode === "drive" && facts.vehicles === 1);
-    byId("sampled-choice").hidden = mode === "drive" && facts.vehicles === 1;
-    byId("wishes").hidden = mode !== "preference";
+    const ghosts = alone && mode === "against" && facts.ghost ? ["the best known drive"] : [];
+    this.choices = [...new Set([...ghosts, ...fit.map(({ label }) => label)])];
+    fill("other", options(this.choices));
+    say({ "other-label": alone && mode === "against" ? "Ghost" : "Policy" });
+    const single = alone && mode === "drive";
+    hide({ "sampled-choice": single, "other-choice": single || this.choices.length < 2, wishes: mode !== "preference" });
     this.makeWishes();
     await this.begin(kept);
   }
 
-  next() {
-    byId("seed").value = (Number(byId("seed").value) + 1) % this.seeds.length;
-    return this.begin();
-  }
-
-  /** Weights (d) of the world's objectives per unit of their scales, of a vehicle, that add up to 1. */
-  weights(v) {
-    const wish = this.wishes[this.facts.id][v];
-    return wish.map((each) => each / (sum(wish) || 1));
-  }
+  next() { byId("seed").value = (Number(byId("seed").value) + 1) % this.seeds.length; return this.begin(); }
+  /** Weights (d) of the world's objectives, in units of their scales, that add up to 1. */
+  weights(v) { const wish = this.wishes[this.facts.id][v]; return wish.map((each) => each / (sum(wish) || 1)); }
 
   makeWishes() {
-    const { facts } = this;
-    const all = this.wishes[facts.id];
-    byId("riders").hidden = facts.vehicles < 2;
-    byId("riders").replaceChildren(...all.map((_, v) => element("button", { type: "button", "aria-pressed": v === this.rider,
+    const { facts, rider } = this;
+    const share = (i) => percent(this.weights(rider)[i]);
+    hide({ riders: facts.vehicles < 2 });
+    fill("riders", times(facts.vehicles, (v) => element("button", { type: "button", "aria-pressed": String(v === rider),
       style: `border-color: ${colourOf(this.weights(v))}`, onclick: () => {
         this.rider = v;
         this.makeWishes();
         this.showBars();
       } }, String(v))));
-    byId("wish-sliders").replaceChildren(...facts.objectives.map(({ name, key }, i) => slider({
-      id: `wish-${i}`, label: name, value: all[this.rider][i], max: 100, step: 1,
-      text: () => percent(this.weights(this.rider)[i]),
+    fill("wish-sliders", facts.objectives.map(({ name }, i) => slider({
+      id: `wish-${i}`, label: name, value: this.wishes[facts.id][rider][i], max: 100, step: 1, text: () => share(i),
       change: (value) => {
-        all[this.rider][i] = value;
-        byId("wish-sliders").querySelectorAll("input").forEach((input, k) => {
-          input.previousElementSibling.textContent = percent(this.weights(this.rider)[k]);
-        });
-        this.map.paint(this.rider, colourOf(this.weights(this.rider)));
-      },
-    })));
+        this.wishes[facts.id][rider][i] = value;
+        byId("wish-sliders").querySelectorAll("output").forEach((output, k) => (output.textContent = share(k)));
+        const colour = colourOf(this.weights(rider));
+        byId("riders").children[rider].style.borderColor = colour;
+        this.map.paint(rider, colour);
+      } })));
   }
-
-  async actor(choice, facts, v) {
-    const actor = new Actor(await load(choice.file));
+  /** The policy of a name as the driver of a vehicle, if it can; under the preference of the page where it is shown. */
+  async driver(name, v) {
+    const { facts } = this;
+    const row = facts.policies.find(({ label, vehicles }) => label === name && vehicles.includes(v));
+    if (!row) return byActions([]);
+    const actor = new Actor(await load(row.file));
     const wish = () => {
-      const weights = actor.objectives.map((key) => this.weights(v)[facts.objectives.findIndex((each) => each.key === key)] ?? 0);
-      return this.human ? actor.preference ?? weights : weights.map((weight) => weight / (sum(weights) || 1));
+      const asked = actor.objectives.map((key) => this.weights(v)[facts.objectives.findIndex((each) => each.key === key)] ?? 0);
+      return this.human && actor.preference ? actor.preference : asked.map((weight) => weight / (sum(asked) || 1));
     };
     return byActor(actor, facts, wish, () => byId("sampled").checked);
   }
 
   async begin(kept = null) {
-    this.stop();
+    this.player.stop();
     const token = (this.token = {});
-    const { facts, mode } = this;
-    const choice = this.choices[byId("other").value];
+    const { facts, human, mode } = this;
+    const choice = this.choices[byId("other").value] ?? "";
     const seed = this.seeds[byId("seed").value];
     const place = facts.seeds.indexOf(seed);
-    const vehicles = Array.from({ length: facts.vehicles }, (_, v) => v);
-    this.actors = choice?.file ? [choice] : [];
+    const vehicles = times(facts.vehicles, (v) => v);
     const drivers = await Promise.all(vehicles.map((v) => {
-      if (kept?.actions) return byActions(decodeActions(kept.actions[v]));
-      if (this.human && v === 0) return byKeys(() => this.controls.take());
-      return choice?.file ? this.actor(choice, facts, v) : byActions([]);
+      if (kept) return byActions(decodeActions(kept.actions[v]));
+      if (human && v === 0) return byKeys(() => this.controls.take());
+      return this.driver(choice, v);
     }));
-    this.ghost = null;
-    if (mode === "against" && facts.vehicles === 1 && choice && (choice.file || place >= 0)) {
-      const driver = choice.file ? await this.actor(choice, facts, 0) : byActions(decodeActions(facts.ghost[place]));
-      this.ghost = new Episode(await World.make(this.row, this.page.version), seed, [driver]);
-    }
+    const rival = mode !== "against" || facts.vehicles > 1 ? null : facts.policies.some(({ label }) => label === choice)
+      ? await this.driver(choice, 0) : byActions(decodeActions(facts.ghost[Math.max(place, 0)]));
+    const ghost = rival && new Episode(await World.make(this.row), seed, [rival]);
     if (token !== this.token) return; // another drive has begun meanwhile
+    Object.assign(this, { choice, ghost, place, replaying: Boolean(kept), waiting: human && !kept, from: 0 });
     this.episode = new Episode(this.world, seed, drivers);
-    this.replaying = Boolean(kept?.actions);
-    const drives = [{ label: mode === "preference" ? "the policy" : "you", drive: this.episode,
-      ...(mode === "preference" ? { colours: vehicles.map((v) => colourOf(this.weights(v))) } : {}) }];
-    if (this.ghost) drives.push({ label: choice.label, drive: this.ghost, ghost: true });
-    this.map.show(this.episode.scene, drives);
+    const colours = vehicles.map((v) => (human ? series(Math.min(v, 1)) : colourOf(this.weights(v))));
+    this.map.show(this.episode.scene, [{ label: human ? "you" : choice, drive: this.episode, colours },
+      ...(ghost ? [{ label: choice, drive: ghost, ghost: true }] : [])]);
     this.map.move(0);
-    this.position = 0;
-    this.waiting = this.human && !this.replaying;
-    byId("prompt").hidden = !this.waiting;
-    byId("outcome").hidden = true;
-    byId("bars-heading").textContent = mode === "preference" ? "What it earns" : "What you earn";
-    const known = facts.drivers.map(({ returns }) => returns[Math.max(place, 0)]);
-    this.full = facts.objectives.map(({ scale }, i) => Math.max(...known.map((row) => Math.abs(row[i])), 0.2 * scale));
-    byId("bars").replaceChildren(...facts.objectives.map((objective, i) => element("div", { class: "bar",
-      style: `--hue: ${colourOf(facts.objectives.map((_, k) => Number(k === i)))}` },
-    element("span", {}, objective.name), element("span", {}, element("i")), element("output"))));
+    hide({ prompt: !this.waiting, outcome: true });
+    say({ "bars-heading": human ? "What you earn" : "What it earns" });
+    this.full = facts.objectives.map(({ scale }, i) =>
+      Math.max(...facts.drivers.map(({ returns }) => Math.abs(returns[Math.max(place, 0)][i])), 0.2 * scale));
+    fill("bars", facts.objectives.map(({ name }, i) => barOf(name, i, facts.objectives.length)));
     this.showBars();
-    this.from = performance.now();
-    this.request = requestAnimationFrame((now) => this.frame(now));
+    this.player.play(0, Infinity, facts.frequency);
   }
-
-  // ------------------------------------------------------------------------------------------------------- as time goes
-
   /** A key or a thumb asks for something; whether anyone is listening. */
   wake() {
     const here = !byId("stage").hidden && this.human && this.episode && !this.replaying;
@@ -227,80 +192,59 @@ class Stage {
     return here;
   }
 
-  stop() {
-    cancelAnimationFrame(this.request);
-  }
-
-  frame(now) {
-    const seconds = Math.min(Math.max(now - this.from, 0), 200) / 1000;
-    this.from = now;
-    this.request = requestAnimationFrame((later) => this.frame(later));
-    if (this.waiting) {
-      this.controls.gamepad();
-      return;
-    }
-    byId("prompt").hidden = true;
-    this.position += seconds * this.facts.frequency;
+  tick(now) {
+    if (this.waiting && this.controls.gamepad().some(Boolean)) this.wake();
+    hide({ prompt: !this.waiting });
+    if (this.waiting) { this.from = now; return; }
     const { episode, ghost } = this;
-    const before = episode.decisions;
-    try {
-      while (!episode.over && episode.decisions < this.position) episode.step();
-      while (ghost && !ghost.over && ghost.decisions < this.position) ghost.step();
-    } catch (error) {
-      this.stop();
-      showError(error);
-      return;
-    }
+    const [position, before] = [now - this.from, episode.decisions];
+    for (const each of ghost ? [episode, ghost] : [episode]) while (!each.over && each.decisions < position) each.step();
     if (episode.decisions > before) this.showBars();
     if (episode.decisions > before || ghost) this.map.extend();
-    this.map.move(episode.over ? Math.min(this.position, Math.max(episode.decisions, ghost?.decisions ?? 0)) : this.position);
-    if (!episode.over || this.position < episode.decisions) return;
-    if (byId("outcome").hidden && (this.human || this.replaying)) this.showOutcome();
-    if (this.human && (!ghost || ghost.over)) this.stop();
-    if (!this.human && this.position > episode.decisions + HOLD * this.facts.frequency) this.next();
+    const last = Math.max(episode.decisions, ghost?.decisions ?? 0);
+    this.map.move(Math.min(position, last));
+    const [{ end, decisions }] = episode.vehicles;
+    if (this.human && end && position >= decisions && byId("outcome").hidden) this.showOutcome();
+    if (!episode.over || position < last) return;
+    if (this.human) this.player.stop();
+    else if (position > last + HOLD * this.facts.frequency) this.next().catch(showError);
   }
 
   showBars() {
     const { facts, episode, world } = this;
-    const shown = this.mode === "preference" ? this.rider : 0;
+    const shown = this.human ? 0 : this.rider;
     [...byId("bars").children].forEach((bar, i) => {
       const value = episode.returns[shown][i];
       bar.querySelector("i").style.width = percent(Math.min(Math.abs(value) / this.full[i], 1));
       bar.lastChild.textContent = withUnit(formatted(value, 4 * this.full[i]), facts.objectives[i].unit);
     });
-    byId("seconds").textContent = `${(episode.decisions / facts.frequency).toFixed(1)} s`;
-    byId("speedometer").textContent = `${(3.6 * world.of(shown, "speed")).toFixed(0)} km/h`;
+    say({ seconds: `${(episode.decisions / facts.frequency).toFixed(1)} s`,
+      speedometer: `${(3.6 * world.of(shown, "speed")).toFixed(0)} km/h` });
   }
-
-  // ------------------------------------------------------------------------------------------------------- what it earned
 
   showOutcome() {
-    const { facts, episode } = this;
-    const [mine] = episode.returns;
-    const end = plain(episode.vehicles[0].end);
-    const seconds = (episode.vehicles[0].decisions / facts.frequency).toFixed(1);
-    byId("outcome-heading").textContent = end === "arrived" ? `Arrived after ${seconds} s` : `${seconds} s: ${end}`;
-    const place = facts.seeds.indexOf(episode.seed);
+    const { facts, episode, place } = this;
+    const [[mine], [{ end, decisions }]] = [episode.returns, episode.vehicles];
+    const seconds = (decisions / facts.frequency).toFixed(1);
     const rivals = place < 0 ? [] : facts.drivers.map(({ label, returns, ends }) => ({ label, returns: returns[place], end: ends[place] }));
-    const better = (row) => mine.every((value, i) => row.returns[i] >= value) && facts.objectives.filter((_, i) => row.returns[i] > mine[i]);
-    const above = [...rivals, ...facts.front.map(({ name, returns }) => ({ label: name, returns }))].find((row) => better(row).length);
-    byId("verdict").textContent = above
-      ? `${above.label} is nowhere worse, and better in ${better(above).map(({ name }) => name).join(", ")}.`
+    const others = [...facts.front.map(({ name, returns }) => ({ label: name, returns })), ...rivals];
+    const better = ({ returns }) => (mine.every((value, i) => returns[i] >= value)
+      ? facts.objectives.filter((_, i) => returns[i] > mine[i]).map(({ name }) => name) : []);
+    const above = others.find((row) => better(row).length);
+    const verdict = above ? `${above.label} is nowhere worse, and better in ${better(above).join(", ")}.`
       : "Nobody on this page is better in one objective without being worse in another.";
-    const weights = this.weights(0).map((w, i) => w / facts.objectives[i].scale);
-    const utilities = [{ label: "your preference", weights }, ...facts.utilities];
-    const worth = (row, utility) => sum(row.map((value, i) => value * utility.weights[i]));
-    const rows = [{ label: "you", returns: mine, end: episode.vehicles[0].end }, ...rivals]
-      .sort((a, b) => worth(b.returns, utilities[0]) - worth(a.returns, utilities[0]));
+    say({ "outcome-heading": `${capital(plain(end))} after ${seconds} s`, shared: "", verdict: capital(verdict) });
+    const own = { label: "your preference", weights: this.weights(0).map((w, i) => w / facts.objectives[i].scale) };
+    const utilities = [own, ...facts.utilities];
+    const worth = ({ returns }, { weights }) => sum(returns.map((value, i) => value * weights[i]));
+    const rows = [{ label: "you", returns: mine, end }, ...rivals].sort((a, b) => worth(b, own) - worth(a, own));
     fillTable(byId("rivals"), ["", ...utilities.map(({ label }) => label), ...facts.objectives.map(titled), "end"],
-      rows.map(({ label, returns, end: how }) => element("tr", { class: label === "you" ? "chosen" : "" },
-        element("th", { scope: "row" }, label), ...cells([...utilities.map((utility) => formatted(worth(returns, utility), 1)),
-          ...returns.map((value, i) => formatted(value, 4 * this.full[i])), plain(how)]))));
-    this.showStanding([...facts.front.map(({ returns }) => returns), ...rivals.map(({ returns }) => returns)], mine);
-    byId("shared").textContent = "";
-    byId("outcome").hidden = false;
+      rows.map((row) => element("tr", { class: row.label === "you" ? "chosen" : "" }, element("th", { scope: "row" }, row.label),
+        ...cells([...utilities.map((utility) => formatted(worth(row, utility), 1)),
+          ...row.returns.map((value, i) => formatted(value, 4 * this.full[i])), plain(row.end)]))));
+    this.showStanding(others.map(({ returns }) => returns), mine);
+    hide({ outcome: false });
   }
-
   /** All drives in parallel coordinates, further up is better. */
   showStanding(others, mine) {
     const { objectives } = this.facts;
@@ -308,9 +252,7 @@ class Stage {
     const ends = objectives.map((_, i) => [Math.min, Math.max].map((most) => most(...[...others, mine].map((row) => row[i]))));
     const y = (value, i) => 92 - 84 * (ends[i][1] > ends[i][0] ? (value - ends[i][0]) / (ends[i][1] - ends[i][0]) : 0.5);
     const line = (row, attributes) => polyline(row.map((value, i) => [x(i), y(value, i)]), attributes);
-    byId("standing").setAttribute("viewBox", "0 0 300 116");
-    byId("standing").replaceChildren(
-      ...objectives.map((_, i) => polyline([[x(i), 8], [x(i), 92]], { stroke: "var(--line)" })),
+    byId("standing").replaceChildren(...objectives.map((_, i) => polyline([[x(i), 8], [x(i), 92]], { stroke: "var(--line)" })),
       ...others.map((row) => line(row, { stroke: "var(--front)", "stroke-opacity": 0.6 })),
       line(mine, { stroke: "var(--accent)", "stroke-width": 2.5 }),
       ...objectives.map(({ name }, i) => svg("text", { x: x(i), y: i % 2 ? 114 : 105 }, name)));

@@ -3,14 +3,12 @@
 const TABS = ["drive", "preference", "against", "questions", "explorer"];
 
 function explore(text) {
+  hide({ content: false });
   try {
-    const fronts = readData(text);
-    byId("content").hidden = false;
-    return new Explorer(fronts);
+    new Explorer(readData(text));
   } catch (error) {
-    byId("content").hidden = true;
+    hide({ content: true });
     showError(error);
-    return null;
   }
 }
 
@@ -25,58 +23,49 @@ class Tabs {
     this.questions = new Questions(page, (row, facts, weights) => {
       this.stage.taken.preference = row.name;
       const most = Math.max(...weights);
-      this.stage.wishes[facts.id] = Array.from({ length: facts.vehicles }, () => weights.map((w) => Math.round((100 * w) / most)));
+      this.stage.wishes[facts.id] = times(facts.vehicles, () => weights.map((w) => Math.round((100 * w) / most)));
       location.hash = "#preference";
     });
-    const tabs = TABS.map((name) => byId(`tab-${name}`));
-    tabs.forEach((tab, k) => {
-      tab.addEventListener("click", () => (location.hash = `#${TABS[k]}`));
-      tab.addEventListener("keydown", ({ key }) => {
-        const step = { ArrowRight: 1, ArrowLeft: -1 }[key];
-        if (step) tabs[(k + step + tabs.length) % tabs.length].focus();
+    TABS.forEach((name, k) => {
+      on(`tab-${name}`, () => (location.hash = `#${name}`));
+      byId(`tab-${name}`).addEventListener("keydown", ({ key }) => {
+        const step = { ArrowRight: 1, ArrowLeft: TABS.length - 1 }[key];
+        if (step) byId(`tab-${TABS[(k + step) % TABS.length]}`).focus();
       });
     });
     window.addEventListener("hashchange", () => this.follow().catch(showError));
     await this.follow();
   }
-
   /** Show what the address says: a tab, a drive, or a choice of the explorer. */
   async follow() {
     const name = location.hash.slice(1).split("=")[0];
     const tab = TABS.includes(name) ? name : name ? "explorer" : "drive";
-    const same = tab === this.tab;
-    this.tab = tab;
-    for (const each of TABS) {
-      byId(`tab-${each}`).setAttribute("aria-selected", each === tab);
-      byId(`tab-${each}`).tabIndex = each === tab ? 0 : -1;
-    }
-    byId("stage").hidden = tab === "questions" || tab === "explorer";
-    byId("questions").hidden = tab !== "questions";
-    byId("content").hidden = true;
+    for (const each of TABS) Object.assign(byId(`tab-${each}`), { ariaSelected: String(each === tab), tabIndex: each === tab ? 0 : -1 });
+    hide({ stage: tab === "questions" || tab === "explorer", questions: tab !== "questions", content: true });
     showMessage("");
-    this.stage.stop();
+    this.stage.player.stop();
     this.questions.player.stop();
     if (location.hash.startsWith("#drive=")) await this.replay();
     else if (tab === "explorer") await this.explorer();
-    else if (tab === "questions") await (this.questions.episodes && !byId("pair").hidden ? this.questions.play() : this.questions.begin());
-    else if (!same || tab === "drive") await this.stage.show(tab);
+    else if (tab === "questions") await this.questions.resume();
+    else await this.stage.show(tab);
   }
 
   async replay() {
-    const kept = driveOfLink(location.hash, this.page.version);
-    const named = (row) => row.id === kept.id && JSON.stringify(row.arguments) === JSON.stringify(kept.arguments);
-    const row = this.page.worlds.find(named) ?? this.page.worlds.find(({ id }) => id === kept.id);
-    if (!row) throw new Refusal(`This page has no scenario ${kept.id}. Replay the link with mo-deepdrive replay.`);
+    const kept = driveOfLink(location.hash);
+    const row = this.page.worlds.find(({ id, vehicles }) => id === kept.id && vehicles === kept.actions.length);
+    if (!row || JSON.stringify((await load(row.json)).arguments) !== JSON.stringify(kept.arguments)) {
+      throw new Refusal(`This page has no scenario ${kept.id} as the link has it. Replay the link with mo-deepdrive replay.`);
+    }
     this.stage.taken.drive = row.name;
     await this.stage.show("drive", kept);
   }
 
   async explorer() {
-    byId("content").hidden = false;
-    if (this.opened) return;
-    this.opened = true;
     const text = await load("explorer.json", "text");
-    explore(text);
+    hide({ content: false });
+    if (!this.opened) explore(text);
+    this.opened = true;
   }
 }
 

@@ -20,13 +20,11 @@ const bytesOf = (text) => Uint8Array.from(atob(text), (character) => character.c
 /** One world in memory of its own, of a module that mo_deepdrive/device/wasm.py describes. */
 class World {
   /** Of a row of page.json; what the page says of the world is in `facts`. */
-  static async make(row, version) {
-    if (typeof WebAssembly !== "object") {
-      throw new Refusal("This browser has no WebAssembly, or it is switched off. Open the page in a current Firefox, Chrome or Safari.");
-    }
+  static async make(row) {
+    if (!globalThis.WebAssembly) throw new Refusal("This browser has no WebAssembly. Open the page in a current Firefox, Chrome or Safari.");
     const [facts, bytes] = await Promise.all([load(row.json), load(row.wasm, "arrayBuffer")]);
-    if (facts.format !== WORLD_FORMAT || facts.version !== version) {
-      throw new Refusal(`The module of ${row.title} is of version ${facts.version}, this page of ${version}. ${AGAIN}`);
+    if (facts.format !== WORLD_FORMAT || facts.version !== VERSION) {
+      throw new Refusal(`The module of ${row.title} is of version ${facts.version}, this page of ${VERSION}. ${AGAIN}`);
     }
     const module = await WebAssembly.compile(bytes);
     const maths = WebAssembly.Module.imports(module).map(({ name }) => [name, name === "fmod" ? (a, b) => a % b : Math[name]]);
@@ -37,14 +35,10 @@ class World {
     const [count, d, size] = [facts.vehicles, facts.objectives.length, facts.observations.length];
     const view = (Kind, name, length) => new Kind(run.memory.buffer, run[name].value, length);
     Object.assign(this, {
-      facts, run, count, d, size,
-      actions: view(Int32Array, "actions", count),
-      observations: view(Float32Array, "observations", size * count),
-      rewards: view(Float32Array, "rewards", d * count),
-      ended: view(Uint8Array, "ended", count),
-      timedOut: view(Uint8Array, "timed_out", count),
-      records: new DataView(run.memory.buffer, run.worlds.value, count * facts.state.size),
-    });
+      facts, run, count, d, size, actions: view(Int32Array, "actions", count),
+      observations: view(Float32Array, "observations", size * count), rewards: view(Float32Array, "rewards", d * count),
+      ended: view(Uint8Array, "ended", count), timedOut: view(Uint8Array, "timed_out", count),
+      records: new DataView(run.memory.buffer, run.worlds.value, count * facts.state.size) });
   }
 
   number(at, [offset, type], k = 0) {
@@ -52,30 +46,21 @@ class World {
     return type === "f8" ? this.records.getFloat64(at + offset + 8 * k, true) : Number(this.records.getBigInt64(at + offset + 8 * k, true));
   }
 
-  of(v, name, k = 0) {
-    return this.number(v * this.facts.state.size, this.facts.state.fields[name], k);
-  }
-
-  over(v) {
-    return Boolean(this.ended[v] || this.timedOut[v]);
-  }
-
+  of(v, name, k = 0) { return this.number(v * this.facts.state.size, this.facts.state.fields[name], k); }
+  over(v) { return Boolean(this.ended[v] || this.timedOut[v]); }
   /** The pose of a car with a scripted driver, of undefined numbers while it is absent. */
   car(j) {
     const { offset, size, fields } = this.facts.cars;
     const of = (name) => this.number(offset + j * size, fields[name]);
     return of("present") ? { x: of("x"), y: of("y"), heading: Math.atan2(of("sin_heading"), of("cos_heading")) } : {};
   }
-
   /** What the map shows of the episode that has begun. */
   scene() {
     const { scene, obstacles } = this.facts;
-    const routes = Array.from({ length: this.count }, (_, v) => (scene.roads.length
-      ? [scene.roads[this.of(v, "route")].line.at(-1)]
-      : Array.from({ length: this.of(v, "n_waypoints") }, (__, k) => [0, 1].map((axis) => this.of(v, "waypoints", 2 * k + axis)))));
-    const ends = Array.from({ length: obstacles.count ?? 0 }, (_, k) =>
-      [0, 1].map((end) => [0, 1].map((axis) => this.number(0, [obstacles.offset, "f8"], 4 * k + 2 * end + axis))));
-    return { ...scene, routes, obstacles: ends };
+    const routes = times(this.count, (v) => (scene.roads.length ? [scene.roads[this.of(v, "route")].line.at(-1)]
+      : times(this.of(v, "n_waypoints"), (k) => times(2, (axis) => this.of(v, "waypoints", 2 * k + axis)))));
+    const end = (k) => times(2, (axis) => this.number(0, [obstacles.offset, "f8"], 2 * k + axis));
+    return { ...scene, routes, obstacles: times(obstacles.count ?? 0, (k) => [end(2 * k), end(2 * k + 1)]) };
   }
 }
 
@@ -96,13 +81,11 @@ class Actor {
     let values = this.inputs.flatMap((name) => [...parts[name]]).map((value, i) => value / this.scales[i]);
     const bent = this.activation === "tanh" ? Math.tanh : (value) => Math.max(value, 0);
     this.parts.forEach(({ out, width, matrix, biases }, layer) => {
-      const row = (k) => values.reduce((total, value, i) => total + value * matrix[k * width + i], biases[k]);
-      const next = Array.from({ length: out }, (_, k) => row(k));
+      const next = times(out, (k) => values.reduce((total, value, i) => total + value * matrix[k * width + i], biases[k]));
       values = layer < this.parts.length - 1 ? next.map(bent) : next;
     });
     return values;
   }
-
   /** The greedy action, or one drawn by the probabilities of the logits. */
   action(outputs, sampled) {
     const most = Math.max(...outputs);
@@ -126,12 +109,10 @@ function byActor(actor, facts, wish, sampled) {
     act(world, v) {
       const observation = world.observations.subarray(v * world.size, (v + 1) * world.size);
       return actor.action(actor.outputs(observation, accrued, discount, wish()), sampled());
-    },
-    add(rewards) {
+    }, add(rewards) {
       columns.forEach((column, i) => (accrued[i] += discount * rewards[column]));
       discount *= actor.gamma;
-    },
-  };
+    }, };
 }
 
 /** An episode as it is driven: what DriveMap shows, the actions, and the returns so far (V, d). */
@@ -142,15 +123,13 @@ class Episode {
     if (world.run.restart()) throw new Refusal(`Scenario ${seed} of ${world.facts.title} cannot be placed. ${AGAIN}`);
     this.scene = world.scene();
     this.vehicles = drivers.map(() => ({ x: [], y: [], heading: [], decisions: 0, end: "" }));
-    this.cars = Array.from({ length: world.facts.cars?.count ?? 0 }, () => ({ x: [], y: [], heading: [] }));
+    this.cars = times(world.facts.cars.count ?? 0, () => ({ x: [], y: [], heading: [] }));
     this.returns = drivers.map(() => Array(world.d).fill(0));
     this.actions = drivers.map(() => []);
     this.record(() => true);
   }
 
-  get over() {
-    return this.vehicles.every(({ end }) => end);
-  }
+  get over() { return this.vehicles.every(({ end }) => end); }
 
   record(moved) {
     const { world } = this;
@@ -185,23 +164,12 @@ class Episode {
     });
     this.record((v) => driving[v]);
   }
-
-  finish() {
-    while (!this.over) this.step();
-    return this;
-  }
 }
-
-// ---------------------------------------------------------------------------------------------------------------- links
 
 /** Discrete actions as runs of equal ones, "d12a": mo_deepdrive/world/action_sequences.py. */
 function encodeActions(actions) {
-  const runs = [];
-  for (const action of actions) {
-    if (runs.at(-1)?.action === action) runs.at(-1).count += 1;
-    else runs.push({ action, count: 1 });
-  }
-  return runs.map(({ action, count }) => String.fromCharCode(97 + action) + (count > 1 ? count : "")).join("");
+  const letters = actions.map((action) => String.fromCharCode(97 + action)).join("");
+  return letters.replace(/(.)\1+/g, (run, letter) => letter + run.length);
 }
 
 const decodeActions = (text) => [...text.matchAll(/([a-z])(\d*)/g)].flatMap(([, letter, count]) =>
@@ -224,12 +192,12 @@ function linkOfDrive(episode, driver) {
   return `#drive=${payload}.${checksum(payload)}`;
 }
 
-function driveOfLink(hash, version) {
+function driveOfLink(hash) {
   const [payload, check] = hash.replace(/^#drive=/, "").split(".");
   if (checksum(payload) !== check) throw new Refusal("This link was cut or edited. Copy the whole link again.");
   const kept = JSON.parse(new TextDecoder().decode(bytesOf(payload.replaceAll("-", "+").replaceAll("_", "/"))));
-  if (kept.format !== 1 || kept.version !== version) {
-    throw new Refusal(`This link is of version ${kept.version}, this page of ${version}. Open it with the page of its version.`);
+  if (kept.format !== 1 || kept.version !== VERSION) {
+    throw new Refusal(`This link is of version ${kept.version}, this page of ${VERSION}. Open it with the page of its version.`);
   }
   return kept;
 }
