@@ -225,7 +225,6 @@ class Stage {
   showOutcome() {
     const { facts, episode, place } = this;
     const [[mine], [{ end, decisions }]] = [episode.returns, episode.vehicles];
-    const seconds = (decisions / facts.frequency).toFixed(1);
     const rivals = place < 0 ? [] : facts.drivers.map(({ label, returns, ends }) => ({ label, returns: returns[place], end: ends[place] }));
     const others = [...facts.front.map(({ name, returns }) => ({ label: name, returns })), ...rivals];
     const better = ({ returns }) => (mine.every((value, i) => returns[i] >= value)
@@ -233,7 +232,7 @@ class Stage {
     const above = others.find((row) => better(row).length);
     const verdict = above ? `${above.label} is nowhere worse, and better in ${better(above).join(", ")}.`
       : "Nobody on this page is better in one objective without being worse in another.";
-    say({ "outcome-heading": `${capital(plain(end))} after ${seconds} s`, shared: "", verdict: capital(verdict) });
+    say({ "outcome-heading": `${capital(plain(end))} after ${(decisions / facts.frequency).toFixed(1)} s`, shared: "", verdict: capital(verdict) });
     const own = { label: "your preference", weights: this.weights(0).map((w, i) => w / facts.objectives[i].scale) };
     const utilities = [own, ...facts.utilities];
     const worth = ({ returns }, { weights }) => sum(returns.map((value, i) => value * weights[i]));
@@ -244,6 +243,7 @@ class Stage {
           ...row.returns.map((value, i) => formatted(value, 4 * this.full[i])), plain(row.end)]))));
     this.showStanding(others.map(({ returns }) => returns), mine);
     hide({ outcome: false });
+    byId("outcome").scrollIntoView({ block: "nearest", behavior: "smooth" });
   }
   /** All drives in parallel coordinates, further up is better. */
   showStanding(others, mine) {
