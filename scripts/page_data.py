@@ -211,13 +211,12 @@ def facts_of(world: World, config: EnvConfig) -> dict[str, Any]:
 
 def questions(driven: list[web.Drives], seed: int, scales: NDArray[Any]) -> dict[str, Any]:
     """Drives of the first seed that differ, between which a person is asked to choose."""
-    samples, kept = elicitation.simplex_samples(len(scales)), dict[bytes, int]()
+    kept: dict[bytes, int] = {}
     for k, drives in enumerate(driven):
         kept.setdefault(drives.returns[0, 0].tobytes(), k)
     returns = np.array([driven[k].returns[0, 0] for k in kept.values()])
     return {
-        "temperature": elicitation.temperature(samples @ (returns / scales).T),
-        "samples": rounded(samples, 4),
+        **elicitation.question_tree(returns / scales),
         "drives": [
             {
                 **{"name": f"preference {k + 1}", "label": f"preference {k + 1}", "seed": seed},

@@ -16,8 +16,8 @@
         ghost         null, or [actions by seed]: the best known drive of every seed, as texts, see below
         front         [{name, returns: [d]}]: mean returns over the seeds of drives that nothing dominates
         utilities     [{name, label, weights: [d]}], linear ones that are named; u = sum_i weights_i returns_i
-        questions     null, or {temperature, samples: [[d]], drives: [{name, label, seed, actions, returns: [d]}]}:
-                      see :mod:`mo_deepdrive.evaluation.elicitation`
+        questions     null, or {drives: [{name, label, seed, actions: [a text per vehicle], returns: [d]}], ask, found}:
+                      :func:`mo_deepdrive.evaluation.elicitation.question_tree`, a tree of all answers
     POLICY.json   {format, name, label, objectives: [names, of its own d], inputs, scales, activation, layers: [[out,
                   in]], weights, gamma, preference}
         inputs        which parts the network sees, in this order, joined: "observation" (o), "accrued" (d, the sum of

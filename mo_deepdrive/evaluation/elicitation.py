@@ -12,7 +12,7 @@ equals the first, in the order (0, 1), (0, 2), ..., (1, 2), ...; a pair is asked
 from __future__ import annotations
 
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -82,3 +82,31 @@ def weight_interval(samples: Floats, shares: Floats) -> tuple[Floats, Floats, Fl
         for share in INTERVAL
     ]
     return shares @ samples, ends[0], ends[1]
+
+
+def question_tree(returns: Floats, questions: int = QUESTIONS) -> dict[str, list[Any]]:
+    """All that can be asked about K drives with scaled returns (K, d), and what each list of answers says.
+
+    Returns:
+        ``ask``, pairs of drives by node, and ``found``, {weights, low, high, best} by leaf: their means, the ends of
+        their INTERVAL, and the drive that is worth most. The first node is 1; if the first of the pair is preferred, n
+        becomes 2 n, else 2 n + 1: ``ask[n - 1]``, and ``found[n - 2 ** questions]`` in the end.
+    """
+    samples = simplex_samples(returns.shape[1])
+    utilities = samples @ returns.T
+    hardness = temperature(utilities)
+    answers: list[list[tuple[int, int]]] = [[], []]  # by node; no node is 0
+    ask = []
+    for node in range(1, 2**questions):
+        pair = next_pair(utilities, answers[node], hardness)
+        if pair is None:
+            raise ValueError(f"{len(returns)} drives are too few for {questions} questions")
+        ask.append(list(pair))
+        answers += [[*answers[node], pair], [*answers[node], pair[::-1]]]
+    found = []
+    for given in answers[2**questions :]:
+        mean, low, high = weight_interval(samples, posterior(utilities, given, hardness))
+        weights = {"weights": mean, "low": low, "high": high}
+        found.append({name: values.round(3).tolist() for name, values in weights.items()})
+        found[-1]["best"] = int((returns @ mean).argmax())
+    return {"ask": ask, "found": found}
