@@ -177,7 +177,9 @@ def test_a_ghost_shows_the_best_known_drive(site: Site) -> None:
 def test_seven_answers_lead_to_weights_and_a_policy(site: Site, folder: Path) -> None:
     site.open("#questions")
     for number in range(1, 8):
-        site.page.wait_for(f"return document.getElementById('question').textContent.startsWith('Question {number} of 7')")
+        site.page.wait_for(
+            f"return document.getElementById('question').textContent.startsWith('Question {number} of 7')"
+        )
         site.page.press("1" if number % 2 else Keys.ARROW_RIGHT)
     site.page.wait_for("return !document.getElementById('answer').hidden")
     (row,) = [row for row in json.loads((folder / "page.json").read_text())["worlds"] if row["questions"]][:1]
