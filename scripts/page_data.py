@@ -46,8 +46,7 @@ if TYPE_CHECKING:
 
 CONDITIONED = "MO-PPO that follows a preference"
 PREFERENCES = 12  # under which a conditioned policy drives for comparison
-EXPLORED = ("one_waypoint_discrete", "static_obstacle_discrete")
-Act = "Callable[..., NDArray[Any]]"
+EXPLORED = ("one_waypoint_discrete",)
 
 
 class World(NamedTuple):
@@ -101,7 +100,10 @@ OFFERED = (
         "intersection",
         "mo-deepdrive-intersection-v1",
         "intersection_hurried",
-        (("suite_v1-mo_ppo-strangers", "MO-PPO that learnt among strangers"),),
+        (
+            ("intersection_linear-mo_ppo-tuned", "MO-PPO"),  # first: it drives both vehicles
+            ("suite_v1-mo_ppo-strangers", "MO-PPO that learnt among strangers"),
+        ),
         (("the rule that waits for a gap of 3 s", _for_all(intersection_rule, "gap_3")),),
     ),
     World(
