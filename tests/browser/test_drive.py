@@ -46,10 +46,14 @@ class Site:
 
     def take(self, selector: str, text: str) -> None:
         """Choose an entry of a menu by what it says."""
+        self.page.run(
+            """window.dispatchEvent(new Event('pointerdown'));
+            for (const each of document.querySelectorAll('#stage-map .vehicle')) each.dataset.old = '';"""
+        )
         for option in self.page.all(f"{selector} option"):
             if option.text == text:
                 option.click()
-        self.page.wait_for("return document.querySelector('#stage-map .vehicle') !== null")
+        self.page.wait_for("return document.querySelector('#stage-map .vehicle:not([data-old])') !== null")
 
     def speed(self) -> int:
         return int(self.page.text("#speedometer").split()[0])

@@ -10,12 +10,14 @@ class Controls {
     window.addEventListener("keydown", (event) => this.press(event));
     window.addEventListener("keyup", ({ key }) => this.held.delete(KEYS[key] ?? KEYS[key.toLowerCase()]));
     window.addEventListener("blur", () => this.held.clear());
+    window.addEventListener("pointerdown", () => (this.pointing = true));
     pad.addEventListener("pointerdown", (event) => { pad.setPointerCapture(event.pointerId); this.from = event; });
     pad.addEventListener("pointermove", (event) => this.from && this.move(event));
     for (const name of ["pointerup", "pointercancel"]) pad.addEventListener(name, () => this.move(null));
   }
 
   press(event) {
+    this.pointing = false;
     const key = KEYS[event.key] ?? KEYS[event.key.toLowerCase()];
     if (key === undefined || isWriting(event) || !this.wake()) return;
     event.preventDefault();
@@ -126,11 +128,8 @@ class Stage {
     const share = (i) => percent(this.weights(rider)[i]);
     hide({ riders: facts.vehicles < 2 });
     fill("riders", times(facts.vehicles, (v) => element("button", { type: "button", "aria-pressed": String(v === rider),
-      style: `border-color: ${colourOf(this.weights(v))}`, onclick: () => {
-        this.rider = v;
-        this.makeWishes();
-        this.showBars();
-      } }, String(v))));
+      style: `border-color: ${colourOf(this.weights(v))}`, onclick: () => { this.rider = v; this.makeWishes(); this.showBars(); } },
+    String(v))));
     fill("wish-sliders", facts.objectives.map(({ name }, i) => slider({
       id: `wish-${i}`, label: name, value: this.wishes[facts.id][rider][i], max: 100, step: 1, text: () => share(i),
       change: (value) => {
@@ -156,6 +155,7 @@ class Stage {
 
   async begin(kept = null) {
     this.player.stop();
+    if (this.controls.pointing) document.activeElement.blur(); // who has chosen with a pointer drives with the keys next
     const token = (this.token = {});
     const { facts, human, mode } = this;
     const choice = this.choices[byId("other").value] ?? "";
