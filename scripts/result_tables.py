@@ -38,6 +38,7 @@ MADE = re.compile(
     r"(?P<comment><!-- table:(?P<query>.*?)-->\n\n)((\|[^\n]*\n)+\n?)*(Results of commits? `[^\n]*\n\n?)?", re.DOTALL
 )
 TEXT = re.compile(r"(?P<before><!-- suite: (?P<name>\w+) -->\n\n).*?(?P<after><!-- end -->)", re.DOTALL)
+FIGURE = REPOSITORY / "docs" / "results" / "suite_scores.png"  # of mo-deepdrive suite table --figure
 PICTURES = REPOSITORY / "docs" / "images" / "suite"
 PROVENANCE = REPOSITORY / "docs" / "provenance.md"
 FROM_SUITE = ("suite_tasks", "suite_texts")  # tables of what docs/results/suite.csv has
@@ -73,15 +74,21 @@ def fill_suite(database: sqlite3.Connection, results: list[suite.Row], samples: 
     pages: list[str] = []
     for name, task in suite.load().tasks.items():
         best = board.best(name)
-        means = [board.scores(name)[learner].mean.estimate.text() for learner in best[:1]] or [None]
+        first, score = (best[0], board.scores(name)[best[0]].mean.estimate.text()) if best else (None, None)
         labels = " = ".join(board.labels.get(learner, learner) for learner in best) or "not run"
         bounds = [task.floor.value, task.ceiling.value]
-        tasks.append([name, *(getattr(task, field) for field in fields), *bounds, (best or [None])[0], labels, *means])
+        tasks.append([name, *(getattr(task, field) for field in fields), *bounds, first, labels, score])
         picture = f"![{name}: two drives that are ranked differently](images/suite/{name}.png)\n\n"
         pages.append(f"{board.page(name)}\n\n{picture if (PICTURES / f'{name}.png').is_file() else ''}")
     fill(database, "suite_tasks", ["task", *fields, "floor", "ceiling", "first", "best", "score"], tasks)
+    figure = "![Scores of the learners by task](results/suite_scores.png)\n\n" if FIGURE.is_file() else ""
     says = [f"- **{name}**: {' '.join(board.sentences(name))}\n" for name in suite.load().tasks]
-    fill(database, "suite_texts", ["name", "text"], [["tasks", "".join(pages)], ["results", "".join(says) + "\n"]])
+    fill(
+        database,
+        "suite_texts",
+        ["name", "text"],
+        [["tasks", "".join(pages)], ["results", figure + "".join(says) + "\n"]],
+    )
 
 
 def fill(database: sqlite3.Connection, table: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
@@ -127,7 +134,7 @@ def refresh(document: str, database: sqlite3.Connection, folder: Path = REPOSITO
 
     def text(match: re.Match[str]) -> str:
         ((made,),) = database.execute("SELECT text FROM suite_texts WHERE name = ?", [match["name"]])
-        return match["before"] + made + made_by({"suite_texts"}, database, folder) + match["after"]
+        return f"{match['before']}{made}{made_by({'suite_texts'}, database, folder)}{match['after']}"
 
     database.set_authorizer(note)
     return TEXT.sub(text, MADE.sub(table, document))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from algorithms.reporting import style
 from algorithms.runs import cli
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.drives import record_scenes
-from mo_deepdrive.evaluation.metrics import label
+from mo_deepdrive.evaluation.metrics import label, name_and_unit
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.simulation.state import LANE_WIDTH, MAP_CENTRE
 from mo_deepdrive.suite.scorers import SCORERS
@@ -51,26 +52,30 @@ def judges(task: Task) -> list[dict[str, Judge]]:
     if task.preferences is not None:
         weights = task.hidden_weights()
         dear = {name: weights[weights[:, objectives.index(name)].argmax()] for name in ("time", "jerk")}
-        return [{f"where {name} is dear": lambda r, w=w: r @ w for name, w in dear.items()}]
+        return [{f"where {name} is dear": partial(np.inner, prices) for name, prices in dear.items()}]
     if task.config().spent:
-        late = {f"after {s:g} s were spent": -s * np.eye(len(objectives))[time] for s in SPENT}
-        return [{name: lambda r, lost=lost: task.make_utility()(r + lost) for name, lost in late.items()}]
-    own: dict[str, Judge] = {"by the task": task.make_utility()}
-    if task.rulebook is not None:
+        utility, second = task.make_utility(), np.eye(len(objectives))[time]
+
+        def late(seconds: float, returns: Floats) -> Floats:
+            return np.asarray(utility(returns - seconds * second))
+
+        return [{f"after {seconds:g} s were spent": partial(late, seconds) for seconds in SPENT}]
+
+    def by_score(returns: Floats) -> Floats:
         scorer = SCORERS[task.score]
-        own = {
-            "by the task": lambda r: scorer.score(task, scorer.part(task, r.reshape(-1, len(objectives)))).reshape(
-                r.shape[:-1]
-            )
-        }
-    costs = [k for k, name in enumerate(objectives) if name in ("time", "g_force", "jerk", "energy", "right_of_way")]
-    return [{**own, f"by {label(objectives[k])} alone": lambda r, k=k: r[..., k]} for k in costs]
+        parts = scorer.part(task, returns.reshape(-1, len(objectives)))
+        return scorer.score(task, parts).reshape(returns.shape[:-1])
+
+    own: dict[str, Judge] = {"by the task": by_score if task.rulebook else task.make_utility()}
+    compared = [name for name in objectives if name in ("time", "g_force", "jerk", "energy", "right_of_way")]
+    alone = {name: partial(np.inner, np.eye(len(objectives))[objectives.index(name)]) for name in compared}
+    return [{**own, f"by {name_and_unit(name)[0]} alone": judge} for name, judge in alone.items()]
 
 
 def contrariness(returns: Floats, arrived: NDArray[np.bool_], pair: Iterable[Judge]) -> tuple[float, tuple[int, ...]]:
     """By how much two judges rank two of the rules with returns (K, E, d) in opposite orders: which, and where."""
-    worth = [np.where(arrived, judge(returns), np.nan) for judge in pair]
-    gaps = [(each[:, None] - each[None]) / max(np.nanstd(each), 1e-9) for each in worth]  # (K, K, E)
+    by_judge = [np.where(arrived, judge(returns), np.nan) for judge in pair]
+    gaps = [(worth[:, None] - worth[None]) / max(np.nanstd(worth), 1e-9) for worth in by_judge]  # (K, K, E)
     contrary = np.nan_to_num(np.minimum(gaps[0], -gaps[1]), nan=-np.inf)
     place = np.unravel_index(contrary.argmax(), contrary.shape)
     return float(contrary[place]), tuple(int(index) for index in place)
@@ -89,14 +94,14 @@ def draw(name: str, folder: Path) -> None:
     returns = np.stack([evaluation.returns[:, task.vehicle] for evaluation in driven])
     objectives = list(task.objectives())
     arrived = returns[..., objectives.index("destination")] > 0.0
-    found = [(contrariness(returns, arrived, pair.values()), pair) for pair in judges(task)]
-    (_, (*pair, scenario)), by_name = max(found, key=lambda contrary: contrary[0])
+    pairs = [(contrariness(returns, arrived, by_name.values()), by_name) for by_name in judges(task)]
+    (_, (*pair, scenario)), by_name = max(pairs, key=lambda contrary: contrary[0])
     policy = setting.driver(family, rules[pair], np.arange(2))
     seed = SPLITS["validation"].start + scenario
     (scene,) = record_scenes(policy, setting.env_id, arguments, seeds=[seed], drives=2)
     shown = returns[pair, scenario]
     costs = [k for k, key in enumerate(objectives) if key not in ("distance", "destination") and np.ptp(shown[:, k])]
-    numbers = {label(objectives[k]): -shown[:, k] for k in costs}
+    numbers = {label(objectives[k]): 0.0 - shown[:, k] for k in costs}
     with style.figure_style({"axes.grid": False}):
         figure = Figure(figsize=(7.2, 3.0), layout="constrained")
         plan, text = figure.subplots(1, 2, width_ratios=(1, 1.3))
@@ -126,10 +131,11 @@ def draw_scene(axes: Any, scene: Scene, vehicle: int) -> None:
             span(centre - LANE_WIDTH, centre + LANE_WIDTH, color=style.GRID, linewidth=0)
     for ends in scene.obstacles:
         axes.plot(*ends.T, color=style.INK, linewidth=3)
-    for one, colour in zip(scene.drives, COLOURS, strict=True):
-        for other in [*np.moveaxis(one.cars[..., :2], 1, 0), *np.moveaxis(one.readings[..., :2], 1, 0)[1:]]:
+    for drive, colour in zip(scene.drives, COLOURS, strict=True):
+        others = np.delete(drive.readings, vehicle, axis=1)[..., :2]
+        for other in np.moveaxis(np.concatenate([drive.cars[..., :2], others], axis=1), 1, 0):
             axes.plot(*other.T, color=colour, linewidth=0.8, alpha=0.25)
-        track = one.readings[:, vehicle, :2]
+        track = drive.readings[:, vehicle, :2]
         axes.plot(*track.T, color=colour, linewidth=1.2)
         axes.plot(*track[:: scene.decision_frequency].T, ".", color=colour, markersize=5)
     axes.plot(*scene.routes[vehicle][-1], "*", color=style.INK, markersize=9)

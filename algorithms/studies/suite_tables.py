@@ -248,8 +248,11 @@ class Scoreboard:
         lines = [f"### {name}: {task.title}", "\n".join(f"- **{key}**: {text}" for key, text in about.items())]
         if not self.scores(name):
             return "\n\n".join([*lines, "Not run."])
-        ((_, rows),) = self.task_tables(only=name)
-        return "\n\n".join([*lines, markdown([[self._label(first), *rest] for first, *rest in rows], 1, "").strip()])
+        ((_, (header, *rows)),) = self.task_tables(only=name)
+        first = next(iter(self.scores(name)))
+        header = [cell.replace(f"from {first}", f"from {self._label(first)}") for cell in header]
+        table = [header, *([self._label(learner), *rest] for learner, *rest in rows)]
+        return "\n\n".join([*lines, markdown(table, 1, "").strip()])
 
     def comparison(self, baseline: str | None, own: Container[str] = ()) -> tuple[Rows, Rows]:
         """Scores of learners by tasks, and their differences from a baseline; the last row is the mean over tasks.
@@ -301,13 +304,13 @@ class Scoreboard:
                     if mean.low is not None:
                         axes.plot([mean.low, mean.high], [y, y], color=colour, linewidth=2)
                     axes.plot([mean.value], [y], "o", color=colour, markersize=5)
-                for bound in (0.0, 1.0):
-                    axes.axvline(bound, color=style.DIM, linewidth=0.8, linestyle=":")
+                rule = self.tasks[name].rule
+                rules = [] if rule is None else [float(self.tasks[name].normalised(rule.value))]
+                for bound, line in [(0.0, ":"), (1.0, ":"), *((place, "--") for place in rules)]:
+                    axes.axvline(bound, color=style.DIM, linewidth=0.8, linestyle=line)
                 axes.set_yticks(range(len(scores)), [self._label(learner) for learner in scores])
                 axes.set(title=name, ylim=(tallest - 0.5, -0.5))
                 axes.xaxis.set_tick_params(labelbottom=True)
-            note = (
-                "Means with 95% intervals over seeds and scenarios; a stroke is a seed. Dotted: floor (0), ceiling (1)."
-            )
+            note = "Means with 95% intervals; a stroke is a seed. Dotted: floor and ceiling; dashed: a reference rule."
             style.surround(figure, "Scores of the learners by task", [note])
             style.save_figure(figure, path)

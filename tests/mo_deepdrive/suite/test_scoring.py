@@ -90,6 +90,17 @@ def test_the_best_of_a_front_is_taken_for_each_preference() -> None:
 
 
 @pytest.mark.slow
+def test_one_policy_that_is_blind_to_preferences_is_scored_where_they_change_and_a_front_is_not() -> None:
+    (blind,), (told,) = (
+        suite.score(policy, "U4", episodes=2, perturbed=False)
+        for policy in (faster, lambda seen, accrued, discounts, weights: faster(seen))
+    )
+    assert blind.value == told.value
+    with pytest.raises(ValueError, match="preferences that change need a policy that is told them, or a single one"):
+        suite.score([still, faster], "U4", episodes=2)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("task_id", ["K1", "K4", "smoke"])
 def test_planned_drives_earn_the_ceiling(task_id: str) -> None:
     (row,) = suite.score(suite.planned(task_id), task_id, perturbed=False)
