@@ -52,7 +52,7 @@ class Drives:
     def returns(self, policy: Single, partner: str | None = None) -> NDArray[np.float64]:
         """(E, d) undiscounted returns of the scored vehicle of every episode, perhaps with a partner of the task."""
         adapter = EnvAdapter(self.env)
-        actor = as_policy(policy, adapter)
+        actor = as_policy(policy, adapter, gamma=1.0)
         greedy = self.greedy or isinstance(actor, FunctionPolicy)
         if (settings := self.task.partners) is not None and partner is not None:
             driver = import_named("partners.made_by", settings.made_by)(partner, self.task.config().action_type)
@@ -75,7 +75,7 @@ class Drives:
         """
         adapter, v = EnvAdapter(self.env), self.task.vehicle
         first = round(seconds * self.task.config().decision_frequency)
-        policy = Changing(as_policy(before, adapter), as_policy(after, adapter), first)
+        policy = Changing(*(as_policy(member, adapter, gamma=1.0) for member in (before, after)), first)
         generator = (
             None if self.greedy or isinstance(policy.before, FunctionPolicy) else seeded_generator(policy, self.seed)
         )

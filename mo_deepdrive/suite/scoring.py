@@ -38,11 +38,12 @@ def score(
 
     Args:
         policy: an agent, or a function ``policy(observations, accrued, discounts) -> actions``, as
-            :func:`mo_deepdrive.evaluation.evaluate` takes them; at the intersection it returns actions of both
-            vehicles, of which those of the task's vehicle count. Where the utility is not known, also a list of them (a
-            front, of which the best on the validation split is taken for each preference), a function of four
-            arguments, the last of which are the weights (d,) of the preference, which sum to 1, of returns divided by
-            the nominal scales of the objectives; or an object whose ``for_preference(weights)`` gives such a policy.
+            :func:`mo_deepdrive.evaluation.evaluate` takes them, of accrued rewards that are not discounted; at the
+            intersection it returns actions of both vehicles, of which those of the task's vehicle count. Where the
+            utility is not known, also a list of them (a front, of which the best on the validation split is taken for
+            each preference), a function of four arguments, the last of which are the weights (d,) of the preference,
+            which sum to 1, of returns divided by the nominal scales of the objectives; or an object whose
+            ``for_preference(weights)`` gives such a policy.
         task_id: of the task.
         learner: label of the rows.
         seed: by which the policy was trained, for the rows.

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +46,14 @@ class Site:
 
     def take(self, selector: str, text: str) -> None:
         """Choose an entry of a menu by what it says."""
+        self.page.run(
+            """window.dispatchEvent(new Event('pointerdown'));
+            for (const each of document.querySelectorAll('#stage-map .vehicle')) each.dataset.old = '';"""
+        )
         for option in self.page.all(f"{selector} option"):
             if option.text == text:
                 option.click()
-        self.page.wait_for("return document.querySelector('#stage-map .vehicle') !== null")
+        self.page.wait_for("return document.querySelector('#stage-map .vehicle:not([data-old])') !== null")
 
     def speed(self) -> int:
         return int(self.page.text("#speedometer").split()[0])
@@ -64,7 +69,7 @@ class Site:
     def earned(self) -> list[float]:
         """The vector return that the bars show."""
         texts = [output.text for output in self.page.all("#bars output")]
-        return [float(re.match(r"[−\d.]+", text)[0].replace("\N{MINUS SIGN}", "-")) for text in texts]  # type: ignore[index]
+        return [float(text.split()[0].replace("\N{MINUS SIGN}", "-")) for text in texts]
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +147,7 @@ def test_eight_vehicles_move_sixty_times_a_second_each_with_its_own_preference(s
         const frame = (now) => { times.push(now); times.length < 150 ? requestAnimationFrame(frame) : done(times); };
         requestAnimationFrame(frame);"""
     )
-    lasted = sorted(after - before for before, after in zip(frames, frames[1:], strict=False))
+    lasted = sorted(after - before for before, after in pairwise(frames))
     assert lasted[len(lasted) // 2] < 17
     before = vehicles[3].get_attribute("fill")
     site.page.all("#riders button")[3].click()

@@ -10,12 +10,14 @@ class Controls {
     window.addEventListener("keydown", (event) => this.press(event));
     window.addEventListener("keyup", ({ key }) => this.held.delete(KEYS[key] ?? KEYS[key.toLowerCase()]));
     window.addEventListener("blur", () => this.held.clear());
+    window.addEventListener("pointerdown", () => (this.pointing = true));
     pad.addEventListener("pointerdown", (event) => { pad.setPointerCapture(event.pointerId); this.from = event; });
     pad.addEventListener("pointermove", (event) => this.from && this.move(event));
     for (const name of ["pointerup", "pointercancel"]) pad.addEventListener(name, () => this.move(null));
   }
 
   press(event) {
+    this.pointing = false;
     const key = KEYS[event.key] ?? KEYS[event.key.toLowerCase()];
     if (key === undefined || isWriting(event) || !this.wake()) return;
     event.preventDefault();
@@ -126,11 +128,8 @@ class Stage {
     const share = (i) => percent(this.weights(rider)[i]);
     hide({ riders: facts.vehicles < 2 });
     fill("riders", times(facts.vehicles, (v) => element("button", { type: "button", "aria-pressed": String(v === rider),
-      style: `border-color: ${colourOf(this.weights(v))}`, onclick: () => {
-        this.rider = v;
-        this.makeWishes();
-        this.showBars();
-      } }, String(v))));
+      style: `border-color: ${colourOf(this.weights(v))}`, onclick: () => { this.rider = v; this.makeWishes(); this.showBars(); } },
+    String(v))));
     fill("wish-sliders", facts.objectives.map(({ name }, i) => slider({
       id: `wish-${i}`, label: name, value: this.wishes[facts.id][rider][i], max: 100, step: 1, text: () => share(i),
       change: (value) => {
@@ -156,6 +155,7 @@ class Stage {
 
   async begin(kept = null) {
     this.player.stop();
+    if (this.controls.pointing) document.activeElement.blur(); // who has chosen with a pointer drives with the keys next
     const token = (this.token = {});
     const { facts, human, mode } = this;
     const choice = this.choices[byId("other").value] ?? "";
@@ -225,7 +225,6 @@ class Stage {
   showOutcome() {
     const { facts, episode, place } = this;
     const [[mine], [{ end, decisions }]] = [episode.returns, episode.vehicles];
-    const seconds = (decisions / facts.frequency).toFixed(1);
     const rivals = place < 0 ? [] : facts.drivers.map(({ label, returns, ends }) => ({ label, returns: returns[place], end: ends[place] }));
     const others = [...facts.front.map(({ name, returns }) => ({ label: name, returns })), ...rivals];
     const better = ({ returns }) => (mine.every((value, i) => returns[i] >= value)
@@ -233,7 +232,7 @@ class Stage {
     const above = others.find((row) => better(row).length);
     const verdict = above ? `${above.label} is nowhere worse, and better in ${better(above).join(", ")}.`
       : "Nobody on this page is better in one objective without being worse in another.";
-    say({ "outcome-heading": `${capital(plain(end))} after ${seconds} s`, shared: "", verdict: capital(verdict) });
+    say({ "outcome-heading": `${capital(plain(end))} after ${(decisions / facts.frequency).toFixed(1)} s`, shared: "", verdict: capital(verdict) });
     const own = { label: "your preference", weights: this.weights(0).map((w, i) => w / facts.objectives[i].scale) };
     const utilities = [own, ...facts.utilities];
     const worth = ({ returns }, { weights }) => sum(returns.map((value, i) => value * weights[i]));
@@ -244,6 +243,7 @@ class Stage {
           ...row.returns.map((value, i) => formatted(value, 4 * this.full[i])), plain(row.end)]))));
     this.showStanding(others.map(({ returns }) => returns), mine);
     hide({ outcome: false });
+    byId("outcome").scrollIntoView({ block: "nearest", behavior: "smooth" });
   }
   /** All drives in parallel coordinates, further up is better. */
   showStanding(others, mine) {

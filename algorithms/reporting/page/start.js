@@ -4,12 +4,7 @@ const TABS = ["drive", "preference", "against", "questions", "explorer"];
 
 function explore(text) {
   hide({ content: false });
-  try {
-    new Explorer(readData(text));
-  } catch (error) {
-    hide({ content: true });
-    showError(error);
-  }
+  try { new Explorer(readData(text)); } catch (error) { hide({ content: true }); showError(error); }
 }
 
 class Tabs {

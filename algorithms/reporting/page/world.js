@@ -60,7 +60,12 @@ class World {
     const routes = times(this.count, (v) => (scene.roads.length ? [scene.roads[this.of(v, "route")].line.at(-1)]
       : times(this.of(v, "n_waypoints"), (k) => times(2, (axis) => this.of(v, "waypoints", 2 * k + axis)))));
     const end = (k) => times(2, (axis) => this.number(0, [obstacles.offset, "f8"], 2 * k + axis));
-    return { ...scene, routes, obstacles: times(obstacles.count ?? 0, (k) => [end(2 * k), end(2 * k + 1)]) };
+    // Where there are no roads, of the map only what is between start and destination.
+    const points = [...routes.flat(), ["x", "y"].map((name) => this.of(0, name))];
+    const ends = times(2, (axis) => [Math.min, Math.max].map((most) => most(...points.map((at) => at[axis]))));
+    const size = 18 + Math.max(...ends.map(([low, high]) => high - low));
+    const box = scene.lanes || scene.roads.length ? scene.box : [...ends.map(([low, high]) => (low + high - size) / 2), size];
+    return { ...scene, box, routes, obstacles: times(obstacles.count ?? 0, (k) => [end(2 * k), end(2 * k + 1)]) };
   }
 }
 
@@ -118,14 +123,13 @@ function byActor(actor, facts, wish, sampled) {
 /** An episode as it is driven: what DriveMap shows, the actions, and the returns so far (V, d). */
 class Episode {
   constructor(world, seed, drivers) {
-    Object.assign(this, { world, seed, drivers, decisions: 0 });
+    const [returns, actions] = [drivers.map(() => Array(world.d).fill(0)), drivers.map(() => [])];
+    Object.assign(this, { world, seed, drivers, decisions: 0, returns, actions });
     world.run.seed(BigInt(seed));
     if (world.run.restart()) throw new Refusal(`Scenario ${seed} of ${world.facts.title} cannot be placed. ${AGAIN}`);
     this.scene = world.scene();
     this.vehicles = drivers.map(() => ({ x: [], y: [], heading: [], decisions: 0, end: "" }));
     this.cars = times(world.facts.cars.count ?? 0, () => ({ x: [], y: [], heading: [] }));
-    this.returns = drivers.map(() => Array(world.d).fill(0));
-    this.actions = drivers.map(() => []);
     this.record(() => true);
   }
 

@@ -33,6 +33,17 @@ def number(task_id: str, column: str, samples: Any) -> float:
     return float(scorer.score(task, scorer.part(task, collected).mean(axis=0)))
 
 
+def test_a_function_is_told_what_has_accrued_without_a_discount() -> None:
+    told = []
+
+    def waits(observations: NDArray[Any], accrued: NDArray[Any], _discounts: NDArray[Any]) -> NDArray[Any]:
+        told.append(accrued[0, TASKS["smoke"].objectives().index("time")])
+        return still(observations)
+
+    suite.score(waits, "smoke", episodes=2, perturbed=False)
+    assert told[-1] == pytest.approx(-59.9, abs=0.01)
+
+
 def test_rare_disasters_lower_the_certainty_equivalent_and_the_mean_of_the_worst_tenth() -> None:
     values = np.array([8.0] * 19 + [-40.0])
     utilities = 20.0 * (1.0 - np.exp(-values / 20.0))

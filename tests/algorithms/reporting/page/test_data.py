@@ -82,6 +82,8 @@ def test_returns_and_scales_are_exact() -> None:
         "jerk": 40.0,
         "gains": {"distance": 0.1, "destination": 10.0},
         "excessPrices": {"g_force": 2.0, "jerk": 0.05},
+        "rule": "It has the greatest expected utility. Gains per unit: distance 0.1, destination 10. "
+        "Costs per unit: g-force 2 and jerk 0.05 beyond their budgets.",
         "prices": {},
     }
 
