@@ -55,9 +55,6 @@ class Site:
                 option.click()
         self.page.wait_for("return document.querySelector('#stage-map .vehicle:not([data-old])') !== null")
 
-    def speed(self) -> int:
-        return int(self.page.text("#speedometer").split()[0])
-
     def finish(self) -> None:
         self.page.wait_for("return !document.getElementById('outcome').hidden")
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from algorithms.reporting.page.data import ExplorableFront
-from algorithms.reporting.page.page import FORMAT, as_json, explorer_page
+from algorithms.reporting.page.page import FORMAT, as_json, explorer_page, write_site
 
 HOSTILE = "</script><!-- <script>alert(1)</script> & \u2028 <!-- script -->"
 
@@ -78,3 +79,19 @@ def test_json_cannot_end_its_script_and_has_only_numbers() -> None:
     assert not re.search("[<>&]", text)
     with pytest.raises(ValueError, match="not JSON compliant"):
         as_json([float("nan")])
+
+
+def test_the_site_asks_for_nothing_but_the_files_beside_it(tmp_path: Path) -> None:
+    write_site(tmp_path)
+    found = Scripts((tmp_path / "index.html").read_text(encoding="utf-8"))
+    assert not [attributes for _, attributes in found.elements if {"src", "href"} & attributes.keys()]
+    (policy,) = [each["content"] for _, each in found.elements if each.get("http-equiv") == "Content-Security-Policy"]
+    assert {"default-src 'none'", "connect-src 'self'"} <= {part.strip() for part in str(policy).split(";")}
+    listed = json.loads((tmp_path / "page.json").read_text(encoding="utf-8"))
+    names = {world[kind] for world in listed["worlds"] for kind in ("json", "wasm")}
+    policies = {
+        policy["file"]
+        for world in listed["worlds"]
+        for policy in json.loads((tmp_path / world["json"]).read_text(encoding="utf-8"))["policies"]
+    }
+    assert {"page.json", "index.html", "explorer.json", *names, *policies} == {path.name for path in tmp_path.iterdir()}
