@@ -26,7 +26,7 @@ SPHINX = $(DOCS_VENV)/bin/python -m sphinx -W --keep-going --quiet $(SPHINX_OPTI
 HERE = --ignore tests/browser --ignore tests/cluster --ignore tests/cuda --ignore tests/install --ignore tests/integrations
 
 .PHONY: install train test tests test-fast test-processes test-ray test-peers test-integrations test-cluster test-browser \
-	test-cuda test-gpu test-install test-lowest mutants lint benchmark docs linkcheck clean
+	test-cuda test-gpu test-install test-lowest mutants lint benchmark docs linkcheck page-data clean
 
 install: $(READY)
 
@@ -185,6 +185,10 @@ docs: $(DOCS_READY)
 # Links to other sites; needs the internet. Links within the site are checked by `make docs`.
 linkcheck: $(DOCS_READY)
 	$(SPHINX) -b linkcheck -d docs/_build/doctrees docs docs/_build/linkcheck
+
+# What the page ships with: worlds as WebAssembly, policies, and what others have earned. It needs wasm-ld (Debian's lld).
+page-data: $(READY)
+	$(VENV)/bin/python scripts/page_data.py
 
 clean:
 	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) $(LOWEST_VENV) \

@@ -32,8 +32,8 @@ def replay(options: cli.Options) -> int:
         rows.append([f"{named} ({unit})" if unit else named, *(f"{value:.6g}" for value in returns)])
     rows.append(["end", *(ENDS[end] or "driving" for end in drives.ends[0])])
     rows.append(["time (s)", *(f"{length / config.decision_frequency:.1f}" for length in drives.lengths[0])])
-    title = f"{link.id}, seed {link.seed}, driven by {link.driver}"
-    make_console().print(make_table(rows, 1, title=title))
+    print(f"{link.id}, seed {link.seed}, driven by {link.driver}")
+    make_console().print(make_table(rows, 1))
     return 0
 
 

@@ -5,7 +5,7 @@
     page.json     {format: 1, version, worlds: [{name, title, id, vehicles, json, wasm, bytes, conditioned, rivals,
                   questions}], in the order of the menu: with discrete actions only; the last three say whether there
                   are conditioned policies, policies or a ghost, and questions
-    NAME.json     what :mod:`mo_deepdrive.device.wasm` says of a world, and
+    NAME.json     what :mod:`mo_deepdrive.device.wasm` says of a world, ``version`` of the package, and
         scene         {lanes, roads: [{line, width, giveWay}], centre, laneWidth, arrivalRadius, vehicle: [length,
                       width], box: [left, bottom, side], frequency}: as in the scenes of the explorer
         seeds         the seeds that the page offers, of the test split, in order
@@ -109,6 +109,7 @@ def world_facts(config: EnvConfig, env_id: str, arguments: Mapping[str, Any]) ->
         objective["name"], objective["unit"] = name_and_unit(objective["key"])
     return {
         **facts,
+        "version": mo_deepdrive.__version__,
         "scene": {
             "lanes": scenario.lanes,
             "roads": [
@@ -178,7 +179,7 @@ def write_policies(folder: Path, agent: Any, name: str, label: str) -> list[dict
 
 
 def _policy(agent: Any, actor: Any, name: str, label: str) -> dict[str, Any]:
-    layers = list(actor.body) if isinstance(actor.body, nn.Sequential) else []
+    layers: list[Any] = list(actor.body) if isinstance(actor.body, nn.Sequential) else []
     bends = {ACTIVATIONS.get(type(layer)) for layer in layers[1::2]}
     if not isinstance(actor, CategoricalActor) or len(bends) != 1 or None in bends:
         raise ValueError(f"{name}: the page runs perceptrons with relu or tanh that choose one of several actions")
@@ -198,7 +199,7 @@ def _policy(agent: Any, actor: Any, name: str, label: str) -> dict[str, Any]:
         "label": label,
         "objectives": list(agent.env.objectives),
         "inputs": list(inputs),
-        "scales": [float(scale) for scales in inputs.values() for scale in np.broadcast_to(scales, scales.shape)],
+        "scales": np.concatenate([*inputs.values()]).astype(float).tolist(),
         "activation": bends.pop(),
         "layers": [list(layer.weight.shape) for layer in layers[::2]],
         "weights": base64.b64encode(np.concatenate(parameters).astype("<f4").tobytes()).decode(),

@@ -26,7 +26,7 @@ With V vehicles, d objectives and o observed entries, one after the other:
 
 A return is the sum of ``rewards`` in double precision. The JSON beside the module (:func:`describe`) has
 
-    format, version       1, and the version of the package
+    format                1
     id, arguments         of the environment
     title                 of the scenario
     scenario              its name
@@ -67,7 +67,6 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array, populate_array
 
-import mo_deepdrive
 from mo_deepdrive.device.kernels import allow
 from mo_deepdrive.device.pcg64 import draw, seed_stream
 from mo_deepdrive.simulation import observation, traffic
@@ -144,7 +143,6 @@ def describe(config: EnvConfig, env_id: str, arguments: Mapping[str, Any]) -> di
     cars = record["cars"].base
     return {
         "format": FORMAT,
-        "version": mo_deepdrive.__version__,
         "id": env_id,
         "arguments": dict(arguments),
         "title": scenario.title,
@@ -183,7 +181,7 @@ def _fields(record: Any) -> dict[str, list[Any]]:
 
 def _resident(name: str, array: np.ndarray) -> Any:
     """A compiled function that returns an array which is in the module, under ``name``, with these first contents."""
-    kind = numba.typeof(array)
+    kind = numba.typeof(array)  # type: ignore[no-untyped-call]
 
     @intrinsic
     def get(_context: Any) -> Any:
@@ -192,11 +190,11 @@ def _resident(name: str, array: np.ndarray) -> Any:
             bytes_type = ir.ArrayType(ir.IntType(8), len(contents))
             data = builder.module.globals.get(name)
             if data is None:
-                data = cgutils.add_global_variable(builder.module, bytes_type, name)
+                data = cgutils.add_global_variable(builder.module, bytes_type, name)  # type: ignore[no-untyped-call]
                 data.linkage, data.align = "linkonce_odr", 16
                 data.initializer = ir.Constant(bytes_type, contents if any(contents) else None)
-            made = make_array(kind)(context, builder)
-            populate_array(
+            made = make_array(kind)(context, builder)  # type: ignore[no-untyped-call]
+            populate_array(  # type: ignore[no-untyped-call]
                 made,
                 data=builder.bitcast(data, made.data.type),
                 shape=[context.get_constant(types.intp, size) for size in array.shape],
@@ -258,7 +256,11 @@ def entries(config: EnvConfig) -> dict[str, tuple[Callable[..., Any], Any]]:
         return choose(table(), me.steer, me.speed, me.throttle, accelerate != 0, brake != 0, left != 0, right != 0)
 
     number = types.int32
-    made = {"step": (step, number()), "restart": (restart, number()), "seed": (seed, number(types.uint64))}
+    made: dict[str, tuple[Callable[..., Any], Any]] = {
+        "step": (step, number()),
+        "restart": (restart, number()),
+        "seed": (seed, number(types.uint64)),
+    }
     return made if world.continuous else {**made, "keys": (keys, number(*[number] * 5))}
 
 
