@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mo_deepdrive.drawing.quiet_pygame import INVISIBLE_DRIVERS, pygame
 from mo_deepdrive.evaluation.policy import AccruedReward
-from mo_deepdrive.simulation.actions import DECREASE, INCREASE, MAINTAIN, decode_discrete
+from mo_deepdrive.simulation.actions import decode_discrete
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Record
 from mo_deepdrive.world import actions as action_sets
 
@@ -53,32 +53,9 @@ KEYBOARD = {
 
 
 def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
-    """The discrete action that comes closest to what the keys would do in a car, whose record of VEHICLE is given.
-
-    Left and right steer as far as any action does at this speed; without them the steering returns to straight. Without
-    a key for the speed the car coasts, and without any key the action is idle. If both keys of a pair are down, the car
-    brakes, or drives straight on.
-    """
-    names = action_sets.action_names(action_type)
-    if not any(keys):
-        return names.index("idle")
-
-    def target_steer(group: action_sets.Steer) -> float:
-        return float(group.decay * vehicle.steer + group.offset + group.curl / max(vehicle.speed, 1.0) ** 2)
-
-    groups = action_sets.DISCRETE[action_type]
-    if keys.left == keys.right:
-        steer = min(groups, key=lambda group: abs(target_steer(group)))
-    else:
-        outermost = max if keys.left else min
-        steer = outermost((group for group in groups if not group.decay), key=target_steer)
-    if keys.brake:
-        change = DECREASE
-    elif keys.accelerate:
-        change = INCREASE
-    else:  # the first "decrease" only releases the throttle
-        change = DECREASE if vehicle.throttle > 0.0 else MAINTAIN
-    return names.index(f"{steer.name}, {action_sets.SPEED_CHANGES[change]}")
+    """:func:`mo_deepdrive.world.actions.action_of_keys` for a vehicle, whose record of VEHICLE is given."""
+    table = action_sets.action_table(action_type)
+    return action_sets.action_of_keys(table, vehicle.steer, vehicle.speed, vehicle.throttle, *keys)
 
 
 @dataclass(frozen=True)

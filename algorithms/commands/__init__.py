@@ -20,9 +20,11 @@ COMMANDS = {
     "study": "train and compare learners on tasks, with tuning, and write the tables",
     "reproduce": "the paper's figures and claims, from scratch",
     "peers": "train an algorithm of another library",
-    "play": "drive in a window, alone or against a trained policy",
+    "play": "drive in a window or a browser, alone or against a trained policy",
+    "replay": "drive what a link of the page holds again, and its returns",
+    "web": "a page on which to drive in an environment of your own",
     "zoo": "list the trained policies that come with the package",
 }
 # What prints its result, so that output that is lost is an error; all else writes it to files.
-PRINTING_COMMANDS = ("keys", "evaluate", "table", "choose", "suite", "zoo")
+PRINTING_COMMANDS = ("keys", "evaluate", "table", "choose", "replay", "suite", "zoo")
 PRINTING_OPTIONS = {"-h", "--help", "--version", "--list", "--status", "--dry-run"}

@@ -4,12 +4,14 @@
     mo-deepdrive choose RUN --utility one_waypoint_nonlinear --video drive.mp4
     mo-deepdrive choose RUN --target distance=14 g_force=-6
     mo-deepdrive choose RUN --weights distance=1 jerk=0.01 --policy 12 --split test
+    mo-deepdrive choose RUN --ask
 
 RUN is a finished run of an algorithm that learns a front, or the name of one in the zoo. All of its policies are
 evaluated again. --weights chooses the greatest weighted sum of returns (objectives that are not named have weight 0),
 --utility the greatest expected utility, --target the policy whose mean returns fall short of the named returns by the
-smallest distance, in nominal scales of the objectives. What is chosen looks better than it is in the episodes by which
-it was chosen: --policy scores one policy in others.
+smallest distance, in nominal scales of the objectives. --ask shows the mean returns of two policies at a time, asks
+which of them is preferred, and finds weights that explain the answers. What is chosen looks better than it is in the
+episodes by which it was chosen: --policy scores one policy in others.
 """
 
 from __future__ import annotations
@@ -80,6 +82,36 @@ def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], s
         return -np.asarray(np.linalg.norm(shortfall, axis=1))
 
     return ChoiceCriterion("minus the distance to the target", closeness)
+
+
+def ask(means: NDArray[np.float64], objectives: Sequence[str], scales: NDArray[Any]) -> ChoiceCriterion:
+    """Ask for preferences between policies by their mean returns (K, d), and prefer the expected weights.
+
+    The end of the input ends the questions; a ValueError if there has been no answer.
+    """
+    from mo_deepdrive.evaluation import elicitation
+
+    samples = elicitation.simplex_samples(len(objectives))
+    utilities = samples @ (means / scales).T
+    hardness, answers = elicitation.temperature(utilities), list[tuple[int, int]]()
+    width = max(map(len, objectives))
+    while len(answers) < elicitation.QUESTIONS and (pair := elicitation.next_pair(utilities, answers, hardness)):
+        print(f"\nquestion {len(answers) + 1} of {elicitation.QUESTIONS}{'1':>{width - 1}}{'2':>12}")
+        for name, *values in zip(objectives, *means[list(pair)], strict=True):
+            print(f"  {name:<{width}}" + "".join(f"{value:>12.4g}" for value in values))
+        try:
+            answer = input("which one do you prefer, 1 or 2? ").strip()
+        except EOFError:
+            break
+        if answer in ("1", "2"):
+            answers.append(pair if answer == "1" else pair[::-1])
+    if not answers:
+        raise ValueError("--ask: no question was answered; each answer is 1 or 2")
+    weights, low, high = elicitation.weight_interval(samples, elicitation.posterior(utilities, answers, hardness))
+    print("\nweights of returns in nominal scales, with 90% intervals:")
+    for name, *values in zip(objectives, weights, low, high, strict=True):
+        print(f"  {name:<{width}}  {values[0]:.2f}  [{values[1]:.2f}, {values[2]:.2f}]")
+    return ChoiceCriterion("utility of the answers", lambda returns: ((returns / scales) @ weights).mean(axis=1))
 
 
 def rank_policies(
@@ -160,9 +192,12 @@ def choose(options: cli.Options) -> int:
     numbers = [*range(len(every))] if options.policy is None else [cli.policy_index(options.policy, len(every))]
     front = every.take(numbers)
     agent = load_policy(run)
-    criterion = parse_criterion(options, front.objectives, agent.front_scales)
+    if options.ask and len(front) == 1:
+        raise ValueError("--ask compares policies; there is one")
+    criterion = None if options.ask else parse_criterion(options, front.objectives, agent.front_scales)
     evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
     returns = np.stack([evaluation.joint_returns for evaluation in evaluations])
+    criterion = criterion or ask(returns.mean(axis=1), front.objectives, agent.front_scales)
     with np.errstate(all="ignore"):  # what is not finite is refused below
         values = criterion.values(returns)
     order = rank_policies(values, returns.mean(axis=1), agent.front_scales).tolist()
@@ -183,6 +218,7 @@ OPTIONS = (
         cli.many("--weights", "OBJECTIVE=W", "the weight of each undiscounted return"),
         cli.option("--utility", "NAME", "a utility by name, or package.module:function"),
         cli.many("--target", "OBJECTIVE=R", "undiscounted returns to be reached"),
+        cli.flag("--ask", "answer questions of the form: which of these two do you prefer?"),
         required=True,
     ),
     cli.option("--arguments", "YAML", "arguments of the utility, such as '{weights: [1, 2]}'", default="{}"),

@@ -18,15 +18,15 @@ from algorithms.runs import cli
 from algorithms.runs.run_directory import Run
 
 if TYPE_CHECKING:
-    from algorithms.reporting.explorer.data import ExplorableFront
+    from algorithms.reporting.page.data import ExplorableFront
 
 UNSET = (cli.CHOICE_EPISODES, cli.CHOICE_SPLIT, None, False)  # episodes, split, seed and trust without options
 
 
 def explore(options: cli.Options) -> int:
     """Write the page."""
-    from algorithms.reporting.explorer.data import BEST_KNOWN
-    from algorithms.reporting.explorer.page import write_page
+    from algorithms.reporting.page.data import BEST_KNOWN
+    from algorithms.reporting.page.page import write_page
     from algorithms.reporting.run_records import LEFT_OUT
     from algorithms.runs.interrupts import never_fatal
 
@@ -52,7 +52,7 @@ def explore(options: cli.Options) -> int:
 
 def _explorable(name: str, options: cli.Options) -> ExplorableFront:
     """The front of a run, with new episodes, or a best-known one."""
-    from algorithms.reporting.explorer.data import BEST_KNOWN, explorable_best_known
+    from algorithms.reporting.page.data import BEST_KNOWN, explorable_best_known
     from algorithms.runs.build import load_policy
     from algorithms.runs.report import explorable
 

@@ -1,9 +1,13 @@
-"""Drive in a window: alone, as two people at one keyboard, or among trained policies or scripted drivers.
+"""Drive in a window or a browser: alone, as two people at one keyboard, or among trained policies or scripted drivers.
 
     mo-deepdrive play --env mo-deepdrive-one-waypoint-v0
     mo-deepdrive play --env mo-deepdrive-intersection-v0
     mo-deepdrive play --env mo-deepdrive-intersection-v0 --against RUN --vehicle 1 --record drive.mp4
     mo-deepdrive play --env mo-deepdrive-roundabout-v0 --against rule:balanced
+    mo-deepdrive play --web
+
+--web opens a page instead, which needs neither a display of this machine nor a network: the scenarios of the package,
+policies that follow preferences, and links that keep a drive.
 
 RUN, which drives all other vehicles, is the directory of a run, the name of a policy of the zoo (mo-deepdrive zoo lists
 them), or in a roundabout a scripted driver: rule:hurried, rule:balanced or rule:careful.
@@ -16,7 +20,7 @@ exceed the harmful g-force, which ends the episode.
 from __future__ import annotations
 
 import os
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -100,8 +104,40 @@ def print_outcome(objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
         print("  ".join((name.ljust(widths[0]), end.ljust(widths[1]), *cells)).rstrip())
 
 
+def serve(port: int) -> int:
+    """Open the page in a browser, and serve it on this machine alone until Ctrl-C."""
+    from functools import partial
+    from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+    from tempfile import TemporaryDirectory
+    from webbrowser import open_new_tab
+
+    from algorithms.reporting.page.page import write_site
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_: Any) -> None:
+            """Print nothing for every file."""
+
+    with TemporaryDirectory() as folder:
+        write_site(folder)
+        with ThreadingHTTPServer(("127.0.0.1", port), partial(Quiet, directory=folder)) as server:
+            address = f"http://127.0.0.1:{server.server_port}/"
+            print(f"{address} (Ctrl-C ends it)", flush=True)
+            open_new_tab(address)
+            with suppress(KeyboardInterrupt):
+                server.serve_forever()
+    return 0
+
+
 def play(options: cli.Options) -> int:
-    """Open the window, and drive until it is closed."""
+    """Open the window or the page, and drive until it is closed."""
+    if options.web:
+        if options.env is not None or options.against is not None:
+            raise ValueError("--web has a menu of all scenarios and rivals; omit --env and --against")
+        if not 0 <= options.port < 2**16:
+            raise ValueError(f"--port {options.port} must be between 0 and {2**16 - 1}")
+        return serve(options.port)
+    if options.env is None:
+        raise ValueError("--env ID or --web is required")
     from mo_deepdrive.drawing.quiet_pygame import pygame
     from mo_deepdrive.play import HumanPlayEnv, describe_controls, open_display, play_in_window
 
@@ -141,7 +177,9 @@ def play(options: cli.Options) -> int:
 
 
 OPTIONS = (
-    cli.option("--env", "ID", "one of this package's environments", required=True),
+    cli.option("--env", "ID", "one of this package's environments"),
+    cli.flag("--web", "drive on a page in the browser"),
+    cli.option("--port", "N", "of --web (default: any free one)", type=int, default=0),
     cli.option("--seed", "S", "seed of the first episode (default: random)", type=int),
     cli.option("--fps", "N", "decisions per second (default: real time)", type=int),
     cli.option("--against", "RUN", "what drives the other vehicles"),

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.agent import FrontAgent
-    from algorithms.reporting.explorer.data import ExplorableFront
+    from algorithms.reporting.page.data import ExplorableFront
     from algorithms.runs.config import Experiment
     from algorithms.runs.run_directory import Run
     from mo_deepdrive.evaluation.policy import Policy
@@ -170,7 +170,7 @@ def _report_front(
     console.print(front_table(front, measured, title, console.width, whole))
     with _beside(console, "the front could not be drawn") as drawing:
         if directory is not None and len(front.objectives) > 1:  # there are no figures of a single objective
-            from algorithms.reporting.explorer.plots import draw_front
+            from algorithms.reporting.page.plots import draw_front
 
             draw_front(front, directory, reference_front=best_known, title=title)
     return drawing.works
@@ -265,7 +265,7 @@ def explorable(
     seed: int | None = None,
 ) -> ExplorableFront:
     """The front of a finished run, as the user calls it, with new episodes of all its policies."""
-    from algorithms.reporting.explorer.data import explorable_front
+    from algorithms.reporting.page.data import explorable_front
 
     front, experiment = Front.read(run.path), run.experiment
     command = f"mo-deepdrive choose {shlex.quote(name)} {{preference}}"
@@ -288,7 +288,7 @@ def explorable(
 def write_explorer(run: Run, agent: FrontAgent, console: Console) -> None:
     """Write the explorer of a run's front into its directory, and print the file or why there is none."""
     with _beside(console, "no explorer"):
-        from algorithms.reporting.explorer.page import EXPLORER_FILE, write_page
+        from algorithms.reporting.page.page import EXPLORER_FILE, write_page
 
         path, name = run.path / EXPLORER_FILE, str(run.path)
         write_page([explorable(run, agent, name)], path, f"Explorer of fronts: {name}")

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from algorithms.reporting.curves import curve
-from algorithms.reporting.explorer.plots import draw_front
+from algorithms.reporting.page.plots import draw_front
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
 from algorithms.reporting.tables import markdown, print_rows
 from algorithms.runs.config import CONFIGS
@@ -67,7 +67,7 @@ CURVE_FIGURES = {
     8: ("Intersection, the vehicle that turns left (vehicle 0)", "intersection", f"vehicle_0/{UTILITY_ESR}"),
     9: ("Intersection, the vehicle that goes straight (vehicle 1)", "intersection", f"vehicle_1/{UTILITY_ESR}"),
 }
-# Drawn from a front by algorithms.reporting.explorer.plots, as the figure with this name.
+# Drawn from a front by algorithms.reporting.page.plots, as the figure with this name.
 FRONT_FIGURES = {7: "importance", 10: "reduction"}
 MIN_WIDTH = 8.4  # inches, for the title and the note below it
 

@@ -139,7 +139,7 @@ def record_scenes(
         )
         for row, longest in enumerate(last.max(axis=1))
     ]
-    roads = tuple(map(_road, scenario.routes)) if scenario.roads else ()
+    roads = tuple(map(road, scenario.routes)) if scenario.roads else ()
     return [
         Scene(
             seed=seed,
@@ -157,7 +157,8 @@ def record_scenes(
     ]
 
 
-def _road(route: Route) -> Road:
+def road(route: Route) -> Road:
+    """The lane of a route of segments."""
     give_way = np.zeros((0, 2))
     if route.priority is not None and route.priority[0] > 0.0:
         x, y, heading = route.traced(route.priority[0], 0.1)[0]

@@ -18,7 +18,6 @@ _TRAIN = (
     "safetensors",
     "tensorboard",
     "torch",
-    "vl_convert",
 )
 # The extra that brings a package, by the name under which the package is imported.
 EXTRAS = {

@@ -60,3 +60,48 @@ def action_names(action_type: str) -> tuple[str, ...]:
         return CONTINUOUS_NAMES
     steers = DISCRETE[action_type]
     return ("idle", *(f"{s.name}, {change}" for s in steers for change in SPEED_CHANGES.values()))
+
+
+def action_of_keys(
+    table: NDArray[np.float64],
+    steer: float,
+    speed: float,
+    throttle: float,
+    accelerate: bool,
+    brake: bool,
+    left: bool,
+    right: bool,
+) -> int:
+    """The discrete action that comes closest to what the keys that are held down would do in a car.
+
+    Left and right steer as far as any action does at this speed; without them the steering returns to straight. Without
+    a key for the speed the car coasts, and without any key the action is idle. If both keys of a pair are down, the car
+    brakes, or drives straight on. It is plain enough for Numba.
+
+    Args:
+        table: of :func:`action_table`.
+        steer: of the car (rad).
+        speed: of the car (m/s).
+        throttle: of the car (m/s^2).
+        accelerate: whether this key is down; so are the others.
+        brake: likewise.
+        left: likewise.
+        right: likewise.
+    """
+    if not (accelerate or brake or left or right):
+        return 0
+    change = MAINTAIN
+    if brake or (not accelerate and throttle > 0.0):  # the first "decrease" only releases the throttle
+        change = DECREASE
+    elif accelerate:
+        change = INCREASE
+    side = int(left) - int(right)
+    chosen, best = 0, -np.inf
+    for action in range(1, len(table)):
+        decay, offset, curl, its_change = table[action]
+        target = decay * steer + offset + curl / max(speed, 1.0) ** 2
+        if its_change == change and (side == 0 or decay == 0.0):
+            closeness = side * target if side else -abs(target)
+            if closeness > best:
+                chosen, best = action, closeness
+    return chosen

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from algorithms.reporting.explorer.data import ExplorableFront, explorable_best_known
-from algorithms.reporting.explorer.page import write_page
+from algorithms.reporting.page.data import ExplorableFront, explorable_best_known
+from algorithms.reporting.page.page import write_page
 from algorithms.runs.build import build, load_policy
 from algorithms.runs.config import load_experiment
 from algorithms.runs.report import evaluate_front, explorable

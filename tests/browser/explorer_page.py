@@ -101,7 +101,7 @@ class Page:
 
     def brush(self, axis: int, low: float, high: float) -> None:
         """Drag along an upright axis from the share ``low`` to the share ``high`` of its height."""
-        hit = self.all("#parallel .mark-rect.role-mark.hit path")[axis]
+        hit = self.all("#parallel .hit")[axis]
         rectangle = hit.rect
         height = rectangle["height"] - 12  # the area reaches 6 pixels beyond the axis at both ends
 

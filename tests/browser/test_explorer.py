@@ -16,8 +16,8 @@ import yaml
 
 from algorithms.commands import choose
 from algorithms.commands.choose import expected_utility, rank_policies, weighted_sum
-from algorithms.reporting.explorer.data import ExplorableFront
-from algorithms.reporting.explorer.page import write_page
+from algorithms.reporting.page.data import ExplorableFront
+from algorithms.reporting.page.page import write_page
 from algorithms.runs.build import load_policy
 from algorithms.runs.run_directory import Run
 from mo_deepdrive.evaluation.drives import Playback, Scene, record_scenes
@@ -197,7 +197,7 @@ def test_dominated_policies_are_hidden_until_they_are_asked_for(
     assert 0 < len(front) < count
 
     def lines() -> int:
-        return len(page.all("#parallel .mark-line path")) - len(zoo_front.best_known) - 1  # the chosen one twice
+        return len(page.all("#parallel .line")) - len(zoo_front.best_known) - 1  # the chosen one twice
 
     assert lines() == len(front)
     chosen = page.chosen()

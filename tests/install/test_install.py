@@ -235,7 +235,7 @@ def test_policies_of_the_zoo_come_with_the_wheel(everything: Installed) -> None:
     everything.command("explore", "one_waypoint_front-pcn-printed", "--output", "explore.html")
     page = (everything.folder / "explore.html").read_text(encoding="utf-8")
     assert all(
-        part in page for part in ("class Explorer", "window.vega", "--series-0", '"one_waypoint_front-pcn-printed"')
+        part in page for part in ("class Explorer", "class Parallel", "--series-0", '"one_waypoint_front-pcn-printed"')
     )
 
 

@@ -34,10 +34,12 @@ def write_pages() -> None:
 
 
 def _on_start(app: Any) -> None:
+    from algorithms.reporting.page.page import write_site
     from site_pages.explorer_examples import write_examples
 
     del app
     write_pages()
+    write_site(DOCS / "_static" / "drive")
     write_examples(DOCS / "_static")
 
 

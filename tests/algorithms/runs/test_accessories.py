@@ -81,12 +81,11 @@ def test_a_run_is_finished_whatever_fails_beside_it(
 def test_a_front_is_finished_without_anything_that_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
-    for name in ("explorer.plots", "curves", "videos"):
+    for name in ("page.plots", "curves", "videos"):
         monkeypatch.delitem(sys.modules, f"algorithms.reporting.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.setitem(sys.modules, "vl_convert", None)
     said = finished(tmp_path, make_experiment(FRONT), io.StringIO())
-    starts = ("the front could not be drawn", "no video", "no explorer", "the curves could not be drawn")
+    starts = ("the front could not be drawn", "no video", "the curves could not be drawn")
     assert [line.split(": ")[1] for line in said] == list(starts)
 
 

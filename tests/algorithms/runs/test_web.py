@@ -1,0 +1,158 @@
+"""The worlds and policies that the page ships, run by the page's own code in Node, and links."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from algorithms.reporting.page.page import WORLDS
+from algorithms.runs import web
+from algorithms.runs.build import load_policy
+from algorithms.runs.run_directory import Run
+from mo_deepdrive import __version__
+from mo_deepdrive.device import wasm
+from mo_deepdrive.device.pcg64 import seed_stream, uniform
+from mo_deepdrive.simulation.state import ENDS
+from mo_deepdrive.world.batch import Draws, WorldBatch
+from tests.helpers.paths import REPOSITORY
+
+FOLDER = Path(str(WORLDS))
+PAGE = json.loads((FOLDER / web.PAGE).read_text())
+NAMES = [world["name"] for world in PAGE["worlds"]]
+POLICIES = [
+    (name, policy["name"]) for name in NAMES for policy in json.loads((FOLDER / f"{name}.json").read_text())["policies"]
+]
+SEED = 3_000_005
+needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
+
+
+def in_node(what: str, name: str, given: Any, folder: Path) -> Path:
+    """The output of tests/helpers/page.mjs."""
+    (folder / "input.json").write_text(json.dumps(given))
+    script, output = REPOSITORY / "tests/helpers/page.mjs", folder / "output"
+    subprocess.run(["node", script, what, FOLDER, name, folder / "input.json", output], check=True)
+    return output
+
+
+def configuration(name: str) -> tuple[Any, Any]:
+    """The facts of a shipped world, and its configuration."""
+    facts = json.loads((FOLDER / f"{name}.json").read_text())
+    return facts, web.configuration("world", facts["id"], facts["arguments"])
+
+
+def random_actions(config: Any, decisions: int) -> np.ndarray:
+    """Actions (decisions, 1, V) that are held for a while."""
+    vehicles, choices = config.scenario_data.vehicles, len(WorldBatch(config, 1).table)
+    drawn = np.random.default_rng(1).integers(0, choices, (decisions // 4, 1, vehicles))
+    return np.repeat(drawn, 4, axis=0)
+
+
+def numbers(records: np.ndarray, name: str = "") -> dict[str, np.ndarray]:
+    """The numbers in an array of records, by field."""
+    if records.dtype.names is None:
+        return {name: records}
+    fields = (numbers(records[each], f"{name}.{each}") for each in records.dtype.names if not each.startswith("gap_"))
+    return {key: values for part in fields for key, values in part.items()}
+
+
+@needs_node
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_world_drives_as_on_the_cpu_for_1000_decisions_with_resets(name: str, tmp_path: Path) -> None:
+    _, config = configuration(name)
+    batch, generator = WorldBatch(config, 1), np.random.default_rng(SEED)
+    draws, actions = Draws(1, batch.scenario.draws, [generator]), random_actions(config, 1000)
+    rows, episodes = [], 0
+    batch.place(draws)
+    for chosen in actions:
+        batch.step(chosen)
+        rows.append((batch.observations.copy(), batch.rewards.copy(), batch.state.copy()))
+        if batch.over().all():
+            batch.place(draws)
+            episodes += 1
+    assert episodes > 1
+    expected = [np.array(column) for column in zip(*rows, strict=True)]
+    output = in_node("world", name, {"seed": SEED, "actions": actions[:, 0].tolist()}, tmp_path)
+    row = np.dtype([(key, each.dtype, each.shape[1:]) for key, each in zip("orw", expected, strict=True)])
+    found = np.fromfile(output, dtype=row)
+    np.testing.assert_allclose(found["o"], expected[0], rtol=1e-6, atol=1e-6)  # a unit in the last place of float32
+    np.testing.assert_array_equal(found["r"], expected[1])
+    there = numbers(found["w"])
+    for field, values in numbers(expected[2]).items():
+        # What is left of the last digits of exp or atan2; jerk is a difference of differences, per step of 1/60 s.
+        least = 1e-12 * (config.simulation_frequency if field == ".jerk" else 1)
+        np.testing.assert_allclose(there[field], values, rtol=1e-12, atol=least, err_msg=field)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_said_of_a_shipped_world_is_that_of_this_version(name: str) -> None:
+    facts, config = configuration(name)
+    assert PAGE["version"] == __version__
+    present = json.loads(json.dumps(web.world_facts(config, facts["id"], facts["arguments"])))
+    shown = ("policies", "drivers", "ghost", "front", "utilities", "questions")
+    assert {key: facts[key] for key in present if key not in shown} == {
+        key: value for key, value in present.items() if key not in shown
+    }
+    assert (FOLDER / f"{name}.wasm").stat().st_size < 150_000
+
+
+@needs_node
+@pytest.mark.slow
+@pytest.mark.parametrize(("world", "name"), POLICIES)
+def test_a_network_answers_on_the_page_as_in_torch(world: str, name: str, tmp_path: Path) -> None:
+    facts, rng = json.loads((FOLDER / f"{name}.json").read_text()), np.random.default_rng(0)
+    zoo_name, _, number = name.rpartition("-") if re.search(r"-\d$", name) else (name, "", 0)
+    agent = load_policy(Run.open(zoo_name))
+    o, d, count = agent.env.observation_size, len(facts["objectives"]), 1000
+    scales = np.asarray(agent.observation_scales).reshape(-1)
+    seen = (scales * rng.normal(size=(count, o))).astype(np.float32)
+    accrued, discounts = rng.normal(size=(count, d)).astype(np.float32) * 10, rng.random(count, dtype=np.float32)
+    weights = rng.dirichlet(np.ones(d), count).astype(np.float32)
+    given = [seen, accrued, discounts, weights]
+    preference = (torch.from_numpy(weights), agent.ideal[0]) if facts["preference"] else None
+    with torch.no_grad():
+        inputs = agent.inputs(*(torch.from_numpy(each).double() for each in given[:3]), preference)
+        expected = agent.learners[int(number)].actor.body.double()(inputs.double()).numpy()
+    rows = [list(row) for row in zip(*(each.tolist() for each in given), strict=True)]
+    outputs = np.array(json.loads(in_node("actor", name, rows, tmp_path).read_text()))
+    np.testing.assert_allclose(outputs, expected, rtol=1e-5, atol=1e-5)
+    best = np.sort(expected, axis=1)
+    clear = best[:, -1] - best[:, -2] > 1e-4
+    assert (outputs.argmax(axis=1) == expected.argmax(axis=1))[clear].all()
+
+
+@needs_node
+def test_a_link_of_the_page_replays_to_the_same_returns(tmp_path: Path) -> None:
+    _, config = configuration("roundabout")
+    actions = random_actions(config, config.max_decisions)[:, 0]
+    kept = json.loads(in_node("link", "roundabout", {"seed": SEED, "actions": actions.tolist()}, tmp_path).read_text())
+    link = web.Link.read(f"https://a.page/{kept['link']}")
+    assert (link.driver, link.seed, link.arguments) == ("you", SEED, {"vehicles": 8})
+    _, drives = link.replay()
+    np.testing.assert_array_equal(drives.returns[0], kept["returns"])
+    assert [ENDS[end] for end in drives.ends[0]] == kept["ends"]
+    for cut in (kept["link"][:-9], kept["link"][:-1], kept["link"].replace("e", "f", 3), "", "#drive=."):
+        with pytest.raises(ValueError, match=r"cut or edited|no drive"):
+            web.Link.read(cut)
+
+
+def test_the_random_numbers_are_those_of_numpy() -> None:
+    stream = np.zeros(12, np.uint64)
+    for seed in (0, 7, SEED, 2**32 + 5, 2**63 + 11):
+        seed_stream(np.uint64(seed), stream)
+        assert [uniform(stream) for _ in range(20)] == np.random.default_rng(seed).random(20).tolist()
+
+
+def test_without_a_linker_one_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda _name: None)
+    monkeypatch.setattr(wasm, "find_spec", lambda _name: None)
+    with pytest.raises(OSError, match=r"lld, or pip install 'mo-deepdrive\[web\]'"):
+        wasm.find_linker()
