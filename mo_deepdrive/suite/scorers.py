@@ -75,7 +75,7 @@ class Drives:
         """
         adapter, v = EnvAdapter(self.env), self.task.vehicle
         first = round(seconds * self.task.config().decision_frequency)
-        policy = Changing(*(as_policy(member, adapter, gamma=1.0) for member in (before, after)), first)
+        policy = Changing(as_policy(before, adapter, gamma=1.0), as_policy(after, adapter, gamma=1.0), first)
         generator = (
             None if self.greedy or isinstance(policy.before, FunctionPolicy) else seeded_generator(policy, self.seed)
         )

@@ -54,7 +54,7 @@ ROUNDS_BY_TASK = {
     "K5": ((128, 32), (32, 256), (8, 1024)),
     "V1": ((256, 2), (64, 6), (16, 24)),
     "R3": ((48, 1), (12, 2), (4, 4)),
-    "R5": ((64, 32), (16, 128), (4, 1000)),
+    "R5": ((16, 32), (8, 128), (4, 500)),
 }
 CHANGES_OF = {"U4": "U2"}  # whose preferences change
 # Rules that are known from elsewhere.

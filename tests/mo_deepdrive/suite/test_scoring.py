@@ -57,10 +57,10 @@ def test_rare_disasters_lower_the_certainty_equivalent_and_the_mean_of_the_worst
     ("collisions", "braking", "time", "score"),
     [
         (0, 0.00, 60.0, 0.0),  # stands still
-        (2, 0.40, 60.0, 0.0),  # a rule is kept at its limit
+        (2, 0.50, 60.0, 0.0),  # a rule is kept at its limit
         (0, 0.10, BOOK.best, 1.0),
         (0, 0.10, (BOOK.best + BOOK.worst) / 2, 0.5),
-        (0, 0.48, BOOK.best, -0.2),  # breaks the second rule by a fifth
+        (0, 0.60, BOOK.best, -0.2),  # breaks the second rule by a fifth
         (4, 9.00, BOOK.best, -1.0),  # the first rule that is broken counts alone
         (9, 0.00, BOOK.best, -1.0),
     ],
