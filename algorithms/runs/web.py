@@ -193,14 +193,15 @@ def drive(
     batch = WorldBatch(config, len(seeds))
     batch.place(Draws(len(seeds), batch.scenario.draws, [np.random.default_rng(seed) for seed in seeds]))
     past, returns = AccruedReward.begin(*batch.rewards.shape), np.zeros(batch.rewards.shape)
-    actions, acted = [], [np.zeros(batch.acted.shape, dtype=np.int64)]
+    lengths = np.zeros(batch.acted.shape, dtype=np.int64)
+    actions: list[NDArray[Any]] = []
     while not batch.over().all() and len(actions) < most:
         actions.append(np.array(act(batch.observations, past)))
         batch.step(actions[-1])
         past.add(batch.rewards, gamma)
         returns += batch.rewards
-        acted.append(batch.acted.copy())
-    return Drives(returns, batch.state["end"].copy(), np.array(actions), np.sum(acted, axis=0))
+        lengths += batch.acted
+    return Drives(returns, batch.state["end"].copy(), np.array(actions), lengths)
 
 
 def replayed(sequences: Sequence[Sequence[NDArray[Any]]]) -> Callable[..., NDArray[Any]]:

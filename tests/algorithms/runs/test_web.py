@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.reporting.page.page import WORLDS
 from algorithms.runs import web
 from algorithms.runs.build import load_policy
 from algorithms.runs.run_directory import Run
@@ -21,16 +20,21 @@ from mo_deepdrive import __version__
 from mo_deepdrive.device import wasm
 from mo_deepdrive.device.pcg64 import seed_stream, uniform
 from mo_deepdrive.simulation.state import ENDS
-from mo_deepdrive.world.batch import Draws, WorldBatch
+from tests.helpers.page_worlds import (
+    FOLDER,
+    NAMES,
+    PAGE,
+    SEED,
+    check_drive,
+    configuration,
+    drive_on_cpu,
+    random_actions,
+)
 from tests.helpers.paths import REPOSITORY
 
-FOLDER = Path(str(WORLDS))
-PAGE = json.loads((FOLDER / web.PAGE).read_text())
-NAMES = [world["name"] for world in PAGE["worlds"]]
 POLICIES = [
     (name, policy["name"]) for name in NAMES for policy in json.loads((FOLDER / f"{name}.json").read_text())["policies"]
 ]
-SEED = 3_000_005
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
 
 
@@ -42,54 +46,13 @@ def in_node(what: str, name: str, given: Any, folder: Path) -> Path:
     return output
 
 
-def configuration(name: str) -> tuple[Any, Any]:
-    """The facts of a shipped world, and its configuration."""
-    facts = json.loads((FOLDER / f"{name}.json").read_text())
-    return facts, web.configuration("world", facts["id"], facts["arguments"])
-
-
-def random_actions(config: Any, decisions: int) -> np.ndarray:
-    """Actions (decisions, 1, V) that are held for a while."""
-    vehicles, choices = config.scenario_data.vehicles, len(WorldBatch(config, 1).table)
-    drawn = np.random.default_rng(1).integers(0, choices, (decisions // 4, 1, vehicles))
-    return np.repeat(drawn, 4, axis=0)
-
-
-def numbers(records: np.ndarray, name: str = "") -> dict[str, np.ndarray]:
-    """The numbers in an array of records, by field."""
-    if records.dtype.names is None:
-        return {name: records}
-    fields = (numbers(records[each], f"{name}.{each}") for each in records.dtype.names if not each.startswith("gap_"))
-    return {key: values for part in fields for key, values in part.items()}
-
-
 @needs_node
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_world_drives_as_on_the_cpu_for_1000_decisions_with_resets(name: str, tmp_path: Path) -> None:
-    _, config = configuration(name)
-    batch, generator = WorldBatch(config, 1), np.random.default_rng(SEED)
-    draws, actions = Draws(1, batch.scenario.draws, [generator]), random_actions(config, 1000)
-    rows, episodes = [], 0
-    batch.place(draws)
-    for chosen in actions:
-        batch.step(chosen)
-        rows.append((batch.observations.copy(), batch.rewards.copy(), batch.state.copy()))
-        if batch.over().all():
-            batch.place(draws)
-            episodes += 1
-    assert episodes > 1
-    expected = [np.array(column) for column in zip(*rows, strict=True)]
-    output = in_node("world", name, {"seed": SEED, "actions": actions[:, 0].tolist()}, tmp_path)
-    row = np.dtype([(key, each.dtype, each.shape[1:]) for key, each in zip("orw", expected, strict=True)])
-    found = np.fromfile(output, dtype=row)
-    np.testing.assert_allclose(found["o"], expected[0], rtol=1e-6, atol=1e-6)  # a unit in the last place of float32
-    np.testing.assert_array_equal(found["r"], expected[1])
-    there = numbers(found["w"])
-    for field, values in numbers(expected[2]).items():
-        # exp and atan2 differ in their last digits; jerk is a difference of differences, per step of 1/60 s.
-        least = 1e-12 * (config.simulation_frequency if field in (".jerk", ".objectives") else 1)
-        np.testing.assert_allclose(there[field], values, rtol=1e-12, atol=least, err_msg=field)
+    actions, expected = drive_on_cpu(name)
+    output = in_node("world", name, {"seed": SEED, "actions": actions.tolist()}, tmp_path)
+    check_drive(name, np.fromfile(output, dtype=expected.dtype), expected)
 
 
 @pytest.mark.parametrize("name", NAMES)
