@@ -14,8 +14,6 @@ from algorithms.runs import cli
 def replay(options: cli.Options) -> int:
     """Print how the drive ended for each vehicle, and its undiscounted returns."""
     import mo_deepdrive
-    from algorithms.reporting.tables import make_table
-    from algorithms.runs.console import make_console
     from algorithms.runs.web import Link
     from mo_deepdrive.evaluation.metrics import name_and_unit, vehicle_name
     from mo_deepdrive.simulation.state import ENDS
@@ -31,9 +29,11 @@ def replay(options: cli.Options) -> int:
         named, unit = name_and_unit(name)
         rows.append([f"{named} ({unit})" if unit else named, *(f"{value:.6g}" for value in returns)])
     rows.append(["end", *(ENDS[end] or "driving" for end in drives.ends[0])])
-    rows.append(["time (s)", *(f"{length / config.decision_frequency:.1f}" for length in drives.lengths[0])])
-    print(f"{link.id}, seed {link.seed}, driven by {link.driver}")
-    make_console().print(make_table(rows, 1))
+    rows.append(["driven for (s)", *(f"{length / config.decision_frequency:.1f}" for length in drives.lengths[0])])
+    print(f"{link.id}, seed {link.seed}, driven by {link.driver}\n")
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for name, *cells in rows:
+        print("  ".join((name.ljust(widths[0]), *map(str.rjust, cells, widths[1:]))))
     return 0
 
 

@@ -45,11 +45,8 @@ import zlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from torch import nn
 
 import mo_deepdrive
-from algorithms.conditioned_mo_ppo import ConditionedMOPPO
-from algorithms.learning.actors import CategoricalActor
 from algorithms.reporting.page.data import MARGIN, scene_to_json
 from algorithms.runs.config import find_environment
 from mo_deepdrive.device.wasm import describe
@@ -74,7 +71,8 @@ if TYPE_CHECKING:
 FORMAT = 1
 PAGE, MARK = "page.json", "#drive="
 SEEDS = 20  # that the page offers
-ACTIVATIONS = {nn.ReLU: "relu", nn.Tanh: "tanh"}
+ACTIVATIONS = {"ReLU": "relu", "Tanh": "tanh"}  # by their names in PyTorch
+CONDITIONED = "conditioned_mo_ppo"
 
 
 def configuration(option: str, env_id: str, arguments: Mapping[str, Any]) -> EnvConfig:
@@ -142,16 +140,16 @@ def write_policies(folder: Path, agent: Any, name: str, label: str) -> list[dict
         own = name if len(agent.learners) == 1 else f"{name}-{number}"
         size = write_json(folder / f"{own}.json", _policy(agent, learner.actor, own, label))
         row = {"name": own, "label": label, "file": f"{own}.json", "bytes": size, "vehicles": list(learner.vehicles)}
-        rows.append({**row, "conditioned": isinstance(agent, ConditionedMOPPO)})
+        rows.append({**row, "conditioned": agent.name == CONDITIONED})
     return rows
 
 
 def _policy(agent: Any, actor: Any, name: str, label: str) -> dict[str, Any]:
-    layers: list[Any] = list(actor.body) if isinstance(actor.body, nn.Sequential) else []
-    bends = {ACTIVATIONS.get(type(layer)) for layer in layers[1::2]}
-    if not isinstance(actor, CategoricalActor) or len(bends) != 1 or None in bends:
+    layers = [*actor.body.children()]
+    bends = {ACTIVATIONS.get(type(layer).__name__) for layer in layers[1::2]}
+    if agent.env.continuous or type(actor.body).__name__ != "Sequential" or len(bends) != 1 or None in bends:
         raise ValueError(f"{name}: the page runs perceptrons with relu or tanh that choose one of several actions")
-    d, conditioned = len(agent.env.objectives), isinstance(agent, ConditionedMOPPO)
+    d, conditioned = len(agent.env.objectives), agent.name == CONDITIONED
     scales = {"observation": np.asarray(agent.observation_scales).reshape(-1)}
     if conditioned:
         if agent.preferences.width != d:
