@@ -29,8 +29,8 @@
 The outputs of a network are logits; the greedy action is the first greatest one.
 
 Actions as texts are runs of equal ones, :func:`mo_deepdrive.world.action_sequences.encode`: "d12a" is 12 times action 3
-and once action 0; continuous ones are "steer,acceleration[,brake][*times]", separated by spaces, in 1/1024, without the
-brake where it is -1024.
+and once action 0; continuous ones are ``steer,acceleration[,brake][*times]``, separated by spaces, in 1/1024, without
+the brake where it is -1024.
 
 A link ends in ``#drive=PAYLOAD.CHECK``: PAYLOAD is base64url without padding of the JSON {format: 1, version, id,
 arguments, seed, driver, actions: [a text for each of the V vehicles]}, CHECK eight hexadecimal digits of the CRC-32 of
