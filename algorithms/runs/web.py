@@ -6,17 +6,16 @@
                   questions}], in the order of the menu: with discrete actions only; the last three say whether there
                   are conditioned policies, policies or a ghost, and questions
     NAME.json     what :mod:`mo_deepdrive.device.wasm` says of a world, ``version`` of the package, and
-        scene         {lanes, roads: [{line, width, giveWay}], centre, laneWidth, arrivalRadius, vehicle: [length,
-                      width], box: [left, bottom, side], frequency}: as in the scenes of the explorer
+        scene         what is drawn in all its episodes, as of :func:`algorithms.reporting.page.data.scene_to_json`
         seeds         the seeds that the page offers, of the test split, in order
         policies      [{name, label, file, bytes, conditioned, vehicles}], learners whose networks the page runs, and
                       the vehicles that each can drive
-        drivers       [{name, label, returns: [[d] by seed], ends: [by seed]}]: rules, learners and planned drives on
-                      these seeds; of several vehicles, those of vehicle 0 where all drive by the name
+        drivers       [{label, returns: [[d] by seed], ends: [by seed]}]: rules, learners and planned drives on these
+                      seeds; of several vehicles, those of vehicle 0 where all drive so
         ghost         null, or [actions by seed]: the best known drive of every seed, as texts, see below
         front         [{name, returns: [d]}]: mean returns over the seeds of drives that nothing dominates
-        utilities     [{name, label, weights: [d]}], linear ones that are named; u = sum_i weights_i returns_i
-        questions     null, or {drives: [{name, label, seed, actions: [a text per vehicle], returns: [d]}], ask, found}:
+        utilities     [{label, weights: [d]}], linear ones that are named; u = sum_i weights_i returns_i
+        questions     null, or {drives: [{label, seed, actions: [a text per vehicle], returns: [d]}], ask, found}:
                       :func:`mo_deepdrive.evaluation.elicitation.question_tree`, a tree of all answers
     POLICY.json   {format, name, label, objectives: [names, of its own d], inputs, scales, activation, layers: [[out,
                   in]], weights, gamma, preference}
@@ -41,7 +40,6 @@ PAYLOAD (its ASCII characters). Vehicles that have ended need no further actions
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 import zlib
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -52,15 +50,16 @@ from torch import nn
 import mo_deepdrive
 from algorithms.conditioned_mo_ppo import ConditionedMOPPO
 from algorithms.learning.actors import CategoricalActor
-from algorithms.reporting.page.data import rounded
+from algorithms.reporting.page.data import MARGIN, scene_to_json
 from algorithms.runs.config import find_environment
-from mo_deepdrive.device import wasm
-from mo_deepdrive.evaluation.drives import road
+from mo_deepdrive.device.wasm import describe
+from mo_deepdrive.evaluation.drives import Scene, road
 from mo_deepdrive.evaluation.metrics import name_and_unit
+from mo_deepdrive.evaluation.policy import AccruedReward
 from mo_deepdrive.evaluation.splits import SPLITS
-from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, MAP_CENTRE, MAP_SIZE, WIDTH
+from mo_deepdrive.simulation.state import MAP_SIZE
 from mo_deepdrive.support.atomic_io import atomic_write
-from mo_deepdrive.world.action_sequences import decode
+from mo_deepdrive.world.action_sequences import decode, encode
 from mo_deepdrive.world.batch import Draws, WorldBatch
 from mo_deepdrive.world.config import is_ours, parse_arguments
 
@@ -75,11 +74,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 PAGE, MARK = "page.json", "#drive="
 SEEDS = 20  # that the page offers
-MARGIN = 5.0  # m around the roads
 ACTIVATIONS = {nn.ReLU: "relu", nn.Tanh: "tanh"}
-
-
-# ------------------------------------------------------------------------------------------------------------- worlds
 
 
 def configuration(option: str, env_id: str, arguments: Mapping[str, Any]) -> EnvConfig:
@@ -99,51 +94,33 @@ def configuration(option: str, env_id: str, arguments: Mapping[str, Any]) -> Env
 
 def world_facts(config: EnvConfig, env_id: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
     """NAME.json of a world that nobody has driven in."""
-    scenario, low, high = config.scenario_data, np.zeros(2), np.full(2, MAP_SIZE)
-    roads = [road(route) for route in scenario.routes] if scenario.roads else []
-    if roads:
-        points = np.concatenate([each.line for each in roads])
-        low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
-    side, facts = float((high - low).max()), wasm.describe(config, env_id, arguments)
+    scenario, facts = config.scenario_data, describe(config, env_id, arguments)
     for objective in facts["objectives"]:
         objective["name"], objective["unit"] = name_and_unit(objective["key"])
+    roads = tuple(map(road, scenario.routes)) if scenario.roads else ()
+    seen = () if roads else (np.array([[MARGIN] * 2, [MAP_SIZE - MARGIN] * 2]),)
+    scene = Scene(0, seen, np.zeros((0, 2, 2)), scenario.lanes, roads, config.decision_frequency, ())
+    nothing: dict[str, Any] = {name: [] for name in ("policies", "drivers", "front", "utilities")}
     return {
-        **facts,
-        "version": mo_deepdrive.__version__,
-        "scene": {
-            "lanes": scenario.lanes,
-            "roads": [
-                {"line": rounded(each.line, 5), "width": each.width, "giveWay": rounded(each.give_way)}
-                for each in roads
-            ],
-            "centre": MAP_CENTRE,
-            "laneWidth": LANE_WIDTH,
-            "arrivalRadius": ARRIVAL_RADIUS,
-            "vehicle": [LENGTH, WIDTH],
-            "box": rounded([*((low + high - side) / 2), side]),
-            "frequency": config.decision_frequency,
-        },
-        "seeds": list(SPLITS["test"][:SEEDS]),
-        "policies": [],
-        "drivers": [],
-        "ghost": None,
-        "front": [],
-        "utilities": [],
-        "questions": None,
+        **{**facts, "version": mo_deepdrive.__version__, "scene": scene_to_json(scene)},
+        **{"seeds": list(SPLITS["test"][:SEEDS]), "ghost": None, "questions": None, **nothing},
     }
+
+
+def write_json(file: Path, contents: Mapping[str, Any]) -> int:
+    """Write a file without spaces; returns its size in bytes."""
+    text = json.dumps(contents, allow_nan=False, separators=(",", ":")).encode()
+    atomic_write(file, text)
+    return len(text)
 
 
 def write_world(folder: Path, name: str, facts: Mapping[str, Any], module: bytes) -> dict[str, Any]:
     """Write NAME.json and NAME.wasm; returns the row of page.json."""
-    text = json.dumps(facts, allow_nan=False, separators=(",", ":"))
-    atomic_write(folder / f"{name}.json", text.encode())
     atomic_write(folder / f"{name}.wasm", module)
+    size = write_json(folder / f"{name}.json", facts) + len(module)
     return {
-        "name": name,
-        **{key: facts[key] for key in ("title", "id", "vehicles")},
-        "json": f"{name}.json",
-        "wasm": f"{name}.wasm",
-        "bytes": len(text) + len(module),
+        **{"name": name, "title": facts["title"], "id": facts["id"], "vehicles": facts["vehicles"]},
+        **{"json": f"{name}.json", "wasm": f"{name}.wasm", "bytes": size},
         "conditioned": any(policy["conditioned"] for policy in facts["policies"]),
         "rivals": bool(facts["policies"] or facts["ghost"]),
         "questions": facts["questions"] is not None,
@@ -152,11 +129,7 @@ def write_world(folder: Path, name: str, facts: Mapping[str, Any], module: bytes
 
 def write_page_list(folder: Path, worlds: Sequence[Mapping[str, Any]]) -> None:
     """Write page.json."""
-    page = {"format": FORMAT, "version": mo_deepdrive.__version__, "worlds": list(worlds)}
-    atomic_write(folder / PAGE, json.dumps(page, indent=1).encode())
-
-
-# ----------------------------------------------------------------------------------------------------------- policies
+    write_json(folder / PAGE, {"format": FORMAT, "version": mo_deepdrive.__version__, "worlds": list(worlds)})
 
 
 def write_policies(folder: Path, agent: Any, name: str, label: str) -> list[dict[str, Any]]:
@@ -167,14 +140,9 @@ def write_policies(folder: Path, agent: Any, name: str, label: str) -> list[dict
     rows = []
     for number, learner in enumerate(agent.learners):
         own = name if len(agent.learners) == 1 else f"{name}-{number}"
-        text = json.dumps(_policy(agent, learner.actor, own, label), allow_nan=False, separators=(",", ":"))
-        atomic_write(folder / f"{own}.json", text.encode())
-        rows.append(
-            {
-                **{"name": own, "label": label, "file": f"{own}.json", "bytes": len(text)},
-                **{"conditioned": isinstance(agent, ConditionedMOPPO), "vehicles": list(learner.vehicles)},
-            }
-        )
+        size = write_json(folder / f"{own}.json", _policy(agent, learner.actor, own, label))
+        row = {"name": own, "label": label, "file": f"{own}.json", "bytes": size, "vehicles": list(learner.vehicles)}
+        rows.append({**row, "conditioned": isinstance(agent, ConditionedMOPPO)})
     return rows
 
 
@@ -184,31 +152,22 @@ def _policy(agent: Any, actor: Any, name: str, label: str) -> dict[str, Any]:
     if not isinstance(actor, CategoricalActor) or len(bends) != 1 or None in bends:
         raise ValueError(f"{name}: the page runs perceptrons with relu or tanh that choose one of several actions")
     d, conditioned = len(agent.env.objectives), isinstance(agent, ConditionedMOPPO)
-    inputs = {"observation": np.asarray(agent.observation_scales).reshape(-1)}
+    scales = {"observation": np.asarray(agent.observation_scales).reshape(-1)}
     if conditioned:
         if agent.preferences.width != d:
             raise ValueError(f"{name}: the page gives weights, and this policy follows other preferences, too")
-        inputs["preference"] = np.asarray(agent.preferences.divisors / agent.preferences.factors)
+        scales["preference"] = np.asarray(agent.preferences.divisors / agent.preferences.factors)
     else:
-        inputs |= {"accrued": np.asarray(agent.objective_scales).reshape(-1)} if agent.observes_accrued else {}
-        inputs |= {"discount": np.ones(1)} if agent.observes_discount else {}
+        scales |= {"accrued": np.asarray(agent.objective_scales).reshape(-1)} if agent.observes_accrued else {}
+        scales |= {"discount": np.ones(1)} if agent.observes_discount else {}
     parameters = [part.detach().numpy().ravel() for layer in layers[::2] for part in (layer.weight, layer.bias)]
     return {
-        "format": FORMAT,
-        "name": name,
-        "label": label,
-        "objectives": list(agent.env.objectives),
-        "inputs": list(inputs),
-        "scales": np.concatenate([*inputs.values()]).astype(float).tolist(),
-        "activation": bends.pop(),
-        "layers": [list(layer.weight.shape) for layer in layers[::2]],
+        **{"format": FORMAT, "name": name, "label": label, "objectives": list(agent.env.objectives)},
+        **{"inputs": list(scales), "scales": np.concatenate([*scales.values()]).astype(float).tolist()},
+        **{"activation": bends.pop(), "layers": [list(layer.weight.shape) for layer in layers[::2]]},
         "weights": base64.b64encode(np.concatenate(parameters).astype("<f4").tobytes()).decode(),
-        "gamma": float(agent.accrued_discount),
-        "preference": [1.0 / d] * d if conditioned else None,
+        **{"gamma": float(agent.accrued_discount), "preference": [1.0 / d] * d if conditioned else None},
     }
-
-
-# ------------------------------------------------------------------------------------------------------------- drives
 
 
 class Drives(NamedTuple):
@@ -219,24 +178,41 @@ class Drives(NamedTuple):
     actions: NDArray[Any]  #: (T, E, V) or (T, E, V, 3), those of ended vehicles, too
     lengths: NDArray[np.int64]  #: (E, V) decisions
 
+    def texts(self, episode: int) -> list[str]:
+        """The actions of every vehicle up to its end, as texts."""
+        return [encode(self.actions[:end, episode, v]) for v, end in enumerate(self.lengths[episode])]
+
 
 def drive(
-    config: EnvConfig, seeds: Sequence[int], act: Callable[..., NDArray[Any]], decisions: int | None = None
+    config: EnvConfig, seeds: Sequence[int], act: Callable[..., Any], gamma: float = 1.0, most: float = np.inf
 ) -> Drives:
-    """Drive the scenarios of some seeds as the page does, up to some ``decisions`` or to the end.
+    """Drive the scenarios of some seeds as the page does, to the end or for at most so many decisions.
 
-    ``act(observations (E, V, o), rewards (E, V, d) of the last decision, t)`` gives the actions.
+    ``act(observations (E, V, o), past)`` gives the actions, ``past`` an AccruedReward with the discount ``gamma``.
     """
     batch = WorldBatch(config, len(seeds))
     batch.place(Draws(len(seeds), batch.scenario.draws, [np.random.default_rng(seed) for seed in seeds]))
-    returns, lengths = np.zeros(batch.rewards.shape), np.zeros(batch.acted.shape, dtype=np.int64)
-    chosen: list[NDArray[Any]] = []
-    while not batch.over().all() and (decisions is None or len(chosen) < decisions):
-        chosen.append(np.array(act(batch.observations, batch.rewards, len(chosen))))
-        batch.step(chosen[-1])
+    past, returns = AccruedReward.begin(*batch.rewards.shape), np.zeros(batch.rewards.shape)
+    actions, acted = [], [np.zeros(batch.acted.shape, dtype=np.int64)]
+    while not batch.over().all() and len(actions) < most:
+        actions.append(np.array(act(batch.observations, past)))
+        batch.step(actions[-1])
+        past.add(batch.rewards, gamma)
         returns += batch.rewards
-        lengths += batch.acted
-    return Drives(returns, batch.state["end"].copy(), np.array(chosen), lengths)
+        acted.append(batch.acted.copy())
+    return Drives(returns, batch.state["end"].copy(), np.array(actions), np.sum(acted, axis=0))
+
+
+def replayed(sequences: Sequence[Sequence[NDArray[Any]]]) -> Callable[..., NDArray[Any]]:
+    """What drives every vehicle of every episode by its own actions (n,) or (n, 3), and by zeros after them."""
+    longest = max(len(actions) for episode in sequences for actions in episode)
+    whole = np.zeros(
+        (longest + 1, len(sequences), len(sequences[0]), *sequences[0][0].shape[1:]), sequences[0][0].dtype
+    )
+    for row, episode in enumerate(sequences):
+        for v, actions in enumerate(episode):
+            whole[: len(actions), row, v] = actions
+    return lambda _seen, past: whole[min(int(past.decisions[0, 0]), longest)]
 
 
 class Link(NamedTuple):
@@ -257,23 +233,16 @@ class Link(NamedTuple):
             raise ValueError("LINK was cut or edited: its end does not fit its beginning. Copy the whole link again")
         try:
             kept = json.loads(base64.urlsafe_b64decode(payload + "=" * (-len(payload) % 4)))
-            if kept.pop("format") != FORMAT:
-                raise ValueError("format")
-            return cls(**kept)
-        except (ValueError, TypeError, KeyError, AttributeError, binascii.Error):
-            raise ValueError("LINK holds no drive of this version: open it with the page of its version") from None
+            if kept.pop("format") == FORMAT:
+                return cls(**kept)
+        except (ValueError, TypeError, KeyError, AttributeError):
+            pass
+        raise ValueError("LINK holds no drive of this version: open it with the page of its version")
 
     def replay(self) -> tuple[EnvConfig, Drives]:
-        """Drive it again. A ValueError if it fits no environment of this version."""
+        """Drive it again, as far as its actions go. A ValueError if it fits no environment of this version."""
         config = configuration("LINK: environment", self.id, self.arguments)
-        vehicles, continuous = config.scenario_data.vehicles, config.action_type == "continuous"
-        sequences = [decode(text, config.action_type) for text in self.actions]
+        sequences, vehicles = [decode(text, config.action_type) for text in self.actions], config.scenario_data.vehicles
         if len(sequences) != vehicles:
             raise ValueError(f"LINK has actions of {len(sequences)} vehicles; {self.id} has {vehicles}")
-        longest = max(map(len, sequences))
-        actions = np.zeros(
-            (longest, 1, vehicles, *((3,) if continuous else ())), np.float64 if continuous else np.int64
-        )
-        for v, sequence in enumerate(sequences):
-            actions[: len(sequence), 0, v] = sequence
-        return config, drive(config, [self.seed], lambda _seen, _rewards, t: actions[t], longest)
+        return config, drive(config, [self.seed], replayed([sequences]), most=max(map(len, sequences)))

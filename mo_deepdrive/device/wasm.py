@@ -140,29 +140,17 @@ def describe(config: EnvConfig, env_id: str, arguments: Mapping[str, Any]) -> di
     """What a page has to know about the module of a configuration, as plain JSON: see the beginning of this file."""
     world = WorldBatch(config, 1)
     scenario, record = world.scenario, world.state.dtype
-    cars = record["cars"].base
+    cars, rows = record["cars"].base, [OBJECTIVES[INDEX[name]] for name in world.objectives]
     return {
-        "format": FORMAT,
-        "id": env_id,
-        "arguments": dict(arguments),
-        "title": scenario.title,
-        "scenario": scenario.name,
-        "vehicles": scenario.vehicles,
-        "frequency": config.decision_frequency,
-        "continuous": world.continuous,
-        "actionNames": list(action_sets.action_names(config.action_type)),
-        "maxDecisions": config.max_decisions,
-        "objectives": [
-            {"key": row.name, "unit": row.unit, "sign": row.sign, "scale": row.scale}
-            for row in (OBJECTIVES[INDEX[name]] for name in world.objectives)
-        ],
+        **{"format": FORMAT, "id": env_id, "arguments": dict(arguments), "title": scenario.title},
+        **{"scenario": scenario.name, "vehicles": scenario.vehicles, "frequency": config.decision_frequency},
+        **{"continuous": world.continuous, "actionNames": list(action_sets.action_names(config.action_type))},
+        **{"maxDecisions": config.max_decisions, "ends": list(ENDS)},
+        "objectives": [{"key": each.name, "unit": each.unit, "sign": each.sign, "scale": each.scale} for each in rows],
         "observations": [{"name": each.name, "unit": each.unit, "scale": each.scale} for each in layout(scenario)],
-        "ends": list(ENDS),
         "state": {"size": record.itemsize, "fields": _fields(record)},
         "cars": {
-            "offset": record.fields["cars"][1],
-            "size": cars.itemsize,
-            "count": scenario.cars,
+            **{"offset": record.fields["cars"][1], "size": cars.itemsize, "count": scenario.cars},
             "fields": _fields(cars),
         },
         "obstacles": {"offset": record.fields["obstacle"][1], "count": scenario.obstacles},
@@ -209,25 +197,26 @@ def _resident(name: str, array: np.ndarray) -> Any:
     return get
 
 
-def entries(config: EnvConfig) -> dict[str, tuple[Callable[..., Any], Any]]:
+def _entries(config: EnvConfig) -> dict[str, Any]:
     """The functions that a module exports, each with its signature; they have one world between them."""
     world = WorldBatch(config, 1)
     vehicles, cars = world.scenario.vehicles, world.scenario.cars
-    motion_lanes, path_rows = make_scratch(vehicles + cars, config.physics_steps)
-    chosen = np.zeros((1, vehicles, 3), np.float32) if world.continuous else np.zeros((1, vehicles), np.int32)
-    worlds, actions = _resident("worlds", world.state), _resident("actions", chosen)
-    observations, rewards = _resident("observations", world.observations), _resident("rewards", world.rewards)
-    ended, timed_out = _resident("ended", world.terminated), _resident("timed_out", world.truncated)
-    acted, table = _resident("acted", world.acted), _resident("table", world.table)
-    params, pins = _resident("params", world.params), _resident("pins", world.no_pins)
-    controls = _resident("controls", np.zeros((1, vehicles, 3)))
-    motion, path = _resident("motion", motion_lanes), _resident("path", path_rows)
-    traffic_scratch = _resident("traffic", traffic.make_scratch(cars))
-    sight = _resident("sight", np.zeros(1, dtype=observation.SIGHT))
-    spawn = _resident("spawn", np.zeros_like(world.no_pins))
-    drawn = _resident("drawn", np.zeros((1, world.scenario.draws)))
-    stream, waiting = _resident("stream", np.zeros(12, np.uint64)), _resident("waiting", np.zeros(1, np.bool_))
-    counts, unfair = _resident("counts", np.zeros(1, np.int64)), _resident("unfair", np.zeros(1, np.int64))
+    axes, number = ((3,), np.float32) if world.continuous else ((), np.int32)
+    scratch = make_scratch(vehicles + cars, config.physics_steps)
+    (
+        worlds, actions, observations, rewards, acted, ended, timed_out, table, params, pins, controls, motion, path,
+        others, sight, spawn, drawn, stream, waiting, counts, unfair,
+    ) = map(
+        _resident,
+        (*ARRAYS, *(f"own_{k}" for k in range(14))),
+        (
+            world.state, np.zeros((1, vehicles, *axes), number), world.observations, world.rewards, world.acted,
+            world.terminated, world.truncated, world.table, world.params, world.no_pins, np.zeros((1, vehicles, 3)),
+            *scratch, traffic.make_scratch(cars), np.zeros(1, observation.SIGHT), np.zeros_like(world.no_pins),
+            np.zeros((1, world.scenario.draws)), np.zeros(12, np.uint64), np.zeros(1, np.bool_),
+            np.zeros(1, np.int64), np.zeros(1, np.int64),
+        ),
+    )  # fmt: skip
     decide, choices = world.step_function, len(world.table)
     choose = numba.njit(error_model="numpy")(action_sets.action_of_keys)
 
@@ -235,7 +224,7 @@ def entries(config: EnvConfig) -> dict[str, tuple[Callable[..., Any], Any]]:
         if not _allow(actions(), choices, 0):
             return 1
         decide(
-            worlds(), actions(), table(), params(), controls(), motion(), traffic_scratch(), path(), sight(),
+            worlds(), actions(), table(), params(), controls(), motion(), others(), path(), sight(),
             observations(), rewards(), acted(), ended(), timed_out(),
         )  # fmt: skip
         return 0
@@ -247,21 +236,17 @@ def entries(config: EnvConfig) -> dict[str, tuple[Callable[..., Any], Any]]:
         )  # fmt: skip
         return 0 if problem == DONE else 1
 
-    def seed(number: Any) -> int:
-        seed_stream(number, stream())
+    def seed(value: Any) -> int:
+        seed_stream(value, stream())
         return 0
 
     def keys(v: int, accelerate: int, brake: int, left: int, right: int) -> int:
         me = worlds()[0, v]
         return choose(table(), me.steer, me.speed, me.throttle, accelerate != 0, brake != 0, left != 0, right != 0)
 
-    number = types.int32
-    made: dict[str, tuple[Callable[..., Any], Any]] = {
-        "step": (step, number()),
-        "restart": (restart, number()),
-        "seed": (seed, number(types.uint64)),
-    }
-    return made if world.continuous else {**made, "keys": (keys, number(*[number] * 5))}
+    whole = types.int32
+    made: dict[str, Any] = {"step": (step, whole()), "restart": (restart, whole()), "seed": (seed, whole(types.uint64))}
+    return made if world.continuous else {**made, "keys": (keys, whole(*[whole] * 5))}
 
 
 def compile_module(config: EnvConfig) -> bytes:
@@ -276,7 +261,7 @@ def compile_module(config: EnvConfig) -> bytes:
     llvm.initialize_all_asmprinters()
     machine = llvm.Target.from_triple(TARGET).create_target_machine(opt=3, features="+bulk-memory")
     whole = llvm.parse_assembly(f'target datalayout = "{LAYOUT}"\ntarget triple = "{TARGET}"\n{PRODUCT}')
-    exported = entries(config)
+    exported = _entries(config)
     for name, (function, signature) in exported.items():
         whole.link_in(_portable(name, function, signature))
     for function in whole.functions:
