@@ -14,6 +14,7 @@ from algorithms.runs.run_directory import Run
 from algorithms.zoo.exporting import FILES
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.front import Front
+from mo_deepdrive.evaluation.metrics import vehicle_prefix
 from tests.helpers.zoo import (
     KILOBYTE,
     SHIPPED,
@@ -42,7 +43,8 @@ def test_a_shipped_policy_loads_and_acts(name: str) -> None:
     policy = agent
     if not run.experiment.known_utility:
         front = Front.read(path)
-        assert front.objectives == agent.env.objectives
+        prefixes = [vehicle_prefix(v, agent.env.vehicles) for v in range(agent.env.vehicles)]
+        assert front.objectives == tuple(prefix + name for prefix in prefixes for name in agent.env.objectives)
         known = {tuple(row) for row in agent.conditions()}
         assert {tuple(row) for row in front.conditions.astype(np.float32)} <= known
         policy = agent.policy(front.conditions[-1])
