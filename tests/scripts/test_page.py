@@ -54,7 +54,7 @@ def test_a_link_is_driven_again_and_shows_its_returns_with_units(call: Call) -> 
         (link_of(id="CartPole-v1"), "only this package's environments"),
         (link_of(actions=["a", "b"]), "actions of 2 vehicles; mo-deepdrive-left-turn-v1 has 1"),
         (link_of(actions=["z"]), "'z' is not a sequence of discrete actions"),
-        (link_of(arguments={"trafic": "none"}), "trafic"),
+        (link_of(arguments={"wheels": 3}), "wheels"),
     ],
 )
 def test_a_link_that_holds_no_drive_is_refused(call: Call, link: str, message: str) -> None:
