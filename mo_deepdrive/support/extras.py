@@ -30,6 +30,7 @@ EXTRAS = {
     "numba_cuda": "cuda",
     "momaland": "momaland",
     "wandb": "wandb",
+    "ziglang": "web",
 }
 
 

@@ -26,6 +26,7 @@ from tests.helpers.agents import (
     make_agent,
     plain_utility,
     recorded,
+    required,
     state,
 )
 from tests.helpers.toy_env import toy_worlds
@@ -44,7 +45,7 @@ def test_the_networks_have_the_sizes_of_the_paper(cls: type[ActorCritic]) -> Non
 
 def toy_agent(cls: type[ActorCritic], *spaces_of_env: spaces.Space[Any]) -> ActorCritic:
     env = toy_worlds(*spaces_of_env)
-    return cls(env.vector_env, plain_utility(env))
+    return cls(env.vector_env, plain_utility(env), **required(cls, env))
 
 
 @CLASSES

@@ -62,10 +62,15 @@ def make_agent(
     made = make_env(env_id, num_envs, env)
     adapter = EnvAdapter(made)
     known = [utility or plain_utility(adapter)] if cls.known_utility else []
-    if cls is RulebookPPO:
-        rules = [{"objective": adapter.objectives[i], "at_most": 1e3} for i in np.flatnonzero(adapter.costs)[:2]]
-        hyperparameters = {"rulebook": rules, **hyperparameters}
-    return cls(made, *known, seed=seed, **hyperparameters)
+    return cls(made, *known, seed=seed, **{**required(cls, adapter), **hyperparameters})
+
+
+def required(cls: Any, adapter: EnvAdapter) -> dict[str, Any]:
+    """Hyperparameters without which an agent of a class cannot be made."""
+    if cls is not RulebookPPO:
+        return {}
+    costs = np.flatnonzero(adapter.costs)[:2]
+    return {"rulebook": [{"objective": adapter.objectives[i], "at_most": 1e3} for i in costs]}
 
 
 def state(agent: ActorCritic) -> dict[str, torch.Tensor]:

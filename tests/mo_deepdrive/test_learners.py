@@ -50,4 +50,4 @@ def test_where_no_other_package_has_the_name_both_names_are_the_same_modules() -
 
 def test_importing_the_name_imports_no_algorithm(run_python: Callable[[str], str]) -> None:
     script = "import sys, mo_deepdrive.learners\nprint('torch' in sys.modules, len(mo_deepdrive.learners.ALGORITHMS))"
-    assert run_python(script) == "False 8\n"
+    assert run_python(script) == "False 9\n"

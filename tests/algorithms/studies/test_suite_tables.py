@@ -102,16 +102,16 @@ def test_sentences_say_who_is_best_and_whether_the_ablation_is_behind_each_with_
         return " ".join(Scoreboard(found).sentences("K3"))
 
     best, blind, noisy = [0.8, 0.81, 0.82, 0.8], [0.3, 0.31, 0.32, 0.3], [0.2, 0.9, 0.5, 0.8]
-    apart = said({"mo_ppo": best, "accrued_blind": blind, "ppo": noisy})
-    assert apart.startswith("MO-PPO (0.808 [0.800, 0.817]) is tied with PPO (")
-    assert "ahead of MO-PPO without what has accrued by 0.5" in apart
+    apart = said({"mo_ppo_esr": best, "accrued_blind": blind, "ppo": noisy})
+    assert apart.startswith("MO-PPO (ESR) (0.807 [0.800, 0.817]) is tied with PPO (")
+    assert "ahead of MO-PPO (ESR) without what has accrued by 0.5" in apart
     assert "Holm's correction for 2" in apart
-    assert "MO-PPO is ahead of the ablation, MO-PPO without what has accrued (0.5" in apart
+    assert "MO-PPO (ESR) is ahead of the ablation, MO-PPO (ESR) without what has accrued (0.5" in apart
     assert apart.count("paired bootstrap over seeds") == 2
-    same = said({"mo_ppo": best, "accrued_blind": best})
+    same = said({"mo_ppo_esr": best, "accrued_blind": best})
     assert "is not ahead of the ablation" in same
     assert same.endswith("): no cause is claimed.")
-    assert said({"mo_ppo": best}) == "MO-PPO (0.808 [0.800, 0.817]) is the best that was run."
+    assert said({"mo_ppo_esr": best}) == "MO-PPO (ESR) (0.807 [0.800, 0.817]) is the best that was run."
     assert Scoreboard([]).sentences("K3") == ["Not run."]
 
 
@@ -188,7 +188,7 @@ def test_an_own_learner_gets_the_help_of_all_and_no_tuning() -> None:
     assert (k5.learner, k5.seeds, k5.candidates) == ("mo_ppo", (0, 1), ())
     assert k5.values["algorithm"]["gamma"] == 0.9995
     tuned = plan_of(["lintune"], ["K3"], 2)
-    assert [len(arm.candidates) for arm in tuned.arms if arm.key in tuned.selected] == [12]
+    assert [len(arm.candidates) for arm in tuned.arms if arm.key in tuned.selected] == [6]
 
 
 def test_all_learners_of_a_task_meet_the_same_partners_but_for_its_ablation() -> None:
@@ -196,7 +196,7 @@ def test_all_learners_of_a_task_meet_the_same_partners_but_for_its_ablation() ->
     partners = {arm.learner: arm.values["training"]["partners"] for arm in plan.arms if arm.key in plan.selected}
     assert partners.pop("self_play") == {}
     assert partners.keys() == {"ppo", "mappo", "mo_ppo"}, "what an ablation ablates is trained, too"
-    assert all(len(its["vehicle_1"]) == 11 for its in partners.values())
+    assert all(len(its["vehicle_1"]) == 7 for its in partners.values())
 
 
 def test_an_own_learner_beside_one_of_the_reference_is_tuned_by_the_same_rule_and_takes_overrides(
@@ -212,8 +212,7 @@ def test_an_own_learner_beside_one_of_the_reference_is_tuned_by_the_same_rule_an
     assert arms["OwnPPO"].values["algorithm"]["kappa"] == 0.2
     assert "kappa" not in arms["mo_ppo"].values["algorithm"]
     assert (
-        plan.announcement()[-1]
-        == "108 runs of tuning, as long as 27 full ones, then 6 that count: mo_ppo, OwnPPO on K1"
+        plan.announcement()[-1] == "48 runs of tuning, as long as 21 full ones, then 6 that count: mo_ppo, OwnPPO on K1"
     )
     for overrides, message in (
         ({"algorithm.kapa": 0.2}, "no learner has the setting 'algorithm.kapa'; did you mean 'algorithm.kappa'"),
@@ -255,7 +254,7 @@ def test_the_manifest_of_suite_run_holds_what_was_asked_for(
             ["conditioned_mo_ppo", "suite/envelope"],
             ["U2"],
             1,
-            "every learner must have the same number of candidates, 12, not conditioned_mo_ppo 12, envelope 4",
+            "every learner must have the same number of candidates, 6, not conditioned_mo_ppo 6, envelope 3",
         ),
         (["suite/ppo"], ["K1"], 0, "--seeds 0 must be at least 1"),
     ],

@@ -233,8 +233,8 @@ def raw_flags(*values: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "array", "message"),
     [
-        ("state", np.zeros((2, 464)), "float64 of shape (2, 464); this environment needs uint8 of shape (2, 464)"),
-        ("state", [[0] * 464] * 2, "'list'; this environment needs uint8 of shape (2, 464)"),
+        ("state", np.zeros((2, 488)), "float64 of shape (2, 488); this environment needs uint8 of shape (2, 488)"),
+        ("state", [[0] * 464] * 2, "'list'; this environment needs uint8 of shape (2, 488)"),
         ("over", raw_flags(0, 7), "has 7; it must be 0 or 1"),
         ("begun", raw_flags(255), "has 255; it must be 0 or 1"),
         ("begun", None, "is missing; this environment needs bool of shape (1,)"),

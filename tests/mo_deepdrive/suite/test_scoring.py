@@ -21,8 +21,8 @@ def still(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
     return np.zeros(len(observations), dtype=np.int64)
 
 
-def faster(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
-    return np.full(len(observations), 3)
+def driving(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
+    return np.full(len(observations), 15)
 
 
 def number(task_id: str, column: str, samples: Any) -> float:
@@ -94,7 +94,7 @@ def test_returns_that_follow_the_weights_are_controllable_and_constant_ones_are_
 @pytest.mark.slow
 def test_the_best_of_a_front_is_taken_for_each_preference() -> None:
     (one, *_), (both, *_), (other, *_) = (
-        suite.score(policy, "U2", episodes=8, perturbed=False) for policy in (still, [still, faster], faster)
+        suite.score(policy, "U2", episodes=8, perturbed=False) for policy in (still, [still, driving], driving)
     )
     assert None not in (one.value, both.value, other.value)
     assert both.value > max(one.value, other.value)  # type: ignore[operator, type-var]
@@ -104,11 +104,11 @@ def test_the_best_of_a_front_is_taken_for_each_preference() -> None:
 def test_one_policy_that_is_blind_to_preferences_is_scored_where_they_change_and_a_front_is_not() -> None:
     (blind,), (told,) = (
         suite.score(policy, "U4", episodes=2, perturbed=False)
-        for policy in (faster, lambda seen, accrued, discounts, weights: faster(seen))
+        for policy in (driving, lambda seen, accrued, discounts, weights: driving(seen))
     )
     assert blind.value == told.value
     with pytest.raises(ValueError, match="preferences that change need a policy that is told them, or a single one"):
-        suite.score([still, faster], "U4", episodes=2)
+        suite.score([still, driving], "U4", episodes=2)
 
 
 @pytest.mark.slow
@@ -139,7 +139,7 @@ def test_a_policy_is_scored_under_perturbations_and_with_strangers() -> None:
     [
         (still, "V1", r"task V1: the policy returned actions of shape \(2,\); expected \(2, 2\) integers"),
         (lambda seen, *_: np.full(len(seen), 40), "K1", "task K1: the policy returned the action 40; it must be from"),
-        ([still, faster], "K1", "task K1: a front, or a policy that is told weights, has no place where the utility"),
+        ([still, driving], "K1", "task K1: a front, or a policy that is told weights, has no place where the utility"),
         ([], "U2", "task U2: the front has no policy"),
     ],
 )
@@ -179,7 +179,7 @@ K1 = TASKS["K1"]
 
 
 def kept(seed: int = 0, episodes: int = K1.episodes) -> suite.Samples:
-    return {("K1", "mine/a", seed): np.random.default_rng(seed).normal(3.0, 1.0, (episodes, 1)).astype(np.float32)}
+    return {("K1", "mine/a", seed): np.random.default_rng(seed).normal(5.9, 1.0, (episodes, 1)).astype(np.float32)}
 
 
 def row_of(samples: suite.Samples) -> Row:
