@@ -22,11 +22,11 @@ from tests.helpers.agents import (
     INTERSECTION,
     ROUNDABOUT,
     SEA,
+    WITHOUT_RULES,
     exaggerate,
     make_agent,
     plain_utility,
     recorded,
-    required,
     state,
 )
 from tests.helpers.toy_env import toy_worlds
@@ -45,10 +45,10 @@ def test_the_networks_have_the_sizes_of_the_paper(cls: type[ActorCritic]) -> Non
 
 def toy_agent(cls: type[ActorCritic], *spaces_of_env: spaces.Space[Any]) -> ActorCritic:
     env = toy_worlds(*spaces_of_env)
-    return cls(env.vector_env, plain_utility(env), **required(cls, env))
+    return cls(env.vector_env, plain_utility(env))
 
 
-@CLASSES
+@WITHOUT_RULES
 @pytest.mark.parametrize(
     "action_space",
     [
@@ -68,7 +68,7 @@ def test_eval_returns_actions_of_another_librarys_action_space(
         assert action_space.contains(agent.eval(np.full((2, 2), value, dtype=np.float32)))
 
 
-@CLASSES
+@WITHOUT_RULES
 def test_eval_accepts_observations_of_a_discrete_space(cls: type[ActorCritic]) -> None:
     agent = toy_agent(cls, spaces.Discrete(7), spaces.Discrete(9))
     exaggerate(agent)

@@ -25,6 +25,7 @@ SEA = "deep-sea-treasure-v0"
 MINECART = "minecart-v0"
 CONTINUOUS = {"action_type": "continuous"}
 
+WITHOUT_RULES = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO])
 CLASSES = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO, RulebookPPO])
 # Every algorithm in every form of its advantage.
 FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
@@ -62,15 +63,10 @@ def make_agent(
     made = make_env(env_id, num_envs, env)
     adapter = EnvAdapter(made)
     known = [utility or plain_utility(adapter)] if cls.known_utility else []
-    return cls(made, *known, seed=seed, **{**required(cls, adapter), **hyperparameters})
-
-
-def required(cls: Any, adapter: EnvAdapter) -> dict[str, Any]:
-    """Hyperparameters without which an agent of a class cannot be made."""
-    if cls is not RulebookPPO:
-        return {}
-    costs = np.flatnonzero(adapter.costs)[:2]
-    return {"rulebook": [{"objective": adapter.objectives[i], "at_most": 1e3} for i in costs]}
+    if cls is RulebookPPO:
+        rules = [{"objective": adapter.objectives[i], "at_most": 1e3} for i in np.flatnonzero(adapter.costs)[:2]]
+        hyperparameters = {"rulebook": rules, **hyperparameters}
+    return cls(made, *known, seed=seed, **hyperparameters)
 
 
 def state(agent: ActorCritic) -> dict[str, torch.Tensor]:
