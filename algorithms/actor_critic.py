@@ -310,8 +310,10 @@ class ActorCritic(Agent):
         for learner in self.learners:
             actions = learner.actor.act(inputs[:, learner.vehicles], generator).cpu().numpy()
             chosen |= {v: actions[:, j] for j, v in enumerate(learner.vehicles)}
-        first = next(iter(chosen.values()))
-        return np.stack([chosen.get(v, np.zeros_like(first)) for v in range(self.env.vehicles)], axis=1)
+        if len(chosen) < self.env.vehicles:  # without partners
+            idle = np.zeros_like(next(iter(chosen.values())))
+            chosen = {v: chosen.get(v, idle) for v in range(self.env.vehicles)}
+        return np.stack([chosen[v] for v in sorted(chosen)], axis=1)
 
     def without_partners(self) -> Self:
         """The same policies without partners, whose vehicles get actions of zeros: for others to drive these."""

@@ -144,7 +144,7 @@ class Scoreboard:
         return {learner: Difference(mean, p) for (learner, mean), p in zip(means.items(), corrected, strict=True)}
 
     def best(self, task: str) -> list[str]:
-        """The learner with the highest mean on a task, and those that are not told apart from it."""
+        """The learner with the highest mean on a task, and those that it is not clearly ahead of."""
         scores = self.scores(task)
         if not scores:
             return []
