@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 
 import pytest
@@ -101,6 +102,15 @@ def test_the_reference_has_every_module_once() -> None:
             parts = path.relative_to(REPOSITORY).with_suffix("").parts
             expected.add(".".join(part for part in parts if part != "__init__"))
     assert sorted(named) == sorted(name for name in expected if not name.endswith("__main__"))
+
+
+def test_the_names_that_are_met_first_exist_where_the_reference_says() -> None:
+    index = reference.pages()["reference/index.md"]
+    for name, source in (each for names in reference.FIRST_NAMES.values() for each in names):
+        last = name.rpartition(".")[2]
+        assert f"| {{py:obj}}`{last} <{name}>` | `{source}` | {reference.summary_of(name)} |" in index
+        if source not in ("mo_deepdrive.envs.rllib", "mo_deepdrive.envs.sb3"):  # which need extras
+            assert callable(getattr(importlib.import_module(source), last))
 
 
 def test_the_reference_has_every_public_constant() -> None:

@@ -16,6 +16,46 @@ if TYPE_CHECKING:
 
 PACKAGES = ("mo_deepdrive", "algorithms")
 LONGEST_VALUE = 60  # letters
+# What most programs need, by purpose: where a name is defined, and from where it is imported.
+FIRST_NAMES: dict[str, tuple[tuple[str, str], ...]] = {
+    "Environments": (
+        ("mo_deepdrive.parallel_env", "mo_deepdrive"),
+        ("mo_deepdrive.env", "mo_deepdrive"),
+        ("mo_deepdrive.envs.single.DrivingEnv", "mo_deepdrive.envs.single"),
+        ("mo_deepdrive.envs.vector.DrivingVectorEnv", "mo_deepdrive.envs.vector"),
+        ("mo_deepdrive.envs.rllib.DrivingMultiAgentEnv", "mo_deepdrive.envs.rllib"),
+        ("mo_deepdrive.envs.sb3.SB3VecEnv", "mo_deepdrive.envs.sb3"),
+        ("mo_deepdrive.world.config.EnvConfig", "mo_deepdrive.world.config"),
+    ),
+    "Wrappers": (
+        ("mo_deepdrive.wrappers.UtilityReward", "mo_deepdrive.wrappers"),
+        ("mo_deepdrive.wrappers.VectorUtilityReward", "mo_deepdrive.wrappers"),
+        ("mo_deepdrive.wrappers.ParallelUtilityReward", "mo_deepdrive.wrappers"),
+        ("mo_deepdrive.wrappers.ScaledObservation", "mo_deepdrive.wrappers"),
+        ("mo_deepdrive.wrappers.VectorEpisodeStatistics", "mo_deepdrive.wrappers"),
+    ),
+    "Utilities, scores and fronts": (
+        ("mo_deepdrive.utilities.make_utility", "mo_deepdrive.utilities"),
+        ("mo_deepdrive.evaluation.episodes.evaluate", "mo_deepdrive.evaluation"),
+        ("mo_deepdrive.evaluation.evaluation.Evaluation", "mo_deepdrive.evaluation"),
+        ("mo_deepdrive.suite.scoring.score", "mo_deepdrive.suite"),
+        ("mo_deepdrive.suite.tasks.load", "mo_deepdrive.suite"),
+        ("mo_deepdrive.fronts.reference_fronts.reference_front", "mo_deepdrive"),
+        ("mo_deepdrive.fronts.reference_fronts.reference_point", "mo_deepdrive"),
+    ),
+    "Learners": (
+        ("algorithms.mo_ppo.MOPPO", "mo_deepdrive.learners"),
+        ("algorithms.conditioned_mo_ppo.ConditionedMOPPO", "mo_deepdrive.learners"),
+        ("algorithms.pcn.PCN", "mo_deepdrive.learners"),
+        ("mo_deepdrive.evaluation.env_adapter.make_env", "mo_deepdrive.evaluation.env_adapter"),
+        ("algorithms.runs.build.load_policy", "mo_deepdrive.learners.runs.build"),
+    ),
+    "Extensions": (
+        ("mo_deepdrive.world.objectives.register_objective", "mo_deepdrive"),
+        ("mo_deepdrive.world.scenarios.register_scenario", "mo_deepdrive"),
+        ("algorithms.agent.Agent", "mo_deepdrive.learners"),
+    ),
+}
 
 
 @cache
@@ -88,7 +128,9 @@ def pages() -> dict[str, str]:
         grouped[name if _is_package(name) else name.rpartition(".")[0]].append(name)
     rows = [[f"[`{package}`]({package}.md)", summary(package)] for package in grouped]
     index = (
-        "# API reference\n\nEvery public module, class and function.\n\n"
+        "# API reference\n\nWhat most programs need:\n\n"
+        + first_names()
+        + "\n## Every module\n\n"
         + table(["package", "what it holds"], rows)
         + "\n```{toctree}\n:hidden:\n\n"
         + "\n".join(grouped)
@@ -112,6 +154,27 @@ def page(package: str, names: list[str]) -> str:
         if others := [each for each in exported(name) if each not in own]:
             parts.append("Also to be imported from here: " + ", ".join(f"{{py:obj}}`{each}`" for each in others) + ".")
     return "\n\n".join(parts) + "\n"
+
+
+def first_names() -> str:
+    """Tables of the names that are met first, with the first lines of their docstrings."""
+    parts = []
+    for purpose, names in FIRST_NAMES.items():
+        rows = [
+            [f"{{py:obj}}`{name.rpartition('.')[2]} <{name}>`", f"`{source}`", summary_of(name)]
+            for name, source in names
+        ]
+        parts.append(f"## {purpose}\n\n" + table(["name", "import from", "what it is"], rows))
+    return "\n".join(parts)
+
+
+def summary_of(name: str) -> str:
+    """The first line of the docstring of a public class or function."""
+    module, _, last = name.rpartition(".")
+    for node in modules()[module].body:
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name == last:
+            return as_markdown((ast.get_docstring(node) or "").partition("\n")[0])
+    raise KeyError(name)
 
 
 def summary(module: str) -> str:
