@@ -69,7 +69,7 @@ def open_results() -> sqlite3.Connection:
 def fill_suite(database: sqlite3.Connection, results: list[suite.Row], samples: suite.Samples) -> None:
     """Make the tables of the suite: its tasks with the best learner of each, and the texts on them."""
     board = Scoreboard(results, samples)
-    fields = ["title", "tests", "track", "core", "counted", "steps", "policy"]
+    fields = ["title", "tests", "formula", "track", "core", "counted", "steps", "policy"]
     tasks: list[list[Any]] = []
     pages: list[str] = []
     for name, task in suite.load().tasks.items():

@@ -1,9 +1,16 @@
 -- What the made tables of the documentation select from: views of the CSV files in this folder and of the suite's tasks.
 
-CREATE VIEW suite_list AS -- README and scoreboard: the tasks that count, and their best learners
+CREATE VIEW suite_list AS -- scoreboard: the tasks that count, and their best learners
 SELECT '`' || task || '`' AS task, title, tests AS "what it tests", printf('%g M', steps / 1e6) AS steps,
   best AS "best learner", score, core
 FROM suite_tasks WHERE counted;
+
+CREATE VIEW suite_core AS -- README: what the core tasks pay, between which bounds, and who is best
+SELECT '`' || task || '`' AS task, title, '`' || formula || '`' AS utility, printf('%g', floor) AS "floor (0)",
+  printf('%g', ceiling) AS "ceiling (1)", best AS "best, or tied for it", score,
+  (SELECT decimals(avg(cpu_seconds) / 60.0, 0) FROM (SELECT DISTINCT seed, cpu_seconds FROM suite
+    WHERE suite.task = t.task AND suite.learner = t.first AND cpu_seconds <> '')) AS "CPU minutes"
+FROM suite_tasks AS t WHERE counted AND core;
 
 CREATE VIEW suite_generalisation AS -- scoreboard: scores of the best learners where nobody has trained
 WITH scored AS (
@@ -15,19 +22,6 @@ SELECT '`' || task || '`' AS task, best AS learner,
   decimals(avg(CASE setting WHEN 'action_delay' THEN score END), 2) AS "delayed actions",
   decimals(avg(CASE setting WHEN 'hidden_car' THEN score END), 2) AS "a hidden car"
 FROM scored GROUP BY scored.task;
-
-CREATE VIEW speed AS -- README
-SELECT CASE WHEN measurement LIKE '%make_vec%'
-    THEN '`make_vec`, 1,024 environments of ' || substr(measurement, 1, instr(measurement, ',') - 1)
-  WHEN measurement LIKE '%mo_gymnasium.make' THEN '`mo_gymnasium.make`, OneWaypoint'
-  ELSE 'training with MO-PPO, 256 environments of OneWaypoint' END AS what,
-  printf('%,d', 1000 * cast(round(value / 1000.0) AS INTEGER)) AS "steps/s"
-FROM benchmark
-WHERE measurement IN ('OneWaypoint, make_vec, N = 1024, 1 thread', 'LeftTurn, make_vec, N = 1024, 1 thread',
-  'OneWaypoint, mo_gymnasium.make', 'mo_ppo training, 256 x 16, 1 thread')
-UNION ALL
-SELECT what || ', on an ' || device, "GPU, steps/s" FROM gpu_speed
-WHERE measurement IN ('make_vec-left-turn', 'left_turn/mo_ppo_linear');
 
 CREATE VIEW gpu_speed AS -- docs/gpu.md
 SELECT measurement, device, CASE
