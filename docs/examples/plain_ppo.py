@@ -1,4 +1,4 @@
-"""PPO (Schulman et al. 2017) in plain PyTorch, trained and scored by ``suite score plain_ppo.py --tasks K5``."""
+"""PPO (Schulman et al. 2017) in plain PyTorch, on a GPU if there is one: ``suite score plain_ppo.py --tasks K5``."""
 
 import gymnasium
 import torch
@@ -6,8 +6,8 @@ from torch import nn
 from torch.distributions import Categorical
 
 from mo_deepdrive import suite
-from mo_deepdrive.wrappers import VectorScaledObservation, VectorUtilityReward
 
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 ENVS, STEPS, EPOCHS, MINIBATCHES, CLIP = 512, 32, 4, 4, 0.2
 GAMMA, LAMBDA = 0.9995, 0.98  # an episode lasts hundreds of decisions
 ENTROPY = 0.03, 0.0003  # its coefficient at the start and at the end
@@ -18,7 +18,8 @@ WEIGHTS = {"distance": 0.3, "destination": 10, "collision": 20, "g_force": 0.03,
 
 def network(inputs, outputs):
     """Two hidden layers."""
-    return nn.Sequential(*(nn.Linear(inputs, 128), nn.ReLU(), nn.Linear(128, 64), nn.ReLU(), nn.Linear(64, outputs)))
+    layers = nn.Linear(inputs, 128), nn.ReLU(), nn.Linear(128, 64), nn.ReLU(), nn.Linear(64, outputs)
+    return nn.Sequential(*layers).to(DEVICE)
 
 
 class Policy:
@@ -27,24 +28,24 @@ class Policy:
     def __init__(self, task_id, seed=0, total_timesteps=None):
         task = suite.load().task(task_id)
         torch.manual_seed(seed)
-        settings = {"num_envs": ENVS, "autoreset_mode": "SameStep", **task.environment.arguments}
-        envs = VectorUtilityReward(gymnasium.make_vec(task.environment.id, **settings), "linear", weights=WEIGHTS)
-        envs = VectorScaledObservation(envs)
-        self.scales, inputs = envs.scales, envs.single_observation_space.shape[0]
-        self.actor, self.critic = network(inputs, int(envs.single_action_space.n)), network(inputs, 1)
+        settings = {"num_envs": ENVS, "autoreset_mode": "SameStep", "device": DEVICE, **task.environment.arguments}
+        envs = gymnasium.make_vec(task.environment.id, **settings)
+        weights = torch.tensor([WEIGHTS.get(name, 0.0) for name in envs.unwrapped.objectives], device=DEVICE)
+        self.scales = torch.tensor(envs.unwrapped.observation_scales, dtype=torch.float32, device=DEVICE)
+        inputs, actions = envs.single_observation_space.shape[0], int(envs.single_action_space.n)
+        self.actor, self.critic = network(inputs, actions), network(inputs, 1)
         self.optimiser = torch.optim.Adam([*self.actor.parameters(), *self.critic.parameters()])
-        observations, _ = envs.reset(seed=2**32 + ENVS * seed)  # scenarios of the train split
+        observations, _ = envs.reset(seed=seed)  # draws scenarios on the device, which are in no split
         updates = (total_timesteps or task.steps) // (ENVS * STEPS)
         for update in range(updates):
             self.optimiser.param_groups[0]["lr"] = 1e-3 * (1 - update / updates)
             steps = []
             for _ in range(STEPS):
-                actions = self.act(torch.as_tensor(observations))
-                before = observations
-                observations, rewards, terminated, truncated, infos = envs.step(actions.numpy())
-                after = infos.get("final_obs", observations)  # of this episode, not of the next one
-                arrays = before, after, rewards, terminated, terminated | truncated
-                steps.append([actions, *map(torch.as_tensor, arrays)])
+                x = observations / self.scales
+                actions = self.act(x)
+                observations, rewards, terminated, truncated, infos = envs.step(actions)
+                after = infos["final_obs"] / self.scales  # of this episode, not of the next one
+                steps.append((actions, x, after, rewards @ weights, terminated, terminated | truncated))
             entropy_cost = ENTROPY[0] * (ENTROPY[1] / ENTROPY[0]) ** (update / updates)
             self.learn(*map(torch.stack, zip(*steps, strict=True)), entropy_cost)
 
@@ -59,7 +60,7 @@ class Policy:
             log_old = Categorical(logits=self.actor(x)).log_prob(actions)
             values, next_values = (RETURN_SCALE * self.critic(each).squeeze(-1) for each in (x, after))
         # A time limit does not end the task, so the value of what would follow counts.
-        deltas = rewards.float() + GAMMA * next_values * ~terminated - values
+        deltas = rewards + GAMMA * next_values * ~terminated - values
         advantages = torch.zeros_like(deltas)
         for t in reversed(range(STEPS)):
             following = advantages[t + 1] if t + 1 < STEPS else 0.0
@@ -67,7 +68,8 @@ class Policy:
         targets = (values + advantages) / RETURN_SCALE
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         samples = [each.flatten(0, 1) for each in (x, actions, log_old, advantages, targets)]
-        for rows in (rows for _ in range(EPOCHS) for rows in torch.randperm(ENVS * STEPS).chunk(MINIBATCHES)):
+        order = [torch.randperm(ENVS * STEPS, device=DEVICE) for _ in range(EPOCHS)]
+        for rows in (rows for epoch in order for rows in epoch.chunk(MINIBATCHES)):
             x, actions, log_old, advantages, targets = (each[rows] for each in samples)
             policy = Categorical(logits=self.actor(x))
             ratio = (policy.log_prob(actions) - log_old).exp()
@@ -81,4 +83,4 @@ class Policy:
 
     def __call__(self, observations, _accrued, _discounts):
         """Actions (N,) for observations (N, o) of the environment."""
-        return self.act(torch.as_tensor(observations / self.scales)).numpy()
+        return self.act(torch.as_tensor(observations, device=DEVICE) / self.scales).cpu().numpy()
