@@ -57,7 +57,7 @@ def suite_score(options: Options) -> int:
     """Score policies."""
     from algorithms.reporting.tables import print_rows
     from algorithms.runs.progress import compilation_noted
-    from algorithms.runs.suite_entries import open_entry
+    from algorithms.runs.suite_entries import is_own_code, open_entry
     from algorithms.studies.plan import selected_tasks
     from mo_deepdrive import suite
     from mo_deepdrive.evaluation.statistics import Estimate
@@ -66,6 +66,9 @@ def suite_score(options: Options) -> int:
     check_at_least(options, 1, "episodes")
     wanted = selected_tasks(options.tasks or ())
     entries = [open_entry(source, trust=options.trust) for source in options.policies]
+    if options.learner:
+        seeds = [k if is_own_code(entry.source) else entry.seed for k, entry in enumerate(entries)]
+        entries = [entry._replace(learner=options.learner, seed=k) for entry, k in zip(entries, seeds, strict=True)]
     pairs = [(entry, task_id) for entry in entries for task_id in (wanted or entry.tasks or selected_tasks([ALL]))]
     runs = Counter((task_id, entry.learner, entry.seed) for entry, task_id in pairs)
     if options.output and (twice := [run for run, count in runs.items() if count > 1]):
@@ -204,6 +207,7 @@ SCORE_OPTIONS = (
     many("--tasks", "TASK", f"their ids, {CORE}, or {ALL} that count (default: those of a run; {ALL} for others)"),
     option("--episodes", "N", "instead of those of a task", type=int),
     flag("--no-perturbations", "leave out the columns of generalisation"),
+    option("--learner", "NAME", "label of all, of which functions and classes are the seeds 0, 1, 2 ..."),
     option("--output", "CSV", "also write the rows, from which suite verify reads them"),
     TRUST,
 )

@@ -23,7 +23,7 @@ from tests.helpers.script_runs import Call, interrupt, refused
 from tests.helpers.short_runs import assert_same_run
 
 EXAMPLES = REPOSITORY / "docs" / "examples"
-MODULES = ("reinforce", "kl_penalty", "commute", "constants", "plain_ppo")
+MODULES = ("reinforce", "kl_penalty", "slope", "commute", "constants", "plain_ppo", "pettingzoo_ppo")
 
 
 @pytest.fixture(autouse=True)
@@ -82,6 +82,21 @@ def test_ppo_in_plain_pytorch_trains_and_returns_a_policy(monkeypatch: pytest.Mo
     assert not np.array_equal(returns(0), returns(1))
 
 
+@pytest.mark.slow
+def test_two_vehicles_learn_in_plain_pytorch_through_pettingzoo(monkeypatch: pytest.MonkeyPatch) -> None:
+    pettingzoo_ppo = importlib.import_module("pettingzoo_ppo")
+    monkeypatch.setattr(pettingzoo_ppo, "EPISODES", 2)
+
+    def weights(updates: int, seed: int = 0) -> Any:
+        *_, (learners, utilities, arrivals) = pettingzoo_ppo.train(updates, seed)
+        assert utilities.keys() == arrivals.keys() == {"vehicle_0", "vehicle_1"}
+        return [tensor for learner in learners.values() for tensor in learner.actor.parameters()]
+
+    first = weights(1)
+    assert all(map(torch.equal, first, weights(1)))
+    assert not any(map(torch.equal, first, weights(1, seed=1)))
+
+
 def test_the_keys_of_an_own_algorithm_are_listed_with_their_descriptions(folder: Path, call: Call) -> None:
     code, out, _ = call("keys", "--algorithm", "reinforce:REINFORCE")
     assert code == 0
@@ -103,7 +118,7 @@ def test_the_commands_of_the_tutorial_train_resume_evaluate_sweep_and_plot_an_ow
     (folder / "reinforce_sweep.yaml").write_text(yaml.safe_dump({**sweep, "seeds": 2}))
     printed = []
     for program, name, *words in documented_commands("docs/own_algorithm.md"):
-        if name == "suite" or "--algorithm.name=kl_penalty:KLPenalty" in words:
+        if name == "suite":
             continue
         code, out, error = call(name, *words)
         assert (program, code, error) == ("mo-deepdrive", 0, ""), out + error
@@ -120,12 +135,17 @@ def test_the_commands_of_the_tutorial_train_resume_evaluate_sweep_and_plot_an_ow
     assert figure.name in printed[5]
 
 
+OWN = [words[1:] for words in documented_commands("docs/change_algorithm.md") if "--config" in words]
+
+
 @pytest.mark.slow
-def test_an_own_loss_trains_with_several_seeds_and_becomes_onnx(folder: Path, call: Call) -> None:
+@pytest.mark.parametrize("command", OWN, ids=lambda command: command[-1])
+def test_an_own_advantage_or_loss_trains_with_several_seeds_and_becomes_onnx(
+    folder: Path, call: Call, command: list[str]
+) -> None:
     sections = {name: SHORT[name] for name in ("training", "evaluation", "logging")}
     options = [f"--{name}.{key}={value}" for name, values in sections.items() for key, value in values.items()]
-    command = next(words for words in documented_commands("docs/own_algorithm.md") if "--config" in words)
-    code, out, error = call(*command[1:], *options, "--training.seeds=[3, 4]", "--output", "runs")
+    code, out, error = call(*command, *options, "--training.seeds=[3, 4]", "--output", "runs")
     assert code == 0, out + error
     weights = [load_file(folder / "runs" / f"seed-{seed}" / "checkpoint.safetensors") for seed in (3, 4)]
     assert not torch.equal(*(each["vehicle_0.actor.body.0.weight"] for each in weights))

@@ -188,6 +188,11 @@ def test_a_policy_file_is_scored_and_verified_and_a_false_claim_noticed(
     assert run("suite", verify) == 1
     assert "policy.py on K4, score (stochastic), test split: its value = 0.5, found 0.0" in capsys.readouterr().out
 
+    (tmp_path / "policy.py").write_text(f"{STILL}\nagain = policy\n")
+    assert run("suite", [command[0], "policy.py:policy", "policy.py:again", "--learner", "mine", *command[2:]]) == 0
+    assert [*suite.read_samples(tmp_path / "scores.csv")] == [("K4", "mine", 0), ("K4", "mine", 1)]
+    assert run("suite", verify) == 0
+
 
 @pytest.mark.slow
 def test_the_samples_of_a_run_s_score_are_kept_and_collected_for_the_table_of_its_study(tmp_path: Path) -> None:
