@@ -115,7 +115,8 @@ def test_the_tutorials_include_the_files_of_their_examples() -> None:
         names = re.findall(r"^```\{literalinclude\} (\S+)$", text, flags=re.MULTILINE)
         shown |= {((REPOSITORY / document).parent / name).resolve() for name in names}
     examples = REPOSITORY / "docs" / "examples"
-    assert {examples / name for name in ("reinforce.py", "slope.py", "pettingzoo_ppo.py", "effort.py", "two_bicycles.py", "merge.py")} <= shown
+    files = ("reinforce", "slope", "plain_ppo", "pettingzoo_ppo", "effort", "two_bicycles", "merge")
+    assert {examples / f"{name}.py" for name in files} <= shown
     assert all(path.is_file() for path in shown)
 
 
