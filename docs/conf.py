@@ -76,11 +76,6 @@ html_title = "MO-DeepDrive"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
-html_theme_options = {
-    "source_repository": "https://github.com/mo-deepdrive/mo-deepdrive/",
-    "source_branch": "main",
-    "source_directory": "docs/",
-}
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 

@@ -46,16 +46,16 @@ warnings.filterwarnings("ignore", "(?s).*The environment mo-deepdrive-.* is out 
 
 
 def __getattr__(name: str) -> Any:
-    """Import ``reference_front``, ``reference_point`` and the module ``parallel_v0`` when they are first used."""
-    if name == "parallel_v0":
-        return importlib.import_module("mo_deepdrive.parallel_v0")
+    """Import ``reference_front``, ``reference_point`` and the module ``parallel_v1`` when they are first used."""
+    if name == "parallel_v1":
+        return importlib.import_module("mo_deepdrive.parallel_v1")
     if name in ("reference_front", "reference_point"):
         return getattr(importlib.import_module("mo_deepdrive.fronts.reference_fronts"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def parallel_env(**kwargs: Any) -> DrivingParallelEnv:
-    """The PettingZoo parallel environment with vector rewards.
+    """The PettingZoo parallel environment with vector rewards, in the newest version of the scenario.
 
     Args:
         **kwargs: arguments of :class:`mo_deepdrive.envs.parallel.DrivingParallelEnv`: ``scenario`` (default:
@@ -72,7 +72,7 @@ def env(**kwargs: Any) -> AECEnv:
         **kwargs: the arguments of :func:`parallel_env`.
 
     Raises:
-        ImportError: if MOMAland is not installed (``pip install "mo-deepdrive[momaland]"``).
+        ImportError: if MOMAland is not installed (extra ``momaland``).
     """
     from mo_deepdrive.envs.parallel import aec_env
 

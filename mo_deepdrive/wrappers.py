@@ -29,7 +29,7 @@ class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
     Everything else is unchanged. It wraps any Gymnasium environment with vector rewards, of this package or of
     MO-Gymnasium (:class:`VectorUtilityReward` wraps vector environments)::
 
-        env = UtilityReward(mo_gymnasium.make("mo-deepdrive-one-waypoint-v0"), "one_waypoint_linear")
+        env = UtilityReward(mo_gymnasium.make("mo-deepdrive-one-waypoint-v1"), "one_waypoint_linear")
 
     With a linear utility the sum of the utilities is the utility of the sum, so both values of ``of`` give the same
     problem. With any other utility they differ:
@@ -93,7 +93,7 @@ class VectorUtilityReward(VectorWrapper):  # not generic in Gymnasium 1.2
     The vectors are ``infos["vector_reward"]``; everything else is unchanged. It wraps any vector environment with
     vector rewards, of this package or of MO-Gymnasium::
 
-        envs = VectorUtilityReward(gymnasium.make_vec("mo-deepdrive-left-turn-v0", num_envs=16), "left_turn_linear")
+        envs = VectorUtilityReward(gymnasium.make_vec("mo-deepdrive-left-turn-v1", num_envs=16), "left_turn_linear")
 
     With two vehicles rewards are (N, 2), each by the vehicle's own rewards. A vehicle that has ended, and an
     environment that is only reset (NEXT_STEP), have the reward 0. The accrued reward starts anew with every episode,

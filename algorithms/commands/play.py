@@ -1,8 +1,8 @@
 """Drive in a window or a browser: alone, as two people at one keyboard, or among trained policies or scripted drivers.
 
-    mo-deepdrive play --env mo-deepdrive-one-waypoint-v0
-    mo-deepdrive play --env mo-deepdrive-intersection-v0
-    mo-deepdrive play --env mo-deepdrive-intersection-v0 --against RUN --vehicle 1 --record drive.mp4
+    mo-deepdrive play --env mo-deepdrive-one-waypoint-v1
+    mo-deepdrive play --env mo-deepdrive-intersection-v1
+    mo-deepdrive play --env mo-deepdrive-intersection-v1 --against RUN --vehicle 1 --record drive.mp4
     mo-deepdrive play --env mo-deepdrive-roundabout-v0 --against rule:balanced
     mo-deepdrive play --web
 

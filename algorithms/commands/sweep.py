@@ -95,7 +95,7 @@ def check_options(options: Options) -> None:
             raise ValueError(f"--{name.replace('_', '-')} is for --on {' and '.join(backends)}, not {options.on}")
     module = {"ray": "ray", "slurm": "submitit"}.get(options.on)
     if module is not None and find_spec(module) is None:
-        raise ValueError(f"--on {options.on} needs {module}: pip install 'mo-deepdrive[sweep]'")
+        raise ValueError(f"--on {options.on} needs {module}: pip install --editable '.[sweep]'")
 
 
 def directory_of(options: Options, folder: str) -> Path:

@@ -2,7 +2,7 @@
 
 :data:`PEERS` lists them. The adapter of a peer trains it on :class:`algorithms.peers.peer_task.PeerEnv` and returns
 :class:`algorithms.peers.peer_task.PeerPolicies`; :mod:`algorithms.peers.running` makes it a run like those of our own
-algorithms. The libraries are only imported when a peer is trained: ``pip install "mo-deepdrive[peers]"``.
+algorithms. The libraries are only imported when a peer is trained: ``pip install --editable ".[peers]"``.
 """
 
 from __future__ import annotations

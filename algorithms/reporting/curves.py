@@ -270,13 +270,22 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
         axis.set_ylim(-0.03, 1.03)
         axis.yaxis.set_major_formatter(PercentFormatter(1.0))
     elif drawn:
-        settled, means = (np.concatenate([parts[i] for parts in drawn]) for i in (0, 1))
-        limits = _limits(panel.names[-1], settled, 0.25)
-        if np.ptp(means) < CUT_RATIO * (limits[1] - limits[0]):
-            limits = _limits(panel.names[-1], np.concatenate([part for parts in drawn for part in parts[1:]]), 0.05)
-        else:
-            axis.set_title(f"{panel.title} (start cut off)")
-        axis.set_ylim(*limits)
+        cut = limit_axis(axis, panel.names[-1], drawn)
+        axis.set_title(f"{panel.title} (start cut off)" if cut else panel.title)
+
+
+def limit_axis(axis: Axes, name: str, drawn: Sequence[tuple[NDArray[Any], ...]]) -> bool:
+    """Set the limits of an axis to curves of a metric; whether their start is cut off, which would flatten the rest.
+
+    Of each curve there are the means after its start, all means, and the ends of their intervals.
+    """
+    settled, means = (np.concatenate([parts[i] for parts in drawn]) for i in (0, 1))
+    limits = _limits(name, settled, 0.25)
+    cut = bool(np.ptp(means) >= CUT_RATIO * (limits[1] - limits[0]))
+    if not cut:
+        limits = _limits(name, np.concatenate([part for parts in drawn for part in parts[1:]]), 0.05)
+    axis.set_ylim(*limits)
+    return cut
 
 
 def _limits(name: str, values: NDArray[Any], pad: float) -> tuple[float, float]:

@@ -384,7 +384,7 @@ def check_effects(experiment: Experiment, keys: Iterable[str], why: str) -> None
 def check_loggers(experiment: Experiment) -> None:
     """Refuse to train with a logger that is not installed; runs that had one can be evaluated without it."""
     if experiment.logging.wandb is not None and importlib.util.find_spec("wandb") is None:
-        raise ValueError(f"logging.wandb needs wandb: pip install 'mo-deepdrive[{EXTRAS['wandb']}]'")
+        raise ValueError(f"logging.wandb needs wandb: pip install --editable '.[{EXTRAS['wandb']}]'")
 
 
 # --------------------------------------------------------------------------------------------------------- named things

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
-from algorithms.reporting.curves import curve
+from algorithms.reporting.curves import SETTLED, curve, limit_axis
 from algorithms.reporting.page.plots import draw_front
-from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
+from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround
 from algorithms.reporting.tables import markdown, print_rows
 from algorithms.runs.config import CONFIGS
 from algorithms.runs.interrupts import never_fatal
@@ -69,6 +69,7 @@ CURVE_FIGURES = {
 }
 # Drawn from a front by algorithms.reporting.page.plots, as the figure with this name.
 FRONT_FIGURES = {7: "importance", 10: "reduction"}
+PROTOCOLS = {"best": ", best effort", "printed": ", as printed"}  # by the end of a front's folder
 MIN_WIDTH = 8.4  # inches, for the title and the note below it
 
 
@@ -109,49 +110,60 @@ def _draw_curves(number: int, results: PaperResults, path: Path) -> list[Path]:
                 panel = panels.get((protocol, task))
                 axis.set_visible(panel is not None)
                 if panel is not None:
-                    _draw_panel(axis, panel, f"{STOCHASTIC}/{metric}")
+                    _draw_panel(axis, panel, metric)
         for axis in axes[-1]:
             axis.set_xlabel("environment steps")
         for axis in axes[:, 0]:
             axis.set_ylabel(metrics.title_of(UTILITY_ESR))
         seeds = sorted({len(panel.learning_curves(name)) for panel in panels.values() for name in LABELS})
         count = " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
-        note = f"{STOCHASTIC} policy on unseen scenarios; thin: each of {count} seeds; thick: mean"
+        note = f"{STOCHASTIC} policy; thin: each of {count} seeds; thick: mean"
         enough = seeds[-1] >= MIN_SAMPLES
         note += " with 95% bootstrap interval" if enough else f", too few for an interval (n = {count})"
-        handles = [Line2D([], [], color=ALGORITHM_COLOURS[key], linewidth=2.4, label=LABELS[key]) for key in LABELS]
-        surround(figure, f"Figure {number}. {title}", [note], handles)
+        final = "lines: the few scenarios of evaluations during training; "
+        final += "diamonds: means of the final scores, on the many other scenarios of the tables"
+        names = {key: dict.fromkeys(_short(panel.labels[key]) for panel in panels.values()) for key in LABELS}
+        handles = [
+            Line2D([], [], color=ALGORITHM_COLOURS[key], linewidth=2.4, label=" or ".join(names[key])) for key in LABELS
+        ]
+        surround(figure, f"Figure {number}. {title}", [note, final], handles)
         save_figure(figure, path)
     return [path]
 
 
-def _draw_panel(axis: Axes, results: TaskResults, metric: str) -> None:
-    """Draw the mean over seeds with its interval, and every seed as a thin line."""
-    settled = []  # of the second half of training
+def _short(label: str) -> str:
+    """ "PPO" of the label "A2C, clipped (PPO)"."""
+    return label.rpartition("(")[2].removesuffix(")")
+
+
+def _draw_panel(axis: Axes, results: TaskResults, score: str) -> None:
+    """Draw the mean over seeds with its interval, every seed as a thin line, and the mean of the final scores."""
+    metric, drawn = f"{STOCHASTIC}/{score}", []
     for learner in LABELS:
         colour, runs = ALGORITHM_COLOURS[learner], results.learning_curves(learner)
         for run in (run for run in runs if metric in run):
             axis.plot(run[STEP], run[metric], color=colour, linewidth=0.6, alpha=0.45, zorder=2)
-            settled.append(run[metric][-max(1, len(run[metric]) // 2) :])
         averaged = curve(runs, metric)
         if averaged is None:
             continue
         steps, mean, low, high = averaged
+        final = np.array([*results.by_seed(learner, score).values()])
+        if len(final):
+            mark = {"markersize": 7, "markeredgecolor": "white", "clip_on": False, "zorder": 5}
+            axis.plot(steps[-1], final.mean(), "D", color=colour, **mark)
+        settled = np.append(mean[steps >= SETTLED * steps.max()], final.mean() if len(final) else [])
+        drawn.append((settled, mean, low, high, np.atleast_1d(final.mean()) if len(final) else mean))
         axis.plot(steps, mean, color=colour, linewidth=2.1, zorder=4)
         if np.isfinite(low).all():
             axis.fill_between(steps, low, high, color=colour, alpha=0.17, linewidth=0, zorder=3)
-    if settled:  # values far below these would flatten the curves, and are cut off
-        values = np.concatenate(settled)
-        low, high = np.nanquantile(values, [0.1, 1.0])
-        reach = 0.5 * (high - low)
-        bottom, top = axis.get_ylim()
-        limits = max(bottom, low - reach), min(top, high + 0.2 * reach)
-        axis.set_ylim(*widened(*limits, float(np.nanmax(np.abs(values)))))
+    cut = bool(drawn) and limit_axis(axis, metric, drawn)
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(6))
     axis.margins(x=0.015)
-    axis.set_title(f"{results.titles[0].rpartition(', ')[2].capitalize()}\n{results.titles[1]}", fontsize=9.5)
+    utility, protocol = results.titles[0].rpartition(", ")[2].capitalize(), results.titles[1]
+    names = " and ".join(_short(results.labels[learner]) for learner in LABELS)
+    axis.set_title(f"{utility}{' (start cut off)' if cut else ''}\n{protocol}: {names}", fontsize=9.5)
 
 
 def _draw_fronts(number: int, path: Path) -> list[Path]:
@@ -160,7 +172,8 @@ def _draw_fronts(number: int, path: Path) -> list[Path]:
     for folder in sorted(path.parent.glob("front_*/")):
         paths.append(path.with_stem(f"{path.stem}_{folder.name.removeprefix('front_')}"))
         with tempfile.TemporaryDirectory() as scratch:
-            draw_front(Front.read(folder), scratch, title=f"Figure {number}. PCN on OneWaypoint")
+            protocol = PROTOCOLS.get(paths[-1].stem.rpartition("_")[2], "")
+            draw_front(Front.read(folder), scratch, title=f"Figure {number}. PCN on OneWaypoint{protocol}")
             atomic_write(paths[-1], (Path(scratch) / f"{FRONT_FIGURES[number]}.png").read_bytes())
     return paths
 

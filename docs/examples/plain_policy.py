@@ -13,7 +13,7 @@ def drive(observations, _accrued, _discounts):
 
     Args:
         observations: (N, 15).
-        _accrued: (N, 4) accrued reward: distance, destination, g-force and jerk.
+        _accrued: (N, 5) accrued reward: distance, destination, g-force, jerk and time.
         _discounts: (N,) gamma^t.
 
     Returns:
@@ -28,7 +28,7 @@ def main(episodes=1000):
     """Evaluate, and print the metrics with their 95% intervals."""
     evaluation = evaluate(
         drive,
-        "mo-deepdrive-one-waypoint-v0",
+        "mo-deepdrive-one-waypoint-v1",
         split="test",
         episodes=episodes,
         utility="one_waypoint_linear",

@@ -4,6 +4,7 @@ import csv
 import time
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import torch
 from ray.rllib.algorithms.ppo import PPOConfig
@@ -22,7 +23,7 @@ from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.world.observation import scales
 from mo_deepdrive.world.scenarios import SCENARIOS
 
-ENV_ID, UTILITY = "mo-deepdrive-intersection-v0", "intersection_linear"
+ENV_ID, UTILITY = "mo-deepdrive-intersection-v1", "intersection_linear"
 VEHICLES = ("vehicle_0", "vehicle_1")
 WORLDS, DECISIONS = 256, 32  # in parallel, and of each between two updates
 VALUE_SCALE = 10.0  # nominal size of a return
@@ -60,7 +61,7 @@ class GrowingCosts(ConnectorV2):
 
     def __init__(self, observation_space=None, action_space=None, *, until):
         super().__init__(observation_space, action_space)
-        objectives = SCENARIOS["intersection"].objectives
+        objectives = gymnasium.spec(ENV_ID).kwargs["objectives"]
         self.utility = make_utility(UTILITY, objectives)
         self.is_cost = np.array([OBJECTIVES[INDEX[name]].sign < 0 for name in objectives])
         self.until = until

@@ -15,7 +15,7 @@ from mo_deepdrive.world.observation import scales
 from mo_deepdrive.world.scenarios import SCENARIOS
 from mo_deepdrive.wrappers import UtilityReward
 
-ENV_ID, UTILITY = "mo-deepdrive-one-waypoint-v0", "one_waypoint_linear"
+ENV_ID, UTILITY = "mo-deepdrive-one-waypoint-v1", "one_waypoint_linear"
 SCALE = 1 / torch.as_tensor(scales(SCENARIOS["one_waypoint"]), dtype=torch.float32)  # nominal magnitudes
 
 

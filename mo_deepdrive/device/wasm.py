@@ -133,7 +133,7 @@ def find_linker() -> list[str]:
             return [path]
     if find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "wasm-ld"]
-    raise OSError("a WebAssembly module is linked by wasm-ld: install Debian's lld, or pip install 'mo-deepdrive[web]'")
+    raise OSError("a WebAssembly module is linked by wasm-ld: install Debian's lld, or pip install --editable '.[web]'")
 
 
 def describe(config: EnvConfig, env_id: str, arguments: Mapping[str, Any]) -> dict[str, Any]:

@@ -44,8 +44,8 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
 
     ## Version History
 
-    As of the Gymnasium environments. Without arguments it is v0; those of v1 are
-    ``gymnasium.spec("mo-deepdrive-intersection-v1").kwargs``.
+    As of the Gymnasium environments. The default is the newest version; the arguments of an earlier one are
+    ``gymnasium.spec("mo-deepdrive-intersection-v0").kwargs``.
 
     Args:
         scenario: "intersection", or any other scenario.
@@ -72,7 +72,7 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
 
     metadata: dict[str, Any] = {
         **World.metadata,
-        "name": "mo_deepdrive_v0",
+        "name": "mo_deepdrive_v1",
         "is_parallelizable": True,
         "central_observation": True,
     }
@@ -86,10 +86,11 @@ class DrivingParallelEnv(World, ParallelEnv[str, Array, Any]):  # type: ignore[m
     ):
         if not isinstance(keep_finished, (bool, np.bool_)):
             raise ValueError(f"keep_finished = {keep_finished!r} must be True or False")
-        config = parse_arguments(scenario, {**VERSIONS.get(str(scenario), {"v0": {}})["v0"], **options})
+        version, newest = list(VERSIONS.get(str(scenario), {"v0": {}}).items())[-1]
+        config = parse_arguments(scenario, {**newest, **options})
         super().__init__(config, render_mode)
         self.keep_finished = bool(keep_finished)
-        self.metadata["name"] = f"mo_deepdrive_{scenario}_v0"
+        self.metadata["name"] = f"mo_deepdrive_{scenario}_{version}"
         vehicles = self.batch.scenario.vehicles
         self.possible_agents = [f"vehicle_{v}" for v in range(vehicles)]
         self.agents: list[str] = []

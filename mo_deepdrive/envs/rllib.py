@@ -1,6 +1,6 @@
 """The RLlib environment (new API stack): the parallel environment with scalar rewards, by a utility.
 
-It needs Ray, which nothing else in the package imports: ``pip install "mo-deepdrive[rllib]"``.
+It needs Ray, which nothing else in the package imports: ``pip install --editable ".[rllib]"``.
 """
 
 from __future__ import annotations

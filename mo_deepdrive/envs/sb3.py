@@ -1,6 +1,6 @@
 """A vector environment as Stable-Baselines3 takes it.
 
-It needs Stable-Baselines3, which nothing else in the package imports: ``pip install "mo-deepdrive[sb3]"``.
+It needs Stable-Baselines3, which nothing else in the package imports: ``pip install --editable ".[sb3]"``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Trajectories of a policy as a Minari data set, with vector rewards.
 
-It needs Minari, which nothing else in the package imports: ``pip install "mo-deepdrive[minari]"``.
+It needs Minari, which nothing else in the package imports: ``pip install --editable ".[minari]"``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ try:
     import PIL  # noqa: F401
     from minari.data_collector import EpisodeBuffer
 except ImportError as error:
-    raise ImportError('recording a data set needs Minari: pip install "mo-deepdrive[minari]"') from error
+    raise ImportError('recording a data set needs Minari: pip install --editable ".[minari]"') from error
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -42,7 +42,7 @@ class MissingExtraError(ImportError):
 def needed_for(what: str, extra: str | None = None) -> Iterator[None]:
     """In this context, a package that cannot be imported is reported with the extra that brings it.
 
-    Such as "training needs torch: pip install 'mo-deepdrive[train]'", where "training" is ``what`` needs it; packages
+    Such as "training needs torch: pip install --editable '.[train]'", where "training" is ``what`` needs it; packages
     that no extra brings keep their own error.
     """
     try:
@@ -52,5 +52,5 @@ def needed_for(what: str, extra: str | None = None) -> Iterator[None]:
         extra = extra or EXTRAS.get(package)
         if extra is None:
             raise
-        message = f"{what} needs {package}: pip install 'mo-deepdrive[{extra}]'"
+        message = f"{what} needs {package}: pip install --editable '.[{extra}]'"
         raise MissingExtraError(message, name=error.name) from error

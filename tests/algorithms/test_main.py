@@ -68,7 +68,7 @@ def test_a_command_whose_package_is_not_installed_is_refused_in_one_line(
     monkeypatch.setitem(sys.modules, "rich.box", None)
     monkeypatch.delitem(sys.modules, "algorithms.reporting.tables", raising=False)  # imported before
     assert called(monkeypatch, "zoo") == 2
-    assert capsys.readouterr().err == "error: mo-deepdrive zoo needs rich: pip install 'mo-deepdrive[train]'\n"
+    assert capsys.readouterr().err == "error: mo-deepdrive zoo needs rich: pip install --editable '.[train]'\n"
 
 
 SWEEP = """

@@ -32,7 +32,7 @@ from tests.helpers.sweep_files import (
     write_sweep,
 )
 
-pytest.importorskip("ray.tune", reason="Ray is not installed: pip install 'mo-deepdrive[sweep]'")
+pytest.importorskip("ray.tune", reason="Ray is not installed: pip install --editable '.[sweep]'")
 
 
 def processes(title: str) -> list[int]:

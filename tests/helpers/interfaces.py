@@ -268,10 +268,15 @@ def replay_turn_based(recording: RecordedEpisodes) -> list[EpisodeReports]:
     return episodes
 
 
+def v0(scenario: str = "intersection") -> dict[str, Any]:
+    """The arguments of the first version of a scenario, for interfaces without ids."""
+    return dict(gymnasium.spec(SCENARIOS[scenario].id).kwargs)
+
+
 def replay_parallel(recording: RecordedEpisodes, keep_finished: bool = False) -> list[EpisodeReports]:
     """The parallel interface: vehicles that have ended leave, or repeat their last observation, with zero rewards."""
-    arguments = {**recording.arguments, "keep_finished": keep_finished}
-    env = mo_deepdrive.parallel_env(scenario=recording.scenario, **arguments)
+    arguments = {**v0(recording.scenario), **recording.arguments, "keep_finished": keep_finished}
+    env = mo_deepdrive.parallel_env(**arguments)
     episodes = []
     for reset, actions in recording.resets():
         reports = first_reports(env, env.reset(**reset)[0])
@@ -302,7 +307,7 @@ def replay_parallel(recording: RecordedEpisodes, keep_finished: bool = False) ->
 
 
 def replay_aec(recording: RecordedEpisodes) -> list[EpisodeReports]:
-    env = mo_deepdrive.env(scenario=recording.scenario, **recording.arguments)
+    env = mo_deepdrive.env(**{**v0(recording.scenario), **recording.arguments})
     episodes = []
     for reset, actions in recording.resets():
         env.reset(**reset)

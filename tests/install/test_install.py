@@ -185,7 +185,7 @@ def test_the_core_is_light_and_has_every_environment(core: Installed, tmp_path: 
 
 def test_a_command_without_its_extra_says_what_to_install(core: Installed) -> None:
     refused = core.command("train", "--config", "one_waypoint/mo_a2c_linear", code=2)
-    assert refused.stderr == "error: mo-deepdrive train needs torch: pip install 'mo-deepdrive[train]'\n"
+    assert refused.stderr == "error: mo-deepdrive train needs torch: pip install --editable '.[train]'\n"
     listed = core.command("--help").stdout
     assert all(f"\n  {name} " in listed for name in COMMANDS)
 
@@ -237,9 +237,9 @@ def test_policies_of_the_zoo_come_with_the_wheel(everything: Installed) -> None:
 
 
 def test_other_libraries_and_the_reproduction_are_found_by_name(everything: Installed) -> None:
-    assert "mo-deepdrive[peers]" in everything.command("peers", "--list").stdout
+    assert ".[peers]" in everything.command("peers", "--list").stdout
     refused = everything.command("peers", "--config", "peers/envelope", code=2)
-    assert "cannot run here: it needs morl_baselines: pip install 'mo-deepdrive[peers]'" in refused.stderr
+    assert "cannot run here: it needs morl_baselines: pip install --editable '.[peers]'" in refused.stderr
     refused = everything.command("reproduce", "--figure", "4", "--plan", "studies/pape", code=2)
     assert "the nearest names of shipped ones: studies/paper" in refused.stderr
 

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
+from mo_deepdrive.world.scenarios import VERSIONS
 from mo_deepdrive.wrappers import UtilityReward
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 INTERSECTION = "mo-deepdrive-intersection-v0"
 LEFT_TURN = "mo-deepdrive-left-turn-v0"
 SHORT = {"time_limit": 2.0}
+TWO = {**SHORT, **VERSIONS["intersection"]["v0"]}  # for PettingZoo, whose default is the newest version
 VEHICLES = ("vehicle_0", "vehicle_1")
 # Weights of MOMAland's LinearizeReward.
 WEIGHTS = {agent: np.array([0.1, 1.0, 0.1, 1.0, 0.0, 0.1]) for agent in VEHICLES}
@@ -38,13 +40,13 @@ def vector(env_id: str = ONE_WAYPOINT, num_envs: int = 3, **options: Any) -> Any
 
 def parallel(**options: Any) -> Any:
     """The parallel environment of two vehicles."""
-    return mo_deepdrive.parallel_env(**{**SHORT, **options})
+    return mo_deepdrive.parallel_env(**{**TWO, **options})
 
 
 def aec(**options: Any) -> Any:
     """The environment of two vehicles that act in turns; skips the test without MOMAland."""
     pytest.importorskip("momaland", reason="MOMAland is not installed: it converts to AEC")
-    return mo_deepdrive.env(**{**SHORT, **options})
+    return mo_deepdrive.env(**{**TWO, **options})
 
 
 def one_leaves_early(agents: list[str]) -> dict[str, int]:

@@ -23,7 +23,7 @@ def test_a_function_written_by_hand_arrives() -> None:
 
 @pytest.mark.parametrize(
     ("name", "library", "total_timesteps", "objectives"),
-    [("sb3_agent.py", "stable_baselines3", 16_384, 6), ("torchrl_agent.py", "torchrl", 2048, 4)],
+    [("sb3_agent.py", "stable_baselines3", 16_384, 6), ("torchrl_agent.py", "torchrl", 2048, 5)],
 )
 def test_an_agent_of_another_library_is_trained_and_scored(
     name: str, library: str, total_timesteps: int, objectives: int, capsys: pytest.CaptureFixture[str]

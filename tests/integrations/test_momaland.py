@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from tests.integrations.envs import SHORT, WEIGHTS, one_leaves_early, parallel
+from tests.integrations.envs import TWO, WEIGHTS, one_leaves_early, parallel
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 EARLY = {"harmful_g_force": 0.1}
@@ -71,7 +71,7 @@ def test_the_conversions_run() -> None:
     from momaland.utils.conversions import mo_aec_to_parallel
 
     there, _ = drive(parallel(**EARLY))
-    back, _ = drive(mo_aec_to_parallel(mo_deepdrive.env(**SHORT, **EARLY)))
+    back, _ = drive(mo_aec_to_parallel(mo_deepdrive.env(**TWO, **EARLY)))
     assert len(there) == len(back)
     for first, second in zip(there, back, strict=True):
         for agent in first:
@@ -88,7 +88,7 @@ def test_multi_agent_ppo_trains(actions: str, monkeypatch: pytest.MonkeyPatch, c
     from momaland.utils.all_modules import all_environments
 
     jax.config.update("jax_disable_most_optimizations", True)
-    options = {**SHORT, "action_type": actions, "keep_finished": True, "end_together": True}
+    options = {**TWO, "action_type": actions, "keep_finished": True, "end_together": True}
     module = SimpleNamespace(parallel_env=lambda: mo_deepdrive.parallel_env(**options))
     monkeypatch.setitem(all_environments, "driving", module)
     sizes = ["--num-weights=1", "--timesteps-per-weight=128", "--num-steps-per-epoch=64"]

@@ -14,7 +14,7 @@ from pettingzoo.test import api_test
 
 import mo_deepdrive
 from mo_deepdrive.wrappers import ParallelUtilityReward
-from tests.integrations.envs import SHORT, aec, one_leaves_early, parallel
+from tests.integrations.envs import TWO, aec, one_leaves_early, parallel
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -95,10 +95,10 @@ def test_an_aec_wrapper_runs(name: str) -> None:
 
 def test_the_conversions_run() -> None:
     assert (6,) in drive_aec(conversions.parallel_to_aec(parallel()))
-    assert (6,) in drive_aec(conversions.aec_wrapper_fn(mo_deepdrive.parallel_env)(**SHORT))
+    assert (6,) in drive_aec(conversions.aec_wrapper_fn(mo_deepdrive.parallel_env)(**TWO))
     back = conversions.aec_to_parallel(aec(**EARLY))
     assert drive_parallel(back) == drive_parallel(parallel(**EARLY))
-    assert drive_parallel(conversions.parallel_wrapper_fn(mo_deepdrive.env)(**SHORT, **EARLY)) > 20
+    assert drive_parallel(conversions.parallel_wrapper_fn(mo_deepdrive.env)(**TWO, **EARLY)) > 20
     turns = conversions.turn_based_aec_to_parallel(aec())
     turns.reset(seed=0)
     rewards = turns.step(dict.fromkeys(turns.agents, 0))[1]

@@ -11,7 +11,7 @@ import pytest
 
 import mo_deepdrive
 from mo_deepdrive.wrappers import ParallelUtilityReward, UtilityReward, VectorUtilityReward
-from tests.integrations.envs import INTERSECTION, ONE_WAYPOINT, SHORT, scalar, single, vector
+from tests.integrations.envs import INTERSECTION, ONE_WAYPOINT, TWO, scalar, single, vector
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 PPO_ARGUMENTS = {"n_steps": 64, "batch_size": 32, "n_epochs": 1}
@@ -158,7 +158,7 @@ def test_two_vehicles_learn_one_policy() -> None:
     supersuit = pytest.importorskip("supersuit")
     from stable_baselines3 import PPO
 
-    env = ParallelUtilityReward(mo_deepdrive.parallel_env(keep_finished=True, **SHORT), "intersection_linear")
+    env = ParallelUtilityReward(mo_deepdrive.parallel_env(keep_finished=True, **TWO), "intersection_linear")
     vehicles = supersuit.pettingzoo_env_to_vec_env_v1(env)
     envs = supersuit.concat_vec_envs_v1(vehicles, 2, num_cpus=0, base_class="stable_baselines3")
     model = PPO("MlpPolicy", envs, device="cpu", n_steps=32, batch_size=32, n_epochs=1).learn(256)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from tests.integrations.envs import SHORT, scalar, single
+from tests.integrations.envs import TWO, scalar, single
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -79,7 +79,7 @@ def test_the_aec_environment_runs_in_turns() -> None:
     pytest.importorskip("momaland")
     from tianshou.env.pettingzoo_env import PettingZooEnv
 
-    env = PettingZooEnv(mo_deepdrive.env(**SHORT))
+    env = PettingZooEnv(mo_deepdrive.env(**TWO))
     observation, _ = env.reset(seed=0)
     for vehicle in ("vehicle_0", "vehicle_1") * 5:
         assert observation["agent_id"] == vehicle

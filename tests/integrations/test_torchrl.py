@@ -8,7 +8,7 @@ import pytest
 
 import mo_deepdrive
 from mo_deepdrive.wrappers import ParallelUtilityReward
-from tests.integrations.envs import ONE_WAYPOINT, SHORT, scalar, single, vector
+from tests.integrations.envs import ONE_WAYPOINT, SHORT, TWO, scalar, single, vector
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -62,7 +62,7 @@ def test_the_parallel_environment_needs_the_utility() -> None:
     from torchrl.envs.libs.pettingzoo import PettingZooWrapper
     from torchrl.envs.utils import check_env_specs
 
-    env = ParallelUtilityReward(mo_deepdrive.parallel_env(**SHORT), "intersection_linear")
+    env = ParallelUtilityReward(mo_deepdrive.parallel_env(**TWO), "intersection_linear")
     wrapped = PettingZooWrapper(env, use_mask=True)
     check_env_specs(wrapped)
     assert tuple(wrapped.rollout(15)["next", "vehicle", "reward"].shape) == (15, 2, 1)

@@ -45,11 +45,14 @@ def test_version_1_has_time_as_its_last_objective_in_every_interface(scenario: s
     for env in (
         gymnasium.make(env_id).unwrapped,
         gymnasium.make_vec(env_id, num_envs=2),
-        mo_deepdrive.parallel_env(**gymnasium.spec(env_id).kwargs),
+        mo_deepdrive.parallel_env(scenario=scenario),
     ):
         assert env.objectives[-1] == "time"
         assert set(env.objectives) == {*SCENARIOS[scenario].objectives, "time"}
         assert env.config.charge_remaining_time
+    first = SCENARIOS[scenario].id
+    of_v0 = mo_deepdrive.parallel_env(**gymnasium.spec(first).kwargs)
+    assert of_v0.config == gymnasium.make(first, disable_env_checker=True).unwrapped.config
 
 
 @pytest.mark.parametrize(("version", "pays"), [(0, True), (1, False)])

@@ -169,7 +169,7 @@ def test_a_vehicle_that_stays_after_its_end_has_no_rewards(of: Any) -> None:
 
 def test_agents_may_have_different_utilities_and_weights() -> None:
     env = mo_deepdrive.parallel_env()
-    weights = make_utility("linear", env.objectives, weights=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    weights = make_utility("linear", env.objectives, weights=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
     wrapped = ParallelUtilityReward(env, {"vehicle_0": weights, "vehicle_1": "intersection_linear"}, of="return")
     linear = wrapped.utilities["vehicle_1"]
     for seed in (1, 2):  # the second episode starts from zero again

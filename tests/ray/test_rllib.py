@@ -23,6 +23,7 @@ from tests.helpers.interfaces import (
     first_reports,
     record,
     replay_parallel,
+    v0,
 )
 
 pytest.importorskip("ray.rllib", reason="Ray is not installed: make test-ray")
@@ -85,7 +86,7 @@ def test_the_reward_is_the_utility_of_the_vector_reward(config: dict[str, Any]) 
 
 
 def test_every_vehicle_can_have_its_own_utility() -> None:
-    weights = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    weights = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
     env = DrivingMultiAgentEnv(
         {
             "utility": {
@@ -104,7 +105,7 @@ def test_every_vehicle_can_have_its_own_utility() -> None:
 
 def replay_rllib(recording: RecordedEpisodes) -> list[EpisodeReports]:
     """The RLlib interface, which removes vehicles when they end."""
-    env = DrivingMultiAgentEnv(recording.arguments)
+    env = DrivingMultiAgentEnv({**v0(), **recording.arguments})
     episodes = []
     for reset, actions in recording.resets():
         reports = first_reports(env, env.reset(**reset)[0])
@@ -144,7 +145,7 @@ def test_trajectories_are_those_of_the_parallel_environment_bit_for_bit(action_t
         ({"objectives": ["distance", "collision"]}, "'intersection_linear' needs destination"),
         ({"utility": 3}, "utility = 3 must be"),
         ({"utility": "linear"}, "needs the argument 'weights'"),
-        ({"utility": {"name": "linear", "arguments": {"weights": [1.0, 2.0]}}}, "must be 6 finite numbers"),
+        ({"utility": {"name": "linear", "arguments": {"weights": [1.0, 2.0]}}}, "must be 7 finite numbers"),
         ({"utility": {"name": "linear", "weights": [1.0]}}, "'weights' is unknown; known: arguments, name"),
         ({"utility": {"vehicle_0": "intersection_linear"}}, "utility is missing for 'vehicle_1'"),
         ({"utility": {"vehicle_0": "intersection_linear", "vehicle_1": 3}}, "utility of vehicle_1 = 3 must be"),
@@ -167,7 +168,7 @@ def test_without_ray_the_import_names_the_extra(run_python: Callable[[str], str]
         "except ImportError as error:\n"
         "    print(error)\n"
     )
-    assert "pip install 'mo-deepdrive[rllib]'" in run_python(snippet)
+    assert "pip install --editable '.[rllib]'" in run_python(snippet)
 
 
 # --------------------------------------------------------------------------------------------------- RLlib's machinery

@@ -154,7 +154,7 @@ def test_a_backend_that_is_not_installed_is_refused_with_what_to_install(
     monkeypatch.setitem(sys.modules, module, None)
     code, out, error = call(write_sweep(tmp_path), "--on", backend)
     assert (code, out) == (2, "")
-    assert f"--on {backend} needs {module}: pip install 'mo-deepdrive[sweep]'" in error
+    assert f"--on {backend} needs {module}: pip install --editable '.[sweep]'" in error
     assert not (tmp_path / "runs").exists()
 
 

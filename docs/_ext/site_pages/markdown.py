@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-REPOSITORY_URL = "https://github.com/mo-deepdrive/mo-deepdrive/blob/main/"
+REPOSITORY_URL = ""  # of files outside docs; without one, links to them are their text
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -24,13 +24,18 @@ def pages() -> dict[str, str]:
 def _seen_from_docs(text: str) -> str:
     """Relative links of a file at the root as those of a page in docs."""
     text = re.sub(r"\]\(docs/", "](", text)
-    return re.sub(r"\]\(((?!\w+:|#)[A-Z][\w.]*(?:#[\w-]+)?)\)", _own_page, text)
+    return re.sub(r"\[([^\]]*)\]\(((?!\w+:|#)[A-Z][\w.]*(?:#[\w-]+)?)\)", _own_page, text)
 
 
 def _own_page(match: re.Match[str]) -> str:
-    path, _, anchor = match[1].partition("#")
+    path, _, anchor = match[2].partition("#")
     page = next((page for page, name in FILES.items() if name == path), None)
-    return f"]({page or REPOSITORY_URL + path}{'#' + anchor if anchor else ''})"
+    return f"[{match[1]}]({page}{'#' + anchor if anchor else ''})" if page else _outside(match[1], path, anchor)
+
+
+def _outside(text: str, path: str, anchor: str) -> str:
+    """A link to a file of the repository; its text alone where the repository has no address."""
+    return f"[{text}]({REPOSITORY_URL}{path}{'#' + anchor if anchor else ''})" if REPOSITORY_URL else text
 
 
 def outside_links(text: str, page: str) -> str:
@@ -38,7 +43,7 @@ def outside_links(text: str, page: str) -> str:
     folder = (REPOSITORY / "docs" / page).parent
 
     def absolute(match: re.Match[str]) -> str:
-        path, _, anchor = match[1].partition("#")
+        path, _, anchor = match[2].partition("#")
         target = (folder / path).resolve()
         inside = REPOSITORY / "docs" in target.parents and not target.is_dir()
         if inside or REPOSITORY not in target.parents:
@@ -47,10 +52,10 @@ def outside_links(text: str, page: str) -> str:
         own = {name: page for page, name in FILES.items()}
         if name in own:
             page_path = os.path.relpath(REPOSITORY / "docs" / own[name], folder)
-            return f"]({page_path}{'#' + anchor if anchor else ''})"
-        return f"]({REPOSITORY_URL}{name}{'#' + anchor if anchor else ''})"
+            return f"[{match[1]}]({page_path}{'#' + anchor if anchor else ''})"
+        return _outside(match[1], name, anchor)
 
-    return re.sub(r"\]\(((?!\w+:|#)[^)\s]+)\)", absolute, text)
+    return re.sub(r"\[([^\]]*)\]\(((?!\w+:|#)[^)\s]+)\)", absolute, text)
 
 
 def citation() -> str:

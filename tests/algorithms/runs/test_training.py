@@ -158,6 +158,6 @@ def test_a_run_is_not_trained_without_the_logger_that_it_asks_for(
 ) -> None:
     monkeypatch.setattr(algorithms.runs.config.importlib.util, "find_spec", lambda _: None)
     values = {**VALUES, "logging": {**VALUES["logging"], "wandb": {"project": "p"}}}
-    with pytest.raises(ValueError, match=r"logging\.wandb needs wandb: pip install 'mo-deepdrive\[wandb\]'"):
+    with pytest.raises(ValueError, match=r"logging\.wandb needs wandb: pip install --editable '\.\[wandb\]'"):
         perform(Job("", make_experiment(values), tmp_path / "run"))
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()

@@ -119,5 +119,5 @@ def test_the_random_numbers_are_those_of_numpy() -> None:
 def test_without_a_linker_one_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _name: None)
     monkeypatch.setattr(wasm, "find_spec", lambda _name: None)
-    with pytest.raises(OSError, match=r"lld, or pip install 'mo-deepdrive\[web\]'"):
+    with pytest.raises(OSError, match=r"lld, or pip install --editable '\.\[web\]'"):
         wasm.find_linker()

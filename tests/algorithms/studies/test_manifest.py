@@ -197,7 +197,7 @@ def test_a_line_that_no_sweep_writes_is_refused_with_its_number(
 
 def test_the_error_without_optuna_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
-    with pytest.raises(MissingExtraError, match=r"a search needs optuna: pip install 'mo-deepdrive\[sweep\]'"):
+    with pytest.raises(MissingExtraError, match=r"a search needs optuna: pip install --editable '\.\[sweep\]'"):
         expanded(tmp_path, search={"space": {RATE: [1e-3]}, "metric": METRIC, "trials": 1})
     assert len(expanded(tmp_path)) == 2  # a sweep without a search does not need Optuna
 

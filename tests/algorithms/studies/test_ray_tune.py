@@ -15,7 +15,7 @@ from algorithms.studies.settings import load_sweep
 from tests.helpers.short_runs import VALUES, quiet
 from tests.helpers.sweep_files import write_sweep
 
-pytest.importorskip("ray.tune", reason="Ray is not installed: pip install 'mo-deepdrive[sweep]'")
+pytest.importorskip("ray.tune", reason="Ray is not installed: pip install --editable '.[sweep]'")
 
 
 def test_a_run_on_a_device_that_the_driver_does_not_have_is_pruned(

@@ -17,7 +17,7 @@ import pytest
 from tests.helpers.short_runs import quiet
 from tests.helpers.sweep_files import write_sweep
 
-pytest.importorskip("submitit", reason="submitit is not installed: pip install 'mo-deepdrive[sweep]'")
+pytest.importorskip("submitit", reason="submitit is not installed: pip install --editable '.[sweep]'")
 
 
 from collections.abc import Callable, Iterator, Sequence

@@ -129,9 +129,9 @@ def test_the_aec_environment_refuses_an_invalid_action_at_once() -> None:
 
 
 def test_the_environments_can_be_made_by_the_name_of_their_version() -> None:
-    from mo_deepdrive import parallel_v0
+    from mo_deepdrive import parallel_v1
 
-    assert parallel_v0.parallel_env(time_limit=3.0).config == mo_deepdrive.parallel_env(time_limit=3.0).config
+    assert parallel_v1.parallel_env(time_limit=3.0).config == mo_deepdrive.parallel_env(time_limit=3.0).config
 
 
 def test_the_environments_render() -> None:

@@ -15,7 +15,7 @@ from mo_deepdrive.support.extras import EXTRAS, MissingExtraError, needed_for
 
 def test_a_missing_package_is_reported_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
-    message = "^logging needs wandb: pip install 'mo-deepdrive\\[wandb\\]'$"
+    message = "^logging needs wandb: pip install --editable '\\.\\[wandb\\]'$"
     with pytest.raises(MissingExtraError, match=message), needed_for("logging"):
         import wandb
     with pytest.raises(MissingExtraError, match=r"\[rllib\]"), needed_for("this", extra="rllib"):
@@ -38,7 +38,7 @@ def test_an_algorithm_without_torch_names_the_extra(run_python: Callable[[str], 
         "except ImportError as error:\n"
         "    print(error)"
     )
-    assert printed == "algorithms.MOA2C needs torch: pip install 'mo-deepdrive[train]'\n"
+    assert printed == "algorithms.MOA2C needs torch: pip install --editable '.[train]'\n"
 
 
 @pytest.mark.slow

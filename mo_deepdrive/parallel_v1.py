@@ -1,4 +1,4 @@
-"""The PettingZoo environments under the name that PettingZoo's users expect: ``parallel_v0.parallel_env()``.
+"""The PettingZoo environments under the name that PettingZoo's users expect: ``parallel_v1.parallel_env()``.
 
 The version is that of the environment ids.
 """
