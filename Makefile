@@ -154,9 +154,10 @@ test-ray: $(RAY_READY)
 test-peers: $(PEERS_READY)
 	$(PEERS_VENV)/bin/python -m pytest tests/peers tests/mo_deepdrive/test_wrappers.py
 
-# Other libraries on our environments; the table of docs/compatibility.md is what these tests declare.
+# Other libraries on our environments, and the examples of docs/use_with.md that need one.
 test-integrations: $(INTEGRATIONS_READY)
 	$(INTEGRATIONS_VENV)/bin/python -m pytest tests/integrations --numprocesses 2 --dist worksteal
+	$(INTEGRATIONS_VENV)/bin/python -m pytest tests/test_documentation.py -k 'example_runs and use_with'
 
 # Which small changes of the last commit the tests notice: the sample of docs/results/mutants.csv, or with SAMPLE= all
 # mutants of the groups in MUTANTS. Each group has a clone of its own, so `make --jobs 2 mutants` uses two cores.

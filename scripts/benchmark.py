@@ -11,7 +11,7 @@ machine with other load.
 --against compares the working tree with a commit, in pairs of measurements of the CPU time of new processes, which
 other programs change much less than the time on the clock. --threads and --device compare environments and training on
 several threads, or on a GPU, with one thread of the CPU, in pairs of measurements of time on the clock; a GPU moves
-65,536 worlds or trains ten seeds side by side: docs/benchmark.md.
+65,536 worlds or trains ten seeds side by side: docs/scale.md#speed.
 """
 
 # Both trees of a comparison run this file: it imports from the packages only what a measurement needs.

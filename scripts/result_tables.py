@@ -5,9 +5,10 @@
 A table after ``<!-- table: SELECT ... -->``, a query of SQLite, is made whole: its header has the names of the columns
 of the query, its rows are the results. ``docs/results/runs.csv`` is the table ``runs``, a file in a folder has the name
 ``folder_file``, and what follows an empty line in ``scores.csv`` is ``scores_1``. Of the suite there is the table
-``suite_tasks``, with the best learner of each; views of ``docs/results/views.sql`` are tables, too. Below a table of
-results is a line with the commits whose code made them, from ``docs/results/provenance.csv``. From
-``<!-- suite: tasks -->`` to ``<!-- end -->`` is a section per task, in place of ``tasks`` of ``results`` what they say.
+``suite_tasks``, with the best learner of each, and of the constraints the table ``pins``; views of
+``docs/results/views.sql`` are tables, too. Below a table of results is a line with the commits whose code made them,
+from ``docs/results/provenance.csv``. From ``<!-- suite: tasks -->`` to ``<!-- end -->`` is a section per task, in place
+of ``tasks`` of ``results`` what they say.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ MADE = re.compile(
 TEXT = re.compile(r"(?P<before><!-- suite: (?P<name>\w+) -->\n\n).*?(?P<after><!-- end -->)", re.DOTALL)
 FIGURE = REPOSITORY / "docs" / "results" / "suite_scores.png"  # of mo-deepdrive suite table --figure
 PICTURES = REPOSITORY / "docs" / "images" / "suite"
+CONSTRAINTS = ("constraints.txt", "constraints-peers.txt", "constraints-integrations.txt")
+PIN = re.compile(r"^([\w.-]+)==([\w.]+)$", re.MULTILINE)  # a package of which all versions of Python have the same
 PROVENANCE = REPOSITORY / "docs" / "provenance.md"
 FROM_SUITE = ("suite_tasks", "suite_texts")  # tables of what docs/results/suite.csv has
 
@@ -61,6 +64,9 @@ def open_results() -> sqlite3.Connection:
     fill(database, "result_files", ["name", "file"], [*(files | dict.fromkeys(FROM_SUITE, files["suite"])).items()])
     commits = {path.parent.name: json.loads(path.read_bytes())["commit"] for path in sorted(ZOO.glob("*/about.json"))}
     fill(database, "zoo", ["policy", "commit"], [*commits.items()])
+    pins = "".join((REPOSITORY / name).read_text(encoding="utf-8") for name in CONSTRAINTS)
+    rows = [[name.lower().replace("_", "-"), version] for name, version in PIN.findall(pins)]
+    fill(database, "pins", ["package", "version"], rows)
     database.create_function("decimals", 2, lambda value, places: None if value is None else f"{value:.{places}f}")
     database.executescript((folder / "views.sql").read_text(encoding="utf-8"))
     return database

@@ -6,7 +6,7 @@
 RUN is the directory of a run, or the name of a policy of the zoo. The file takes observations as the environment gives
 them, and what else the policy depends on; it gives the greedy action as the environment takes it, and logits, or mean
 and standard deviation. Of a front the file takes the condition, too; --policy exports one policy of front.csv instead.
-docs/onnx.md describes inputs and outputs. Where onnxruntime is installed the file is checked in 1,000 states.
+docs/use_with.md#onnx describes inputs and outputs. Where onnxruntime is installed the file is checked in 1,000 states.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 A folder stands for the runs in it. Of a sweep (a directory with a manifest, made by mo-deepdrive sweep) the best cells
 are drawn, ranked by the utility or the hypervolume of their final evaluations; these scores of all runs are drawn
 against each key that varies into FILE-cells.png. SWEEP/collected/ keeps the scores and metrics of the runs for other
-programs (docs/sweeps.md).
+programs (docs/scale.md).
 
 A run whose files cannot be read is left out with a line on standard error; if nothing can be drawn, the exit code is 2.
 """

@@ -14,7 +14,7 @@ A sweep (a directory with a manifest, made by mo-deepdrive sweep) has its cells,
 first; cells with another environment or utility are in separate tables. The terminal shows the best cells and as many
 columns as fit, and names the others; files have everything. With several vehicles the row of all together has the sum
 of their utilities. Cells that differ in the algorithm alone are compared; where their numbers of steps differ, too, the
-row has both. SWEEP/collected/ keeps the scores and metrics of the runs for other programs (docs/sweeps.md).
+row has both. SWEEP/collected/ keeps the scores and metrics of the runs for other programs (docs/scale.md).
 
 The ending of FILE is the format: .csv (a row per metric with the columns mean, low, high and n, the number of seeds;
 also of the returns of every objective), .tex (booktabs) or .md, which have names as people write them. Comparisons are

@@ -42,7 +42,7 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
     peer, settings, training = PEERS[name], experiment.environment, experiment.training
     reason = peer.unavailable_reason()
     if reason is not None:
-        raise ValueError(f"algorithm {name!r} cannot run here: {reason}; see docs/peers.md")
+        raise ValueError(f"algorithm {name!r} cannot run here: {reason}; see docs/use_with.md#morl-baselines")
     for key, given in (("partners", training.partners), ("guides", training.guides)):
         if given:
             raise ValueError(f"training.{key}: algorithm {name!r} cannot train with {key}")

@@ -1,6 +1,5 @@
 """Two vehicles learn by PPO in plain PyTorch, through PettingZoo: ``python pettingzoo_ppo.py``."""
 
-import gymnasium
 import numpy as np
 import torch
 from torch import nn
@@ -78,8 +77,7 @@ def play(env, learners, seed):
 def train(updates, seed=0):
     """Train all vehicles; yields their learners, their mean utilities and their shares of arrivals."""
     torch.manual_seed(seed)
-    env = mo_deepdrive.parallel_env(**gymnasium.spec("mo-deepdrive-intersection-v1").kwargs)
-    env = ParallelUtilityReward(env, UTILITIES)
+    env = ParallelUtilityReward(mo_deepdrive.parallel_env(), UTILITIES)  # of the intersection
     learners = {agent: Learner(env, agent) for agent in env.possible_agents}
     first = 2**32 + EPISODES * updates * seed  # scenarios of the train split
     for update in range(updates):

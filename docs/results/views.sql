@@ -89,3 +89,21 @@ FROM provenance AS made ORDER BY file, date;
 
 CREATE VIEW provenance_zoo AS -- provenance: the policies of the zoo
 SELECT '`' || substr("commit", 1, 8) || '`' AS "commit", '`' || group_concat(policy, '`, `') || '`' AS policies FROM zoo GROUP BY "commit";
+
+CREATE VIEW use_with AS -- use_with: other libraries, in the versions that the constraints pin
+WITH libraries(title, anchor, package, extra, single, several, reward) AS (VALUES
+  ('Gymnasium', 'gymnasium', 'gymnasium', NULL, '`make`, `make_vec`', '`make_vec`; `make` in turns', 'vector'),
+  ('MO-Gymnasium', 'gymnasium', 'mo-gymnasium', NULL, '`mo_gymnasium.make`', NULL, 'vector'),
+  ('Stable-Baselines3', 'stable-baselines3', 'stable-baselines3', 'sb3', '`SB3VecEnv`', 'with SuperSuit', 'utility'),
+  ('CleanRL', 'cleanrl', NULL, NULL, '`make_vec`', '`make_vec`', 'utility'),
+  ('morl-baselines', 'morl-baselines', 'morl-baselines', 'peers', '`mo_gymnasium.make`', 'with MOMAland', 'vector'),
+  ('RLlib', 'rllib', 'ray', 'rllib', '`DrivingMultiAgentEnv`', '`DrivingMultiAgentEnv`', 'utility'),
+  ('PettingZoo', 'pettingzoo', 'pettingzoo', NULL, '`parallel_env`', '`parallel_env`, `env`', 'vector'),
+  ('MOMAland', 'momaland', 'momaland', 'momaland', '`parallel_env`', '`parallel_env`, `env`', 'vector'),
+  ('Minari', 'minari', 'minari', 'minari', '`record_dataset`', NULL, 'vector'),
+  ('ONNX Runtime', 'onnx', 'onnxruntime', 'onnx', '`mo-deepdrive export`', '`mo-deepdrive export`', NULL),
+  ('TorchRL', 'torchrl-tianshou-supersuit', 'torchrl', NULL, '`MOGymEnv`', '`PettingZooWrapper`', 'vector, utility'),
+  ('Tianshou', 'torchrl-tianshou-supersuit', 'tianshou', NULL, '`UtilityReward`', '`PettingZooEnv`', 'vector, utility'),
+  ('SuperSuit', 'torchrl-tianshou-supersuit', 'supersuit', NULL, '`gym_vec_env_v0`', '`concat_vec_envs_v1`', 'vector'))
+SELECT '[' || title || '](#' || anchor || ')' AS library, version, '`' || extra || '`' AS extra, single AS "one vehicle",
+  several AS "several vehicles", reward FROM libraries LEFT JOIN pins USING (package);

@@ -62,10 +62,10 @@ def documented_commands(document: str) -> list[list[str]]:
 
 
 def test_the_documentation_shows_the_yaml_of_the_examples() -> None:
-    for document, example in (("own_algorithm", "reinforce"), ("own_environment", "commute")):
+    for document, example in (("own_algorithm", "reinforce"), ("extend", "commute")):
         text = (REPOSITORY / "docs" / f"{document}.md").read_text()
-        shown = yaml.safe_load(re.findall(r"^```yaml\n(environment:.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)[0])
-        assert shown == yaml.safe_load((EXAMPLES / f"{example}.yaml").read_text())
+        shown = re.findall(r"^```yaml\n(environment:.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)
+        assert yaml.safe_load((EXAMPLES / f"{example}.yaml").read_text()) in map(yaml.safe_load, shown)
 
 
 @pytest.mark.slow

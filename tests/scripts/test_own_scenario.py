@@ -1,4 +1,4 @@
-"""Training in a scenario and with an objective from outside the package, as docs/own_objective_and_scenario.md says."""
+"""Training in a scenario and with an objective from outside the package, as docs/extend.md says."""
 
 from __future__ import annotations
 

@@ -25,13 +25,12 @@ FIRST_NAMES: dict[str, tuple[tuple[str, str], ...]] = {
         ("mo_deepdrive.envs.vector.DrivingVectorEnv", "mo_deepdrive.envs.vector"),
         ("mo_deepdrive.envs.rllib.DrivingMultiAgentEnv", "mo_deepdrive.envs.rllib"),
         ("mo_deepdrive.envs.sb3.SB3VecEnv", "mo_deepdrive.envs.sb3"),
-        ("mo_deepdrive.world.config.EnvConfig", "mo_deepdrive.world.config"),
     ),
     "Wrappers": (
         ("mo_deepdrive.wrappers.UtilityReward", "mo_deepdrive.wrappers"),
         ("mo_deepdrive.wrappers.VectorUtilityReward", "mo_deepdrive.wrappers"),
         ("mo_deepdrive.wrappers.ParallelUtilityReward", "mo_deepdrive.wrappers"),
-        ("mo_deepdrive.wrappers.ScaledObservation", "mo_deepdrive.wrappers"),
+        ("mo_deepdrive.wrappers.VectorScaledObservation", "mo_deepdrive.wrappers"),
         ("mo_deepdrive.wrappers.VectorEpisodeStatistics", "mo_deepdrive.wrappers"),
     ),
     "Utilities, scores and fronts": (
@@ -39,11 +38,12 @@ FIRST_NAMES: dict[str, tuple[tuple[str, str], ...]] = {
         ("mo_deepdrive.evaluation.episodes.evaluate", "mo_deepdrive.evaluation"),
         ("mo_deepdrive.evaluation.evaluation.Evaluation", "mo_deepdrive.evaluation"),
         ("mo_deepdrive.suite.scoring.score", "mo_deepdrive.suite"),
-        ("mo_deepdrive.suite.tasks.load", "mo_deepdrive.suite"),
+        ("mo_deepdrive.suite.scoring.check_policy", "mo_deepdrive.suite"),
         ("mo_deepdrive.fronts.reference_fronts.reference_front", "mo_deepdrive"),
         ("mo_deepdrive.fronts.reference_fronts.reference_point", "mo_deepdrive"),
     ),
     "Learners": (
+        ("algorithms.ppo.PPO", "mo_deepdrive.learners"),
         ("algorithms.mo_ppo.MOPPO", "mo_deepdrive.learners"),
         ("algorithms.conditioned_mo_ppo.ConditionedMOPPO", "mo_deepdrive.learners"),
         ("algorithms.pcn.PCN", "mo_deepdrive.learners"),

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import gymnasium
-import moocore
 import numpy as np
 import pytest
 
@@ -15,7 +13,6 @@ from mo_deepdrive.fronts import reference_fronts
 from mo_deepdrive.world.action_sequences import decode, discounted_sum, idle, replay
 from mo_deepdrive.world.objectives import signs
 from mo_deepdrive.world.scenarios import SCENARIOS
-from tests.helpers.markdown_tables import tables
 
 SHIPPED = sorted(
     (scenario, action_type)
@@ -91,32 +88,6 @@ def test_a_policy_earns_its_return_in_the_public_environment(make_single: Any) -
                 returns += reward
                 over = terminated or truncated
             np.testing.assert_allclose(returns, policy.undiscounted, rtol=1e-5, atol=2e-5)
-
-
-def hypervolume(scenario: str, action_type: str, gamma: float, objectives: tuple[str, ...]) -> float:
-    front = mo_deepdrive.reference_front(scenario, action_type, gamma, objectives)
-    point = mo_deepdrive.reference_point(scenario, action_type, gamma, objectives)
-    return float(moocore.hypervolume(front, ref=point.values, maximise=True))
-
-
-def documented(repository: Path, first: str, third: str) -> list[dict[str, str]]:
-    """The rows of the table of docs/fronts.md with these columns."""
-    text = (repository / "docs" / "fronts.md").read_text(encoding="utf-8")
-    [found] = [rows for rows in tables(text) if list(rows[0])[:3] == [first, "action_type", third]]
-    return found
-
-
-def test_the_documentation_has_the_size_of_every_front(repository: Path) -> None:
-    rows = {tuple(row.values())[:3]: row for row in documented(repository, "scenario", "gamma")}
-    for scenario, action_type in SHIPPED:
-        own = SCENARIOS[scenario].objectives
-        for shown, gamma, names in (("0.99", 0.99, own), ("1.0", 1.0, own), ("1.0, time", 1.0, (*own, TIME))):
-            front = mo_deepdrive.reference_front(scenario, action_type, gamma, names)
-            row = rows.pop((scenario, action_type, shown))
-            assert (int(row["policies"]), int(row["arriving"])) == (len(front), (front[:, 1] > 0.0).sum())
-            volume = hypervolume(scenario, action_type, gamma, names)
-            assert float(row["hypervolume"]) == pytest.approx(volume, rel=1e-4)
-    assert not rows
 
 
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
