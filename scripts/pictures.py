@@ -157,7 +157,7 @@ def ends(path: Path) -> None:
         arguments = {"action_type": "continuous", "time_limit": 20.0}
         arguments |= {"end_on_lane_violation": True} if "left" in env_id else {}
         (scene,) = record_scenes(
-            lambda o, *_, a=actions: a, env_id, arguments, seeds=[SPLITS["validation"].start], drives=DRIVERS
+            lambda *_, a=actions: a, env_id, arguments, seeds=[SPLITS["validation"].start], drives=DRIVERS
         )
         for drive in scene.drives:
             if drive.ends[0] in reasons:
@@ -165,7 +165,7 @@ def ends(path: Path) -> None:
     with style.figure_style({"axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
         figure = Figure(figsize=(7.6, 4.2), layout="constrained")
         panels = figure.subplots(2, -(-len(found) // 2)).flat
-        for axes, (reason, (scene, drive)) in zip(panels, found.items(), strict=False):
+        for (reason, (scene, drive)), axes in zip(found.items(), panels, strict=False):
             track = drive.readings[:, 0, :3]
             track = track[np.isfinite(track[:, 0])]
             points = np.concatenate([track[:, :2], scene.routes[0][-1:]])
@@ -213,7 +213,7 @@ def scale(path: Path) -> None:
     with style.figure_style({"axes.grid": False}):
         figure = Figure(figsize=(7.2, 0.62 * len(tasks) + 0.8), layout="constrained")
         axes = figure.subplots()
-        for y, (name, task) in enumerate(reversed(tasks.items())):
+        for y, task in enumerate(reversed(tasks.values())):
             axes.plot([0, 1], [y, y], color=style.FAINT, linewidth=5, solid_capstyle="butt", zorder=1)
             axes.plot([0, 1], [y, y], "|", color=style.INK, markersize=15, zorder=2)
             axes.text(0, y + 0.24, f"{task.floor.value:g}", ha="center", va="bottom")
@@ -290,7 +290,7 @@ def conflicts(path: Path) -> None:
     with style.figure_style({"axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
         figure = Figure(figsize=(7.6, 9.2))
         panels = figure.subplots(-(-len(groups) // 2), 2).flat
-        for axes, (population, rows) in zip(panels, groups, strict=False):
+        for (population, rows), axes in zip(groups, panels, strict=False):
             names = list(dict.fromkeys(row[which] for row in rows for which in ("first", "second")))
             values = np.full((len(names), len(names)), np.nan)
             for row in rows:
@@ -299,7 +299,15 @@ def conflicts(path: Path) -> None:
             for (y, x), value in np.ndenumerate(values[1:, :-1]):
                 if np.isfinite(value):
                     colour = "white" if abs(value) > 0.6 else style.INK
-                    axes.text(x, y, f"{value:+.2f}", ha="center", va="center", fontsize=8, color=colour)
+                    axes.text(
+                        x,
+                        y,
+                        f"{value:+.2f}",
+                        ha="center",
+                        va="center",
+                        fontsize=7 if len(names) > 6 else 8,
+                        color=colour,
+                    )
             plain = [name_and_unit(name)[0] for name in names]
             axes.set_xticks(range(len(names) - 1), plain[:-1], rotation=35, ha="right", rotation_mode="anchor")
             axes.set_yticks(range(len(names) - 1), plain[1:])

@@ -6,10 +6,10 @@ SELECT '`' || task || '`' AS task, title, tests AS "what it tests", printf('%g M
 FROM suite_tasks WHERE counted;
 
 CREATE VIEW suite_core AS -- README: what the core tasks pay, between which bounds, and who is best
-SELECT '`' || task || '`' AS task, title, '`' || formula || '`' AS utility, printf('%g', floor) AS "floor (0)",
-  printf('%g', ceiling) AS "ceiling (1)", best AS "best, or tied for it", score,
-  (SELECT decimals(avg(cpu_seconds) / 60.0, 0) FROM (SELECT DISTINCT seed, cpu_seconds FROM suite
-    WHERE suite.task = t.task AND suite.learner = t.first AND cpu_seconds <> '')) AS "CPU minutes"
+SELECT '`' || task || '`' AS task, score, best AS "best, or tied for it", printf('%g', floor) AS "floor (0)",
+  printf('%g', ceiling) AS "ceiling (1)", (SELECT decimals(avg(cpu_seconds) / 60.0, 0) FROM (SELECT DISTINCT seed, cpu_seconds
+    FROM suite WHERE suite.task = t.task AND suite.learner = t.first AND cpu_seconds <> '')) AS "CPU minutes",
+  title, '`' || formula || '`' AS utility
 FROM suite_tasks AS t WHERE counted AND core;
 
 CREATE VIEW suite_generalisation AS -- scoreboard: scores of the best learners where nobody has trained
