@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from PIL import Image
 
+from algorithms.driving.controls import forward
 from algorithms.driving.left_turn_rules import GapDriver, GapRule
 from algorithms.reporting import style
 from algorithms.reporting.videos import CAPTION_PIXELS, caption_strip, make_render_env, write_video_grid
@@ -69,7 +70,7 @@ CHOICES = {  # which algorithm when: question, then answers with algorithms
 def outline(pose: Floats) -> Floats:
     """The corners (4, 2) of a car at (x, y, heading)."""
     x, y, heading = pose
-    ahead = np.array([np.cos(heading), np.sin(heading)])
+    ahead = forward(heading)
     side = np.array([-ahead[1], ahead[0]])
     corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) / 2 * [CAR_LENGTH, CAR_WIDTH]
     return np.array([x, y]) + corners @ np.stack([ahead, side])
@@ -104,22 +105,18 @@ def rows_of(name: str) -> list[dict[str, str]]:
 
 def observation(path: Path) -> None:
     """What the vehicle of LeftTurn observes, on the car."""
-    steady = np.array([0.0, 0.3, -1.0], dtype=np.float32)
-    (scene,) = record_scenes(
-        lambda o, *_: np.tile(steady, (len(o), 1)),
-        "mo-deepdrive-left-turn-v1",
-        {"action_type": "continuous"},
-        seeds=[SPLITS["validation"].start],
-        drives=1,
-    )
+    env_id, seeds = SCENARIOS["left_turn"].ids, [SPLITS["validation"].start]
+    (scene,) = record_scenes(GapDriver(GapRule(5.0)), [*env_id][-1], {}, seeds=seeds, drives=1)
     (drive,) = scene.drives
-    pose, route = drive.readings[12, 0, :3], scene.routes[0]
-    cars = [car for car in drive.cars[12] if np.isfinite(car).all()]
-    front = pose[:2] + CAR_LENGTH / 2 * np.array([np.cos(pose[2]), np.sin(pose[2])])
-    with style.figure_style({"axes.grid": False}):
-        figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    left, bottom, side = scene.box(3.0)
+    inside = np.abs(drive.cars[..., :2] - [left + side / 2, bottom + side / 2]).max(axis=-1) < 0.4 * side  # (T + 1, C)
+    moment = int(inside.any(axis=1).argmax())
+    pose, route, cars = drive.readings[moment, 0, :3], scene.routes[0], drive.cars[moment][inside[moment]]
+    front = pose[:2] + CAR_LENGTH / 2 * forward(pose[2])
+    with style.figure_style({"axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
+        figure = Figure(figsize=(5.6, 5.6), layout="constrained")
         axes = figure.subplots()
-        draw_map(axes, scene, scene.box(3.0))
+        draw_map(axes, scene, (left, bottom, side))
         draw_car(axes, pose, CAR)
         for car in cars:
             draw_car(axes, car, style.COLOURS[1])
@@ -130,20 +127,12 @@ def observation(path: Path) -> None:
             axes.annotate(
                 f"{name}:\nangle, distance", place, (8, 0), textcoords="offset points", color=colour, va="center"
             )
-        if cars:
+        if len(cars):
             nearest = min(cars, key=lambda car: float(np.hypot(*(car[:2] - front))))
-            axes.annotate(
-                "", nearest[:2], front, arrowprops={"arrowstyle": "->", "color": style.COLOURS[1], "linestyle": "--"}
-            )
-            axes.annotate(
-                "oncoming car:\ndistance, speed",
-                nearest[:2],
-                (8, 8),
-                textcoords="offset points",
-                color=style.COLOURS[1],
-            )
-        own = "own car: velocity, acceleration, speed;\nheld steer, throttle, brake; distances to the lane lines"
-        axes.annotate(own, pose[:2], (10, -14), textcoords="offset points", color=CAR, va="top")
+            said = "oncoming car: speed,\ndistance to the crossing"
+            axes.annotate(said, nearest[:2], (12, 0), textcoords="offset points", color=style.COLOURS[1], va="center")
+        own = "own car: velocity, acceleration,\nspeed, held steer, throttle, brake,\ndistances to the lane lines"
+        axes.annotate(own, pose[:2], (-16, 0), textcoords="offset points", color=CAR, ha="right", va="center")
         style.save_figure(figure, path, dpi=110)
 
 
@@ -361,6 +350,7 @@ PICTURES: dict[str, tuple[str, Callable[[Path], None]]] = {
 
 def write(options: Namespace) -> int:
     """Draw the pictures."""
+    options.output.mkdir(parents=True, exist_ok=True)
     for name in options.pictures or PICTURES:
         file, draw = PICTURES[name]
         draw(options.output / file)
