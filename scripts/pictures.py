@@ -49,11 +49,13 @@ if TYPE_CHECKING:
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 ROAD, CAR, OTHER = style.GRID, style.COLOURS[0], style.FAINT
-# Where episodes end, and what may end them; drives of which none ends as the others are found at random.
-ENDING = {
-    "mo-deepdrive-one-waypoint-v1": ("arrived", "time_limit", "circling", "backwards", "harmful_g_force"),
-    "mo-deepdrive-left-turn-v1": ("collision", "off_lane", "skipped_waypoint"),
-}
+# Where episodes end so, with which arguments; drives are found at random.
+ENDING: tuple[tuple[str, dict[str, Any], tuple[str, ...]], ...] = (
+    ("one_waypoint", {}, ("arrived", "time_limit", "circling", "backwards", "harmful_g_force")),
+    ("static_obstacle", {}, ("collision",)),
+    ("left_turn", {"end_on_lane_violation": True}, ("off_lane",)),
+    ("left_turn", {}, ("skipped_waypoint",)),
+)
 DRIVERS = 256
 APPROACH, STAMPED = 40, 10  # frames of the film of LeftTurn that are left out, and that show an end at least
 CHOICES = {  # which algorithm when: question, then answers with algorithms
@@ -140,14 +142,13 @@ def ends(path: Path) -> None:
     """One drive for every end of an episode, found among drives at random."""
     found: dict[str, tuple[Scene, Drive]] = {}
     generator = np.random.default_rng(0)
-    for env_id, reasons in ENDING.items():
-        actions = generator.uniform([-0.35, -0.3, -1.0], [0.35, 0.6, -1.0], (DRIVERS, 3)).astype(np.float32)
+    for scenario, changes, reasons in ENDING:
+        actions = generator.uniform([-0.35, -0.4, -1.0], [0.35, 0.8, -1.0], (DRIVERS, 3)).astype(np.float32)
+        actions[:, 1] **= 3  # mostly gentle
         actions[0] = [0.0, 0.0, 1.0]  # stands still
-        arguments = {"action_type": "continuous", "time_limit": 20.0}
-        arguments |= {"end_on_lane_violation": True} if "left" in env_id else {}
-        (scene,) = record_scenes(
-            lambda *_, a=actions: a, env_id, arguments, seeds=[SPLITS["validation"].start], drives=DRIVERS
-        )
+        env_id, seeds = [*SCENARIOS[scenario].ids][-1], [SPLITS["validation"].start]
+        arguments = {"action_type": "continuous", **changes}
+        (scene,) = record_scenes(lambda *_, a=actions: a, env_id, arguments, seeds=seeds, drives=DRIVERS)
         for drive in scene.drives:
             if drive.ends[0] in reasons:
                 found.setdefault(drive.ends[0], (scene, drive))
@@ -245,11 +246,12 @@ def accrued(path: Path) -> None:
             axes.plot(seconds, -(spent + seconds), color=colour, linewidth=2.2)
             said = "arrives in time" if kept else "the same drive arrives too late"
             axes.plot(seconds[-1], -(spent + seconds[-1]), "*", color=colour, markersize=13, clip_on=False)
-            axes.text(0.0, -spent - 1.2, f"{spent:.0f} s were spent before: {said}", color=colour, va="top")
+            y = -spent + (5.0 if spent else -8.0)
+            axes.text(0.0, y, f"{spent:.0f} s were spent before: {said}", color=colour, va="center")
         axes.axhline(-deadline, color=style.INK, linewidth=1, linestyle="--")
-        axes.text(0.0, -deadline - 0.8, f"deadline of K3, {deadline:.0f} s: 10 destination [time <= 40]", va="top")
+        axes.text(0.0, -deadline - 1.5, f"deadline of K3, {deadline:.0f} s: 10 destination [time <= 40]", va="top")
         axes.set(
-            xlabel="seconds driven; both cars observe the same", ylabel="accrued reward in time (s)", ylim=(-48, 2)
+            xlabel="seconds driven; both cars observe the same", ylabel="accrued reward in time (s)", ylim=(-49, 2)
         )
         style.save_figure(figure, path, dpi=110)
 

@@ -133,7 +133,7 @@ def _draw_curves(number: int, results: PaperResults, path: Path) -> list[Path]:
 
 
 def _short(label: str) -> str:
-    """ "PPO" of the label "A2C, clipped (PPO)"."""
+    """The name in brackets of a label such as "A2C, clipped (PPO)", or else all of it."""
     return label.rpartition("(")[2].removesuffix(")")
 
 

@@ -1,8 +1,9 @@
 -- What the made tables of the documentation select from: views of the CSV files in this folder and of the suite's tasks.
 
-CREATE VIEW installing AS -- README: the two commands, how long they take after the download, and what is installed
+CREATE VIEW installing AS -- README: the two commands, how long they take, and what is installed
 SELECT '`' || command || '`' AS command, does AS "what it does", prints AS "what it prints last",
-  minutes AS "minutes on two cores", gigabytes AS "GB installed" FROM install;
+  minutes AS "minutes on two cores, beside the installation",
+  gigabytes AS "GB installed, with PyTorch's CPU build" FROM install;
 
 CREATE VIEW suite_list AS -- scoreboard: the tasks that count, and their best learners
 SELECT '`' || task || '`' AS task, title, tests AS "what it tests", printf('%g M', steps / 1e6) AS steps,
