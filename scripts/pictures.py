@@ -320,9 +320,8 @@ def thumbnails(path: Path) -> None:
         with Image.open(path.parent / f"{film}.gif") as frames:
             frames.seek(frames.n_frames // 3)  # type: ignore[attr-defined]
             frame = frames.convert("RGB")
-        side = min(frame.size)
-        corner = frame.crop((0, frame.height - side, side, frame.height))
-        corner.resize((120, 120), Image.Resampling.LANCZOS).save(path / f"{film}.png")
+        first = frame.crop((0, CAPTION_PIXELS, frame.height - CAPTION_PIXELS, frame.height))  # of several side by side
+        first.resize((120, 120), Image.Resampling.LANCZOS).save(path / f"{film}.png")
 
 
 def left_turn(path: Path) -> None:
