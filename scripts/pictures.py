@@ -314,11 +314,11 @@ def conflicts(path: Path) -> None:
 
 
 def thumbnails(path: Path) -> None:
-    """Small pictures of the scenarios, from the middle of the films on their pages."""
+    """Small pictures of the scenarios, from the beginning of the films on their pages."""
     path.mkdir(exist_ok=True)
     for film in ("one_waypoint", "static_obstacle", "left_turn", "intersection", "roundabout"):
         with Image.open(path.parent / f"{film}.gif") as frames:
-            frames.seek(frames.n_frames // 3)  # type: ignore[attr-defined]
+            frames.seek(frames.n_frames // 8)  # type: ignore[attr-defined]
             frame = frames.convert("RGB")
         first = frame.crop((0, CAPTION_PIXELS, frame.height - CAPTION_PIXELS, frame.height))  # of several side by side
         first.resize((120, 120), Image.Resampling.LANCZOS).save(path / f"{film}.png")
