@@ -164,7 +164,7 @@ def _draw_panel(axis: Axes, results: TaskResults, score: str) -> None:
     axis.margins(x=0.015)
     utility, protocol = results.titles[0].rpartition(", ")[2].capitalize(), results.titles[1]
     names = " and ".join(_short(results.labels[learner]) for learner in LABELS)
-    axis.set_title(f"{utility}{' (start cut off)' if cut else ''}\n{protocol}: {names}", fontsize=9.5)
+    axis.set_title(f"{utility}: {names}{' (start cut off)' if cut else ''}\n{protocol}", fontsize=9.5)
 
 
 def _draw_fronts(number: int, path: Path) -> list[Path]:
