@@ -27,5 +27,5 @@ def test_pictures_of_data_and_of_drives_are_drawn(call: Call, tmp_path: Path) ->
 
 def test_the_pages_show_every_picture() -> None:
     text = "".join(path.read_text(encoding="utf-8") for path in (REPOSITORY / "docs").rglob("*.md"))
-    for name in ("observation", "ends", "splits", "scale", "accrued", "choice"):
+    for name in ("observation", "splits", "scale", "accrued", "choice"):
         assert f"images/{name}.png)" in text
