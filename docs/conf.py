@@ -36,7 +36,7 @@ extensions = [
 exclude_patterns = ["_build", "_readme.md", "examples", "**.ipynb_checkpoints"]
 
 # Markdown and notebooks
-myst_enable_extensions = ["colon_fence"]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(DOCS / "_build" / "notebooks")

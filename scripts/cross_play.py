@@ -4,11 +4,14 @@ r"""Cross-play: every driver of vehicle 0 with every driver of the other vehicle
     python scripts/cross_play.py runs/a runs/b --vehicle-0 rule:gap_8 --vehicle-1 rule:straight_6 --output cross_play
     python scripts/cross_play.py runs/a --env mo-deepdrive-roundabout-v0 --vehicles 8 --others rule:drawn_{0..19} ...
 
+    python scripts/cross_play.py --draw docs/results/cross_play
+
 A driver is a run or a policy of the zoo, which drives the vehicles that it learnt to drive; or a rule. At the
 intersection rule:gap_3 turns left and waits for a gap of 3 s, rule:straight_6 drives straight on at 6 m/s,
 rule:yields_6 also brakes for a vehicle in front of it, each with any number. In a roundabout rule:hurried,
 rule:balanced and rule:careful drive any vehicle, rule:enters_3 enters with a gap of 3 s, rule:drawn_7 is the seventh of
-the drawn ones that no learner trains with. The folder gets cross_play.csv and cross_play.png.
+the drawn ones that no learner trains with. The folder gets cross_play.csv, and cross_play.png with means over drivers
+that differ in their seed alone; --draw draws the picture of a folder again.
 
     python scripts/cross_play.py RUN --env mo-deepdrive-roundabout-v0 --vehicles 8 --preference hurried time=5 \
       --preference balanced --preference careful near_miss=5 jerk=5 --show vehicle_0/utility_esr --output matrix
@@ -19,8 +22,11 @@ objectives that are not named. Each meets every other one.
 
 from __future__ import annotations
 
+import csv
 import os
+import re
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -61,6 +67,7 @@ if TYPE_CHECKING:
 
 OTHERS = "others"
 OWN = "own"
+NOTE_AGAIN = "means over the seeds of drivers, and over the episodes of every pair"
 CELL = 0.3  # in, side of a cell of the picture
 MOST_WITH_NUMBERS = 40  # drivers of a role, above which the cells have no numbers
 COLLISIONS = end_by(COLLISION)
@@ -230,9 +237,42 @@ def matrix_rows(encounters: Sequence[Encounter], score: str) -> list[list[str]]:
     return [header, *([name, *(f"{value:.4g}" for value in row)] for name, row in zip(names, values, strict=True))]
 
 
+def read_encounters(path: Path) -> list[Encounter]:
+    """The encounters of a CSV of :func:`write_encounters`."""
+    with path.open(encoding="utf-8") as stream:
+        table = csv.DictReader(stream)
+        first, second, *columns = table.fieldnames or ["", ""]
+        numbers = [({name: float(row[name]) if row[name] else None for name in columns}, row) for row in table]
+    scores = [name for name in columns if not name.endswith(("/low", "/high"))]
+    return [
+        Encounter(
+            (row[first], row[second]),
+            (first, second),
+            {name: Estimate(each[name] or 0.0, each[f"{name}/low"], each[f"{name}/high"]) for name in scores},
+        )
+        for each, row in numbers
+    ]
+
+
+def kinds_of(names: Sequence[str]) -> list[str]:
+    """For each driver its name without the seed, and how many there are of them."""
+    plain = [re.sub(r"[-/_]?seed_?\d+$", "", name) or name for name in names]
+    counts = Counter(plain)
+    return [f"{name} ({counts[name]} seeds)" if counts[name] > 1 else name for name in plain]
+
+
+def by_kind(values: NDArray[np.float64], rows: Sequence[str], columns: Sequence[str]) -> NDArray[np.float64]:
+    """Means of values (K, L) over the rows, and over the columns, of one kind, in their order."""
+    for axis, kinds in ((0, rows), (1, columns)):
+        parts = [[k for k, name in enumerate(kinds) if name == kind] for kind in dict.fromkeys(kinds)]
+        values = np.stack([values.take(part, axis).mean(axis) for part in parts], axis)
+    return values
+
+
 def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> None:
     """Draw the matrices of joint arrivals, collisions and utilities; the note says what was evaluated."""
-    rows, columns, roles = drivers_of(encounters, 0), drivers_of(encounters, 1), encounters[0].roles
+    kinds = [kinds_of(drivers_of(encounters, role)) for role in (0, 1)]
+    (rows, columns), roles = ([*dict.fromkeys(each)] for each in kinds), encounters[0].roles
     names = ["the others" if role == OTHERS else role.replace("_", " ") for role in roles]
     panels = [  # score, title, colour map, and whether the cells are percentages
         (SUCCESS, f"{'all' if OTHERS in roles else 'both'} arrive (%)", "Blues", True),
@@ -245,7 +285,7 @@ def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> N
         figure = Figure(figsize=(max(size[0], 8.0), max(size[1], 5.0)), layout="constrained")
         figure.suptitle(f"Cross-play\n{note}", fontsize=11, ha="left", x=0.02, parse_math=False)
         for axis, (score, title, colours, percent) in zip(figure.subplots(2, 2).flat, panels, strict=True):
-            values = matrix(encounters, score) * (100.0 if percent else 1.0)
+            values = by_kind(matrix(encounters, score), *kinds) * (100.0 if percent else 1.0)
             _draw(axis, values, colours, (0.0, 100.0) if percent else (float(values.min()), float(values.max())))
             axis.set_title(title)
             axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8, parse_math=False)
@@ -269,6 +309,12 @@ def _draw(axis: Axes, values: NDArray[np.float64], colours: str, limits: tuple[f
 
 def play(options: Namespace) -> int:
     """Let all drivers meet, and write and print what they achieve."""
+    if options.draw:
+        plot_encounters(options.draw / "cross_play.png", read_encounters(options.draw / "cross_play.csv"), NOTE_AGAIN)
+        print(f"written: {options.draw / 'cross_play.png'}")
+        return 0
+    if options.output is None:
+        raise ValueError("--output is needed")
     cli.check_directory("--output", options.output)
     arguments = {} if options.vehicles is None else {"vehicles": options.vehicles}
     if not is_ours(find_environment(options.env, "--env")):
@@ -313,7 +359,8 @@ OPTIONS = (
     cli.option("--env", "ID", "environment of several vehicles (default: %(default)s)", default=INTERSECTION),
     cli.option("--vehicles", "V", "argument of the environment", type=int),
     cli.option("--preference", "NAME", PREFERENCE, nargs="+", action="append", default=[]),
-    cli.option("--output", "DIR", "folder of the table and the picture", type=Path, required=True),
+    cli.option("--output", "DIR", "folder of the table and the picture", type=Path),
+    cli.option("--draw", "DIR", "draw the picture of the table in this folder again", type=Path),
     cli.option("--episodes", "N", "per pair (default: %(default)s)", type=int, default=200),
     cli.option("--split", None, "scenario seeds (default: %(default)s)", choices=SPLITS, default="test"),
     cli.option("--utility", "NAME", UTILITY),

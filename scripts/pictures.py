@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from PIL import Image
 
+from algorithms.driving.controls import forward
 from algorithms.driving.left_turn_rules import GapDriver, GapRule
 from algorithms.reporting import style
 from algorithms.reporting.videos import CAPTION_PIXELS, caption_strip, make_render_env, write_video_grid
@@ -48,11 +49,13 @@ if TYPE_CHECKING:
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 ROAD, CAR, OTHER = style.GRID, style.COLOURS[0], style.FAINT
-# Where episodes end, and what may end them; drives of which none ends as the others are found at random.
-ENDING = {
-    "mo-deepdrive-one-waypoint-v1": ("arrived", "time_limit", "circling", "backwards", "harmful_g_force"),
-    "mo-deepdrive-left-turn-v1": ("collision", "off_lane", "skipped_waypoint"),
-}
+# Where episodes end so, with which arguments; drives are found at random.
+ENDING: tuple[tuple[str, dict[str, Any], tuple[str, ...]], ...] = (
+    ("one_waypoint", {}, ("arrived", "time_limit", "circling", "backwards", "harmful_g_force")),
+    ("static_obstacle", {}, ("collision",)),
+    ("left_turn", {"end_on_lane_violation": True}, ("off_lane",)),
+    ("left_turn", {}, ("skipped_waypoint",)),
+)
 DRIVERS = 256
 APPROACH, STAMPED = 40, 10  # frames of the film of LeftTurn that are left out, and that show an end at least
 CHOICES = {  # which algorithm when: question, then answers with algorithms
@@ -69,7 +72,7 @@ CHOICES = {  # which algorithm when: question, then answers with algorithms
 def outline(pose: Floats) -> Floats:
     """The corners (4, 2) of a car at (x, y, heading)."""
     x, y, heading = pose
-    ahead = np.array([np.cos(heading), np.sin(heading)])
+    ahead = forward(heading)
     side = np.array([-ahead[1], ahead[0]])
     corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) / 2 * [CAR_LENGTH, CAR_WIDTH]
     return np.array([x, y]) + corners @ np.stack([ahead, side])
@@ -104,22 +107,18 @@ def rows_of(name: str) -> list[dict[str, str]]:
 
 def observation(path: Path) -> None:
     """What the vehicle of LeftTurn observes, on the car."""
-    steady = np.array([0.0, 0.3, -1.0], dtype=np.float32)
-    (scene,) = record_scenes(
-        lambda o, *_: np.tile(steady, (len(o), 1)),
-        "mo-deepdrive-left-turn-v1",
-        {"action_type": "continuous"},
-        seeds=[SPLITS["validation"].start],
-        drives=1,
-    )
+    env_id, seeds = SCENARIOS["left_turn"].ids, [SPLITS["validation"].start]
+    (scene,) = record_scenes(GapDriver(GapRule(5.0)), [*env_id][-1], {}, seeds=seeds, drives=1)
     (drive,) = scene.drives
-    pose, route = drive.readings[12, 0, :3], scene.routes[0]
-    cars = [car for car in drive.cars[12] if np.isfinite(car).all()]
-    front = pose[:2] + CAR_LENGTH / 2 * np.array([np.cos(pose[2]), np.sin(pose[2])])
-    with style.figure_style({"axes.grid": False}):
-        figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    left, bottom, side = scene.box(3.0)
+    inside = np.abs(drive.cars[..., :2] - [left + side / 2, bottom + side / 2]).max(axis=-1) < 0.4 * side  # (T + 1, C)
+    moment = int(inside.any(axis=1).argmax())
+    pose, route, cars = drive.readings[moment, 0, :3], scene.routes[0], drive.cars[moment][inside[moment]]
+    front = pose[:2] + CAR_LENGTH / 2 * forward(pose[2])
+    with style.figure_style({"axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
+        figure = Figure(figsize=(5.6, 5.6), layout="constrained")
         axes = figure.subplots()
-        draw_map(axes, scene, scene.box(3.0))
+        draw_map(axes, scene, (left, bottom, side))
         draw_car(axes, pose, CAR)
         for car in cars:
             draw_car(axes, car, style.COLOURS[1])
@@ -130,20 +129,12 @@ def observation(path: Path) -> None:
             axes.annotate(
                 f"{name}:\nangle, distance", place, (8, 0), textcoords="offset points", color=colour, va="center"
             )
-        if cars:
+        if len(cars):
             nearest = min(cars, key=lambda car: float(np.hypot(*(car[:2] - front))))
-            axes.annotate(
-                "", nearest[:2], front, arrowprops={"arrowstyle": "->", "color": style.COLOURS[1], "linestyle": "--"}
-            )
-            axes.annotate(
-                "oncoming car:\ndistance, speed",
-                nearest[:2],
-                (8, 8),
-                textcoords="offset points",
-                color=style.COLOURS[1],
-            )
-        own = "own car: velocity, acceleration, speed;\nheld steer, throttle, brake; distances to the lane lines"
-        axes.annotate(own, pose[:2], (10, -14), textcoords="offset points", color=CAR, va="top")
+            said = "oncoming car: speed,\ndistance to the crossing"
+            axes.annotate(said, nearest[:2], (12, 0), textcoords="offset points", color=style.COLOURS[1], va="center")
+        own = "own car: velocity, acceleration,\nspeed, held steer, throttle, brake,\ndistances to the lane lines"
+        axes.annotate(own, pose[:2], (-16, 0), textcoords="offset points", color=CAR, ha="right", va="center")
         style.save_figure(figure, path, dpi=110)
 
 
@@ -151,21 +142,20 @@ def ends(path: Path) -> None:
     """One drive for every end of an episode, found among drives at random."""
     found: dict[str, tuple[Scene, Drive]] = {}
     generator = np.random.default_rng(0)
-    for env_id, reasons in ENDING.items():
-        actions = generator.uniform([-0.35, -0.3, -1.0], [0.35, 0.6, -1.0], (DRIVERS, 3)).astype(np.float32)
+    for scenario, changes, reasons in ENDING:
+        actions = generator.uniform([-0.35, -0.4, -1.0], [0.35, 0.8, -1.0], (DRIVERS, 3)).astype(np.float32)
+        actions[:, 1] **= 3  # mostly gentle
         actions[0] = [0.0, 0.0, 1.0]  # stands still
-        arguments = {"action_type": "continuous", "time_limit": 20.0}
-        arguments |= {"end_on_lane_violation": True} if "left" in env_id else {}
-        (scene,) = record_scenes(
-            lambda o, *_, a=actions: a, env_id, arguments, seeds=[SPLITS["validation"].start], drives=DRIVERS
-        )
+        env_id, seeds = [*SCENARIOS[scenario].ids][-1], [SPLITS["validation"].start]
+        arguments = {"action_type": "continuous", **changes}
+        (scene,) = record_scenes(lambda *_, a=actions: a, env_id, arguments, seeds=seeds, drives=DRIVERS)
         for drive in scene.drives:
             if drive.ends[0] in reasons:
                 found.setdefault(drive.ends[0], (scene, drive))
     with style.figure_style({"axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
         figure = Figure(figsize=(7.6, 4.2), layout="constrained")
         panels = figure.subplots(2, -(-len(found) // 2)).flat
-        for axes, (reason, (scene, drive)) in zip(panels, found.items(), strict=False):
+        for (reason, (scene, drive)), axes in zip(found.items(), panels, strict=False):
             track = drive.readings[:, 0, :3]
             track = track[np.isfinite(track[:, 0])]
             points = np.concatenate([track[:, :2], scene.routes[0][-1:]])
@@ -213,7 +203,7 @@ def scale(path: Path) -> None:
     with style.figure_style({"axes.grid": False}):
         figure = Figure(figsize=(7.2, 0.62 * len(tasks) + 0.8), layout="constrained")
         axes = figure.subplots()
-        for y, (name, task) in enumerate(reversed(tasks.items())):
+        for y, task in enumerate(reversed(tasks.values())):
             axes.plot([0, 1], [y, y], color=style.FAINT, linewidth=5, solid_capstyle="butt", zorder=1)
             axes.plot([0, 1], [y, y], "|", color=style.INK, markersize=15, zorder=2)
             axes.text(0, y + 0.24, f"{task.floor.value:g}", ha="center", va="bottom")
@@ -256,11 +246,12 @@ def accrued(path: Path) -> None:
             axes.plot(seconds, -(spent + seconds), color=colour, linewidth=2.2)
             said = "arrives in time" if kept else "the same drive arrives too late"
             axes.plot(seconds[-1], -(spent + seconds[-1]), "*", color=colour, markersize=13, clip_on=False)
-            axes.text(0.0, -spent - 1.2, f"{spent:.0f} s were spent before: {said}", color=colour, va="top")
+            y = -spent + (5.0 if spent else -8.0)
+            axes.text(0.0, y, f"{spent:.0f} s were spent before: {said}", color=colour, va="center")
         axes.axhline(-deadline, color=style.INK, linewidth=1, linestyle="--")
-        axes.text(0.0, -deadline - 0.8, f"deadline of K3, {deadline:.0f} s: 10 destination [time <= 40]", va="top")
+        axes.text(0.0, -deadline - 1.5, f"deadline of K3, {deadline:.0f} s: 10 destination [time <= 40]", va="top")
         axes.set(
-            xlabel="seconds driven; both cars observe the same", ylabel="accrued reward in time (s)", ylim=(-48, 2)
+            xlabel="seconds driven; both cars observe the same", ylabel="accrued reward in time (s)", ylim=(-49, 2)
         )
         style.save_figure(figure, path, dpi=110)
 
@@ -290,7 +281,7 @@ def conflicts(path: Path) -> None:
     with style.figure_style({"axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
         figure = Figure(figsize=(7.6, 9.2))
         panels = figure.subplots(-(-len(groups) // 2), 2).flat
-        for axes, (population, rows) in zip(panels, groups, strict=False):
+        for (population, rows), axes in zip(groups, panels, strict=False):
             names = list(dict.fromkeys(row[which] for row in rows for which in ("first", "second")))
             values = np.full((len(names), len(names)), np.nan)
             for row in rows:
@@ -299,7 +290,15 @@ def conflicts(path: Path) -> None:
             for (y, x), value in np.ndenumerate(values[1:, :-1]):
                 if np.isfinite(value):
                     colour = "white" if abs(value) > 0.6 else style.INK
-                    axes.text(x, y, f"{value:+.2f}", ha="center", va="center", fontsize=8, color=colour)
+                    axes.text(
+                        x,
+                        y,
+                        f"{value:+.2f}",
+                        ha="center",
+                        va="center",
+                        fontsize=7 if len(names) > 6 else 8,
+                        color=colour,
+                    )
             plain = [name_and_unit(name)[0] for name in names]
             axes.set_xticks(range(len(names) - 1), plain[:-1], rotation=35, ha="right", rotation_mode="anchor")
             axes.set_yticks(range(len(names) - 1), plain[1:])
@@ -315,15 +314,14 @@ def conflicts(path: Path) -> None:
 
 
 def thumbnails(path: Path) -> None:
-    """Small pictures of the scenarios, from the middle of the films on their pages."""
+    """Small pictures of the scenarios, from the beginning of the films on their pages."""
     path.mkdir(exist_ok=True)
     for film in ("one_waypoint", "static_obstacle", "left_turn", "intersection", "roundabout"):
         with Image.open(path.parent / f"{film}.gif") as frames:
-            frames.seek(frames.n_frames // 3)  # type: ignore[attr-defined]
+            frames.seek(frames.n_frames // 8)  # type: ignore[attr-defined]
             frame = frames.convert("RGB")
-        side = min(frame.size)
-        corner = frame.crop((0, frame.height - side, side, frame.height))
-        corner.resize((120, 120), Image.Resampling.LANCZOS).save(path / f"{film}.png")
+        first = frame.crop((0, CAPTION_PIXELS, frame.height - CAPTION_PIXELS, frame.height))  # of several side by side
+        first.resize((120, 120), Image.Resampling.LANCZOS).save(path / f"{film}.png")
 
 
 def left_turn(path: Path) -> None:
@@ -353,6 +351,7 @@ PICTURES: dict[str, tuple[str, Callable[[Path], None]]] = {
 
 def write(options: Namespace) -> int:
     """Draw the pictures."""
+    options.output.mkdir(parents=True, exist_ok=True)
     for name in options.pictures or PICTURES:
         file, draw = PICTURES[name]
         draw(options.output / file)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
-from algorithms.reporting.curves import SETTLED, curve, limit_axis
+from algorithms.reporting.curves import curve, limit_axis
 from algorithms.reporting.page.plots import draw_front
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround
 from algorithms.reporting.tables import markdown, print_rows
@@ -70,6 +70,7 @@ CURVE_FIGURES = {
 # Drawn from a front by algorithms.reporting.page.plots, as the figure with this name.
 FRONT_FIGURES = {7: "importance", 10: "reduction"}
 PROTOCOLS = {"best": ", best effort", "printed": ", as printed"}  # by the end of a front's folder
+LATE = 0.75  # share of the training after which a curve always gets the full height of its axis
 MIN_WIDTH = 8.4  # inches, for the title and the note below it
 
 
@@ -121,7 +122,7 @@ def _draw_curves(number: int, results: PaperResults, path: Path) -> list[Path]:
         enough = seeds[-1] >= MIN_SAMPLES
         note += " with 95% bootstrap interval" if enough else f", too few for an interval (n = {count})"
         final = "lines: the few scenarios of evaluations during training; "
-        final += "diamonds: means of the final scores, on the many other scenarios of the tables"
+        final += "diamonds: means of final scores, on the scenarios of the tables"
         names = {key: dict.fromkeys(_short(panel.labels[key]) for panel in panels.values()) for key in LABELS}
         handles = [
             Line2D([], [], color=ALGORITHM_COLOURS[key], linewidth=2.4, label=" or ".join(names[key])) for key in LABELS
@@ -132,7 +133,7 @@ def _draw_curves(number: int, results: PaperResults, path: Path) -> list[Path]:
 
 
 def _short(label: str) -> str:
-    """ "PPO" of the label "A2C, clipped (PPO)"."""
+    """The name in brackets of a label such as "A2C, clipped (PPO)", or else all of it."""
     return label.rpartition("(")[2].removesuffix(")")
 
 
@@ -151,7 +152,7 @@ def _draw_panel(axis: Axes, results: TaskResults, score: str) -> None:
         if len(final):
             mark = {"markersize": 7, "markeredgecolor": "white", "clip_on": False, "zorder": 5}
             axis.plot(steps[-1], final.mean(), "D", color=colour, **mark)
-        settled = np.append(mean[steps >= SETTLED * steps.max()], final.mean() if len(final) else [])
+        settled = np.append(mean[steps >= LATE * steps.max()], final.mean() if len(final) else [])
         drawn.append((settled, mean, low, high, np.atleast_1d(final.mean()) if len(final) else mean))
         axis.plot(steps, mean, color=colour, linewidth=2.1, zorder=4)
         if np.isfinite(low).all():
@@ -163,7 +164,7 @@ def _draw_panel(axis: Axes, results: TaskResults, score: str) -> None:
     axis.margins(x=0.015)
     utility, protocol = results.titles[0].rpartition(", ")[2].capitalize(), results.titles[1]
     names = " and ".join(_short(results.labels[learner]) for learner in LABELS)
-    axis.set_title(f"{utility}{' (start cut off)' if cut else ''}\n{protocol}: {names}", fontsize=9.5)
+    axis.set_title(f"{utility}: {names}{' (start cut off)' if cut else ''}\n{protocol}", fontsize=9.5)
 
 
 def _draw_fronts(number: int, path: Path) -> list[Path]:

@@ -1,15 +1,20 @@
 -- What the made tables of the documentation select from: views of the CSV files in this folder and of the suite's tasks.
 
+CREATE VIEW installing AS -- README: the two commands, how long they take, and what is installed
+SELECT '`' || command || '`' AS command, does AS "what it does", prints AS "what it prints last",
+  minutes AS "minutes on two cores, beside the installation",
+  gigabytes AS "GB installed, with PyTorch's CPU build" FROM install;
+
 CREATE VIEW suite_list AS -- scoreboard: the tasks that count, and their best learners
 SELECT '`' || task || '`' AS task, title, tests AS "what it tests", printf('%g M', steps / 1e6) AS steps,
   best AS "best learner", score, core
 FROM suite_tasks WHERE counted;
 
 CREATE VIEW suite_core AS -- README: what the core tasks pay, between which bounds, and who is best
-SELECT '`' || task || '`' AS task, title, '`' || formula || '`' AS utility, printf('%g', floor) AS "floor (0)",
-  printf('%g', ceiling) AS "ceiling (1)", best AS "best, or tied for it", score,
-  (SELECT decimals(avg(cpu_seconds) / 60.0, 0) FROM (SELECT DISTINCT seed, cpu_seconds FROM suite
-    WHERE suite.task = t.task AND suite.learner = t.first AND cpu_seconds <> '')) AS "CPU minutes"
+SELECT '`' || task || '`' AS task, score, best AS "best, or tied for it", printf('%g', floor) AS "floor (0)",
+  printf('%g', ceiling) AS "ceiling (1)", (SELECT decimals(avg(cpu_seconds) / 60.0, 0) FROM (SELECT DISTINCT seed, cpu_seconds
+    FROM suite WHERE suite.task = t.task AND suite.learner = t.first AND cpu_seconds <> '')) AS "CPU minutes",
+  title, '`' || formula || '`' AS utility
 FROM suite_tasks AS t WHERE counted AND core;
 
 CREATE VIEW suite_generalisation AS -- scoreboard: scores of the best learners where nobody has trained

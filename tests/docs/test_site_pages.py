@@ -14,6 +14,7 @@ from mo_deepdrive.world.observation import layout
 from mo_deepdrive.world.scenarios import SCENARIOS
 from site_pages import reference
 from site_pages.explorer_examples import EXAMPLES
+from site_pages.repository import outside_links, pages
 from tests.helpers.markdown_tables import tables
 from tests.helpers.paths import REPOSITORY
 
@@ -123,6 +124,12 @@ def test_the_reference_has_every_public_constant() -> None:
 
 
 # ---------------------------------------------------------------------------------------------------- pages from files
+
+
+def test_links_to_files_outside_the_pages_are_text_as_long_as_the_repository_has_no_address() -> None:
+    text = "[licence](../LICENSE), [results](results), [changes](../CHANGELOG.md), [GPU](gpu.md#a)"
+    assert outside_links(text, "provenance.md") == "licence, results, [changes](changelog.md), [GPU](gpu.md#a)"
+    assert "](LICENSE)" not in pages()["_readme.md"]
 
 
 def test_the_explorers_pages_are_those_of_the_commands_in_the_documentation() -> None:

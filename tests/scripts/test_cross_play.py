@@ -39,6 +39,9 @@ def test_every_driver_meets_every_driver_of_the_other_vehicle(call: Call, tmp_pa
     assert min(float(row["success"]) for row in rows[3:]) >= 0.9
     assert (tmp_path / "made" / "cross_play.png").read_bytes().startswith(b"\x89PNG")
     assert "vehicle_0 with those that it met: 20 episodes" in out
+    (tmp_path / "made" / "cross_play.png").unlink()
+    assert call("cross_play", "--draw", tmp_path / "made")[0] == 0
+    assert (tmp_path / "made" / "cross_play.png").is_file()
     assert "written" in out
 
 

@@ -66,10 +66,16 @@ class FrontModel {
     return this.decoded.get(key);
   }
 
+  /** Equal weights, or, where the policy that they choose hardly arrives, the next one that does; on a scenario of usual length. */
   initialState() {
     const budget = this.budget && { g_force: this.budget.g_force, jerk: this.budget.jerk };
-    return { mode: "weights", weights: this.objectives.map(() => 50), budget, picked: 0, compared: [], scenario: 0, ranges: {},
-      returns: 0, dominated: false };
+    const values = weightedSums(this.returns, this.scales.map((scale) => weightOf(50, scale)));
+    const order = rankPolicies(values, this.means, this.scales);
+    const enough = 0.5 * Math.max(...this.success);
+    const picked = order.find((k) => this.success[k] >= enough && (k === order[0] || this.dominators[k] < 0)) ?? order[0];
+    const unusual = this.scenes.map((_, scenario) => Math.abs(this.drive(scenario, picked).decisions - this.lengths[picked]));
+    return { mode: picked === order[0] ? "weights" : "picked", weights: this.objectives.map(() => 50), budget, picked, compared: [],
+      scenario: Math.max(unusual.indexOf(Math.min(...unusual)), 0), ranges: {}, returns: 0, dominated: false };
   }
 }
 
@@ -88,13 +94,13 @@ function stateOfLink(hash, fronts) {
     state.budget = { g_force: budget[0], jerk: budget[1] };
   }
   const picked = below("policy", front.size, null);
-  state.picked = picked ?? 0;
+  state.picked = picked ?? state.picked;
   const modes = ["weights", ...(state.budget ? ["budget"] : []), ...(picked === null ? [] : ["picked"])];
   if (modes.includes(values.get("mode"))) state.mode = values.get("mode");
   state.compared = [...new Set(numbers("compare").filter((k) => isBelow(k, front.size)))].slice(0, MOST_COMPARED);
   state.returns = below("returns", front.measured.length, 0);
   state.dominated = values.has("dominated");
-  state.scenario = below("scenario", front.scenes.length, 0);
+  state.scenario = below("scenario", front.scenes.length, state.scenario);
   for (const text of values.getAll("range")) {
     const [i, low, high] = text.split(",").map(Number);
     if (front.axes[i] && low <= high) state.ranges[i] = [low, high];
