@@ -88,7 +88,7 @@ def find_linker() -> list[str]:
 def _resident(arrays: Mapping[str, np.ndarray]) -> Any:
     """A compiled function that returns arrays which are in the module, by their names, with these first contents."""
     kinds = [numba.typeof(array) for array in arrays.values()]  # type: ignore[no-untyped-call]
-    named = types.NamedTuple(kinds, namedtuple("Arrays", arrays))  # type: ignore[misc]
+    named = types.NamedTuple(kinds, namedtuple("Arrays", arrays))  # type: ignore[no-untyped-call]
 
     def put(context: Any, builder: Any, name: str, array: np.ndarray, kind: Any) -> Any:
         contents = bytearray(array.tobytes() or bytes(8))
@@ -160,7 +160,7 @@ def _entries(config: EnvConfig) -> dict[str, tuple[Callable[..., int], Sequence[
     def keys(v: int, accelerate: int, brake: int, left: int, right: int) -> int:
         b = resident()
         me = b.worlds[0, v]
-        return _choose(b.table, me.steer, me.speed, me.throttle, accelerate != 0, brake != 0, left != 0, right != 0)  # type: ignore[no-any-return]
+        return _choose(b.table, me.steer, me.speed, me.throttle, accelerate != 0, brake != 0, left != 0, right != 0)
 
     made: dict[str, Any] = {"step": (step, ()), "restart": (restart, ()), "seed": (seed, (types.uint64,))}
     return made if world.continuous else {**made, "keys": (keys, 5 * (types.int32,))}
