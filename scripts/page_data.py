@@ -40,8 +40,10 @@ PREFERENCES = 12  # under which a conditioned policy drives for comparison
 
 def by_rule(rule: float | str) -> Any:
     """A scripted driver as a policy function: of a roundabout by its name, of the left turn by its gap (s)."""
-    driver = make_rule(f"rule:{rule}", "discrete") if isinstance(rule, str) else None
-    return GapDriver(GapRule(gap=rule)) if driver is None else lambda seen, *_: driver(seen)
+    if not isinstance(rule, str):
+        return GapDriver(GapRule(gap=rule))
+    driver = make_rule(f"rule:{rule}", "discrete")
+    return lambda seen, *_: driver(seen)
 
 
 def by_policy(policy: Any, objectives: list[str], kept: list[Any]) -> Any:
