@@ -89,14 +89,12 @@ def ask(means: NDArray[np.float64], objectives: Sequence[str], scales: NDArray[A
 
     The end of the input ends the questions; a ValueError if there has been no answer.
     """
-    from mo_deepdrive.evaluation import elicitation
+    from mo_deepdrive.evaluation.elicitation import QUESTIONS, Elicitation
 
-    samples = elicitation.simplex_samples(len(objectives))
-    utilities = samples @ (means / scales).T
-    hardness, answers = elicitation.temperature(utilities), list[tuple[int, int]]()
+    elicitation, answers = Elicitation(means / scales), list[tuple[int, int]]()
     width = max(map(len, objectives))
-    while len(answers) < elicitation.QUESTIONS and (pair := elicitation.next_pair(utilities, answers, hardness)):
-        print(f"\nquestion {len(answers) + 1} of {elicitation.QUESTIONS}{'1':>{width - 1}}{'2':>12}")
+    while len(answers) < QUESTIONS and (pair := elicitation.next_pair(answers)):
+        print(f"\nquestion {len(answers) + 1} of {QUESTIONS}{'1':>{width - 1}}{'2':>12}")
         for name, *values in zip(objectives, *means[list(pair)], strict=True):
             print(f"  {name:<{width}}" + "".join(f"{value:>12.4g}" for value in values))
         try:
@@ -107,7 +105,7 @@ def ask(means: NDArray[np.float64], objectives: Sequence[str], scales: NDArray[A
             answers.append(pair if answer == "1" else pair[::-1])
     if not answers:
         raise ValueError("--ask: no question was answered; each answer is 1 or 2")
-    weights, low, high = elicitation.weight_interval(samples, elicitation.posterior(utilities, answers, hardness))
+    weights, low, high = elicitation.estimate(answers)
     print("\nweights of returns in nominal scales, with 90% intervals:")
     for name, *values in zip(objectives, weights, low, high, strict=True):
         print(f"  {name:<{width}}  {values[0]:.2f}  [{values[1]:.2f}, {values[2]:.2f}]")

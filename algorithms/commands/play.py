@@ -32,7 +32,7 @@ from mo_deepdrive.world.config import is_ours
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from contextlib import AbstractContextManager
 
     from mo_deepdrive.envs.vector import DrivingVectorEnv
@@ -90,15 +90,17 @@ def _open_rivals(options: cli.Options, env_id: str) -> tuple[Policy, dict[str, A
     return load_policy(run), theirs.arguments, run.experiment.training.partners
 
 
-def print_outcome(objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
-    """Print how an episode ended."""
+def print_outcome(
+    title: str, objectives: Sequence[str], ends: Sequence[str], seconds: Sequence[float], returns: Any
+) -> None:
+    """Print how an episode ended for each of V vehicles, after what time, and with which returns (V, d)."""
     units = [OBJECTIVES[INDEX[name]].unit for name in objectives]
     rows = [["", "end", "length", *objectives], ["", "", "s", *("" if unit == "1" else unit for unit in units)]]
-    for v, (end, seconds, returns) in enumerate(zip(outcome.ends, outcome.seconds, outcome.returns, strict=True)):
-        rows.append([f"vehicle_{v}", end, f"{seconds:.1f}", *(f"{value:.2f}" for value in returns)])
+    for v, (end, time, values) in enumerate(zip(ends, seconds, returns, strict=True)):
+        rows.append([f"vehicle_{v}", end, f"{time:.1f}", *(f"{value:.6g}" for value in values)])
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     rows.insert(2, ["-" * width for width in widths])
-    print(f"\nepisode {outcome.episode}, seed {outcome.seed}")
+    print(f"\n{title}")
     for name, end, *numbers in rows:
         cells = (number.rjust(width) for number, width in zip(numbers, widths[2:], strict=True))
         print("  ".join((name.ljust(widths[0]), end.ljust(widths[1]), *cells)).rstrip())
@@ -165,8 +167,12 @@ def play(options: cli.Options) -> int:
             human_env = HumanPlayEnv(env, seats, policy=policy, generator=generator, on_frame=on_frame)
             human_env.reset(seed=options.seed)
             print(describe_controls(seats))
+
+            def show(o: EpisodeOutcome) -> None:
+                print_outcome(f"episode {o.episode}, seed {o.seed}", env.objectives, o.ends, o.seconds, o.returns)
+
             try:
-                play_in_window(human_env, options.fps or rate, lambda outcome: print_outcome(env.objectives, outcome))
+                play_in_window(human_env, options.fps or rate, show)
             finally:
                 human_env.close()
     except pygame.error as error:

@@ -8,6 +8,7 @@ characters itself. The returns are those that the page has shown.
 
 from __future__ import annotations
 
+from algorithms.commands.play import print_outcome
 from algorithms.runs import cli
 
 
@@ -15,25 +16,14 @@ def replay(options: cli.Options) -> int:
     """Print how the drive ended for each vehicle, and its undiscounted returns."""
     import mo_deepdrive
     from algorithms.runs.web import Link
-    from mo_deepdrive.evaluation.metrics import name_and_unit, vehicle_name
-    from mo_deepdrive.simulation.state import ENDS
-    from mo_deepdrive.world.params import chosen_objectives
 
     link = Link.read(options.link)
-    config, drives = link.replay()
+    evaluation, frequency = link.replay()
     if link.version != mo_deepdrive.__version__:
         cli.warn(f"the link is of version {link.version}, this one is {mo_deepdrive.__version__}: returns may differ")
-    vehicles = drives.returns.shape[1]
-    rows = [["", *(vehicle_name(v) if vehicles > 1 else "return" for v in range(vehicles))]]
-    for name, returns in zip(chosen_objectives(config), drives.returns[0].T.tolist(), strict=True):
-        named, unit = name_and_unit(name)
-        rows.append([f"{named} ({unit})" if unit else named, *(f"{value:.6g}" for value in returns)])
-    rows.append(["end", *(ENDS[end] or "driving" for end in drives.ends[0])])
-    rows.append(["driven for (s)", *(f"{length / config.decision_frequency:.1f}" for length in drives.lengths[0])])
-    print(f"{link.id}, seed {link.seed}, driven by {link.driver}\n")
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for name, *cells in rows:
-        print("  ".join((name.ljust(widths[0]), *map(str.rjust, cells, widths[1:]))))
+    seconds = (evaluation.lengths[0] / frequency).tolist()
+    title = f"{link.id}, seed {link.seed}, driven by {link.driver}"
+    print_outcome(title, evaluation.objectives, evaluation.ends[0], seconds, evaluation.returns[0])
     return 0
 
 

@@ -11,7 +11,6 @@ compiles them without Python: numbers alone, no arrays, texts or errors.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from algorithms.runs import cli
@@ -33,22 +32,16 @@ def build(options: cli.Options) -> int:
     config = web.configuration("--env", options.env, arguments)
     if config.action_type == "continuous":
         raise ValueError("--arguments: action_type = 'continuous' cannot be driven with keys; take 'discrete'")
-    module = compile_module(config)
-    folder, name = Path(options.output), "own"
-    write_site(folder)
+    module, folder = compile_module(config), Path(options.output)
     facts = web.world_facts(config, options.env, arguments)
+    write_site(folder)
     for number, each in enumerate(options.policy or ()):
         run = Run.open(each, trust=options.trust)
         agent = load_policy(run)
-        if (
-            agent.env.observation_size != len(facts["observations"])
-            or agent.env.vehicles != config.scenario_data.vehicles
-        ):
+        if (agent.env.observation_size, agent.env.vehicles) != (len(facts["observations"]), facts["vehicles"]):
             raise ValueError(f"--policy {each}: it learnt in {run.experiment.environment.id}, and sees something else")
         facts["policies"] += web.write_policies(folder, agent, f"own-policy-{number}", Path(each).name)
-    row = web.write_world(folder, name, facts, module)
-    shipped = json.loads((folder / web.PAGE).read_text(encoding="utf-8"))["worlds"]
-    web.write_page_list(folder, [row, *shipped])
+    web.write_world(folder, "own", facts, module)
     print(f"{folder / 'index.html'}: {len(module) / 1000:.0f} kB of {options.env}; see it with a web server, such as")
     print(f"python -m http.server --directory {folder}")
     return 0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mo_deepdrive.simulation.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE
+from mo_deepdrive.simulation.jit import separate_jit
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
 from mo_deepdrive.world.actions import CONTINUOUS, action_table
 from mo_deepdrive.world.observation import OWN
@@ -27,15 +29,12 @@ CURVATURE_PER_STEER = 8.4  # 1/m per rad
 DRAG = 0.06  # deceleration by friction (m/s^2) per m/s
 BRAKING = 2.45  # deceleration (m/s^2) per m/s and unit of brake
 DECISION = 0.1  # s
+# A vehicle that brakes fully from the next decision on stands after so many metres per m/s.
+BRAKING_TIME = 1.0 / BRAKING + 1.5 * DECISION  # s
 THROTTLE = 1.0  # m/s^2, of the discrete actions
 BRAKE_LIMIT = 4.35  # m/s above which a discrete brake would be harmful
 
 SOFT_CHANGE = 0.15  # m/s^2 by which the throttle changes in a decision, of continuous actions
-
-
-def braking_distance(speed: Floats) -> Floats:
-    """How far (m) a vehicle with a speed (m/s) drives until it stands, braking fully from the next decision on."""
-    return speed * (1.0 / BRAKING + 1.5 * DECISION)
 
 
 def forward(heading: Floats) -> Floats:
@@ -91,12 +90,22 @@ class Driver:
         wanted = np.where(throttle > 0.0, target, target * (1.0 - self.slack))
         change = np.where(speed < wanted, INCREASE, np.where(throttle > 0.0, DECREASE, MAINTAIN))
         change = np.where(brakes, DECREASE, change)
-        curled = table[:, CURL] / np.maximum(speed, 1.0)[:, None] ** 2
-        offered = table[:, DECAY] * held[:, None] + table[:, OFFSET] + curled
-        error = np.abs(offered - steer[:, None])
-        if self.calm:
-            error += self.calm * np.abs(offered - held[:, None])
-        return np.asarray(np.where(table[:, SPEED_CHANGE] == change[:, None], error, np.inf).argmin(axis=1))
+        return nearest(table, change, steer, np.stack([speed, held], axis=1), self.calm)
+
+
+@separate_jit
+def nearest(table: Floats, change: NDArray[np.int64], steer: Floats, own: Floats, calm: float) -> NDArray[np.int64]:
+    """The discrete actions (N,) of a change of speed that steer nearest; ``own`` (N, 2) is speed and steering."""
+    actions = np.zeros(len(change), dtype=np.int64)
+    for i in range(len(change)):
+        speed, held, least = max(own[i, 0], 1.0), own[i, 1], math.inf
+        for action in range(len(table)):
+            if table[action, SPEED_CHANGE] == change[i]:
+                offered = table[action, DECAY] * held + table[action, OFFSET] + table[action, CURL] / speed**2
+                error = abs(offered - steer[i]) + calm * abs(offered - held)
+                if error < least:
+                    actions[i], least = action, error
+    return actions
 
 
 def make_driver(forms: Mapping[str, Callable[..., Driver]], name: str, action_type: str) -> Any:

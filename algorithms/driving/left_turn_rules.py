@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.driving.controls import THROTTLE, Driver, Rule, braking_distance, forward
+from algorithms.driving.controls import BRAKING_TIME, THROTTLE, Driver, Rule, forward
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
 from mo_deepdrive.world.observation import layout
@@ -75,7 +75,7 @@ class GapDriver(Driver):
     def may_go(self, seen: Floats, line: Floats, least_speed: float | Floats) -> NDArray[np.bool_]:
         """Whether vehicles are at the line (N,) and no oncoming car that is at least so fast comes within the gap."""
         speed = seen[:, COLUMN["speed"]]
-        here = line <= braking_distance(speed) + 0.3
+        here = line <= speed * BRAKING_TIME + 0.3
         to_lane = np.maximum(line + self.rule.stop_distance + TO_ONCOMING_LANE, 0.0)
         lead_time = (np.sqrt(speed**2 + 2.0 * THROTTLE * to_lane) - speed) / THROTTLE
         free = free_time(seen, lead_time, least_speed)
@@ -96,7 +96,7 @@ class GapDriver(Driver):
         rolling = np.where(left, rule.exit_speed, np.where(turning, rule.turn_speed, rule.approach_speed))
         waiting = np.minimum(rule.approach_speed, np.where(line > 0.3, 1.5 * line, 0.0))
         target = np.where(goes, rolling, waiting)
-        brakes = ~goes & (line <= braking_distance(speed))
+        brakes = ~goes & (line <= speed * BRAKING_TIME)
         return self.control(seen, path_curvature(centre, heading, speed), target, brakes, line)
 
 

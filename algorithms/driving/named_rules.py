@@ -60,6 +60,10 @@ class ScriptedPolicy:
             actions[:, driven] = self._driver(observations[:, driven])
         return self.env.policy_actions(actions[:, 0] if self.env.vehicles == 1 else actions)
 
+    def alone(self, vehicle: int) -> ScriptedPolicy:
+        """The same of which one vehicle follows the script, so that actions of the others take no time."""
+        return ScriptedPolicy(self.env, vehicle, self._driver)
+
 
 def is_rule(name: str) -> bool:
     """Whether the name is one of a scripted driver."""

@@ -3,42 +3,50 @@
 A rule knows the roads, and of everything that moves what an agent observes. It remembers nothing: an action follows
 from one observation. Before the roundabout it stops for whoever has right of way and would be at the end of its entry
 within ``gap`` seconds, unless it is turning off.
+
+Points are complex numbers x + iy (m). What is seen from a place is ahead of it (real) and to its left (imaginary).
 """
 
 from __future__ import annotations
 
+import cmath
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from algorithms.driving.controls import BRAKE_LIMIT, Driver, Rule, braking_distance, forward, make_driver
+from algorithms.driving.controls import BRAKE_LIMIT, BRAKING_TIME, Driver, Rule, make_driver
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
+from mo_deepdrive.simulation.jit import jit, separate_jit, uncounted_jit
 from mo_deepdrive.simulation.neighbours import NEIGHBOURS
 from mo_deepdrive.simulation.roads import NEXT_POINT, POINT_AFTER
-from mo_deepdrive.simulation.state import STANDSTILL_GAP
-from mo_deepdrive.world.observation import layout
+from mo_deepdrive.simulation.state import LENGTH, STANDSTILL_GAP
+from mo_deepdrive.simulation.trigonometry import angle_of, sine_cosine
+from mo_deepdrive.world.observation import NEIGHBOUR, OWN, ROAD
 from mo_deepdrive.world.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mo_deepdrive.simulation.state import Record, Records
+    from mo_deepdrive.world.routes import Route
+
     Floats = NDArray[np.float64]
 
 ROUNDABOUTS = ("roundabout", "roundabout_solo")
 SCENARIO = SCENARIOS["roundabout"]
-COLUMN = {entry.name: column for column, entry in enumerate(layout(SCENARIO))}
 # The routes from one arm; those from the others are the same ones, turned.
 ROUTES = SCENARIO.routes[:3]
-LENGTHS = np.array([route.length for route in ROUTES])
+LENGTHS = tuple(route.length for route in ROUTES)
 LINE = ROUTES[0].priority[0]  # type: ignore[index]  # m along the route, from where it has right of way
 _JOINED = ROUTES[0].joints()[2]
 RADIUS = 1.0 / ROUTES[0].segments[2].curvature
-CENTRE = np.array([_JOINED[0] - RADIUS * math.cos(_JOINED[2]), _JOINED[1] - RADIUS * math.sin(_JOINED[2])])
-ENTERED = math.atan2(_JOINED[1] - CENTRE[1], _JOINED[0] - CENTRE[0])  # where entries end, as an angle at the centre
+CENTRE = complex(*_JOINED[:2]) - cmath.rect(RADIUS, _JOINED[2])
+ENTERED = cmath.phase(complex(*_JOINED[:2]) - CENTRE)  # where entries end, as an angle at the centre
 TO_EXIT = sum(segment.length for segment in ROUTES[0].segments[-2:])  # m, from the circle to the end of a route
+HALF_LANE = SCENARIO.routes[0].lane_width / 2
 
 # The lines of the routes as tables: x, y (m), heading (rad) and curvature (1/m) every STEP from BEFORE the start on.
 STEP, BEFORE, BEYOND = 0.1, 5.0, 30.0  # m
@@ -48,7 +56,10 @@ HEADING_GAIN = 0.08  # curvature (1/m) per rad of error
 OFFSET_GAIN = 0.042  # curvature (1/m) per m of error
 MAX_CURVATURE = 0.16  # 1/m
 
-LOOK_AHEAD = np.arange(0.0, 27.0, 2.0)  # m along the lane, where others are ahead
+STATIONS, SPACING = 14, 2.0  # points of the lane where others are looked for, and m from one to the next
+ASIDE = (
+    LENGTH + HALF_LANE + SPACING
+)  # m from one end of somebody to the lane, from which on the other is beside it, too
 REACH = 0.5  # m from the middle of somebody's front or rear to what is first in the way
 STANDING = 3.3  # m/s, the least speed by which the time to the entry is counted
 TURNS_OFF = 0.5  # rad from the direction of the circle, outwards, from which on somebody is leaving it
@@ -69,143 +80,157 @@ class RoundaboutRule(Rule):
     headway: float = 0.9  # to the one ahead (s)
 
 
-def _tables() -> Floats:
-    """(4, routes, M) x, y, heading and curvature of the lines of the routes."""
-    tables, along = [], np.arange(-BEFORE, LENGTHS.max() + BEYOND, STEP)
-    for route in ROUTES:
-        joints, segments = route.joints(), route.segments
-        starts = np.cumsum([0.0, *(segment.length for segment in segments[:-1])])
-        numbers = np.maximum(np.searchsorted(starts, along, side="right") - 1, 0).tolist()
-        places = zip(along.tolist(), numbers, strict=True)
-        poses = [replace(segments[k], length=distance - starts[k]).end(joints[k]) for distance, k in places]
-        tables.append([*np.array(poses).T, np.array([segments[k].curvature for k in numbers])])
-    return np.array(tables).transpose(1, 0, 2)
+RULE = np.dtype([(field.name, np.float64) for field in fields(RoundaboutRule)])
+_NEAR = [(entry.name.removeprefix("near_"), np.float64) for entry in NEIGHBOUR]
+SEEN = np.dtype([*((entry.name, np.float64) for entry in (*OWN, *ROAD)), ("near", _NEAR, NEIGHBOURS)])
 
 
-TABLES = _tables()
+def _table(route: Route) -> Floats:
+    """(M, 4) x, y, heading and curvature of the line of a route."""
+    starts = np.cumsum([0.0, *(segment.length for segment in route.segments[:-1])]).tolist()
+    joints, line = route.joints(), []
+    for along in np.arange(-BEFORE, max(LENGTHS) + BEYOND, STEP).tolist():
+        k = sum(start <= along for start in starts[1:])
+        segment = replace(route.segments[k], length=along - starts[k])
+        line.append((*segment.end(joints[k]), segment.curvature))
+    return np.array(line)
 
 
-def lane(route: NDArray[np.intp], along: Floats) -> Floats:
-    """x, y (m), heading (rad) and curvature (1/m) (4, ...) of the line ``along`` (...) (m) routes (...)."""
-    place = np.clip((along + BEFORE) / STEP, 0.0, TABLES.shape[2] - 1.001)
-    cell = place.astype(np.intp)
-    part = place - cell
-    return np.asarray(TABLES[:, route, cell] * (1.0 - part) + TABLES[:, route, cell + 1] * part)
+TABLES = np.array([_table(route) for route in ROUTES])
 
 
 class Place(NamedTuple):
-    """Where N vehicles are, in the coordinates of the routes from the first arm."""
+    """Where a vehicle is, in the coordinates of the routes from the first arm."""
 
-    route: NDArray[np.intp]  # (N,) indices of routes
-    along: Floats  # (N,) from the start of the route to the projection of the front (m)
-    front: Floats  # (N, 2) (m)
-    heading: Floats  # (N,) (rad)
-
-
-def locate(seen: Floats) -> Place:
-    """Where vehicles are, from observations (N, size).
-
-    The route is the one on which the entry and the two points ahead are where they are seen.
-    """
-    error = seen[:, COLUMN["heading_error"]]
-    nearer, farther = _point(seen, "next", error), _point(seen, "after", error)
-    routes = np.arange(len(ROUTES))
-    along = LENGTHS - seen[:, COLUMN["remaining_distance"], None]
-    here = lane(routes, along)
-    first, second = (_from(here, lane(routes, along + ahead)) for ahead in (NEXT_POINT, POINT_AFTER))
-    off = np.abs(np.maximum(LINE - along, 0.0) - seen[:, COLUMN["entry_distance"], None])
-    # The front may be beside the lane, by the same distance at both points.
-    off += np.abs(first[0] - nearer[0][:, None]) + np.abs(second[0] - farther[0][:, None])
-    off += np.abs(first[1] - second[1] - (nearer[1] - farther[1])[:, None])
-    route = off.argmin(axis=1)
-    rows = np.arange(len(seen))
-    x, y, heading, _ = here[:, rows, route]
-    left = first[1][rows, route] - nearer[1]
-    front = np.stack([x - left * np.cos(heading), y - left * np.sin(heading)], axis=1)
-    return Place(route, along[rows, route], front, heading + error)
+    route: int  # index of routes
+    along: float  # from the start of the route to the projection of the front (m)
+    front: complex
+    heading: float  # rad
 
 
-def _point(seen: Floats, which: str, error: Floats) -> tuple[Floats, Floats]:
-    """The next point of the route or the one after it (N,) each: metres ahead along the lane, and to its left."""
-    distance = seen[:, COLUMN[f"{which}_distance"]]
-    if which == "after":  # it is observed by way of the next one
-        distance = distance - seen[:, COLUMN["next_distance"]]
-    angle = error - seen[:, COLUMN[f"{which}_angle"]]
-    return distance * np.cos(angle), distance * np.sin(angle)
+@uncounted_jit
+def lane(tables: Floats, route: int, along: float) -> tuple[complex, float, float]:
+    """Point, heading (rad) and curvature (1/m) of the line ``along`` (m) a route."""
+    place = min(max((along + BEFORE) / STEP, 0.0), tables.shape[1] - 1.001)
+    cell = int(place)
+    part, here, there = place - cell, tables[route, cell], tables[route, cell + 1]
+    x, y = here[0] * (1.0 - part) + there[0] * part, here[1] * (1.0 - part) + there[1] * part
+    return complex(x, y), here[2] * (1.0 - part) + there[2] * part, here[3] * (1.0 - part) + there[3] * part
 
 
-def _from(here: Floats, there: Floats) -> tuple[Floats, Floats]:
-    """How far points (2 or more, ...) are ahead and to the left of those ``here``, which are as of :func:`lane`."""
-    dx, dy, cos, sin = there[0] - here[0], there[1] - here[1], np.cos(here[2]), np.sin(here[2])
-    return dy * cos - dx * sin, -dx * cos - dy * sin
+@jit
+def direction(angle: float) -> complex:
+    """e^(i angle)."""
+    sin, cos = sine_cosine(angle)
+    return complex(cos, sin)
 
 
-def lane_curvature(place: Place, speed: Floats) -> Floats:
-    """The curvature (N,) (1/m) that leads vehicles with a speed (N,) (m/s) along their lane."""
+@jit
+def seen_from(place: complex, heading: float, point: complex) -> complex:
+    """A point as seen from a place; heading 0 is along y."""
+    return (point - place) * (direction(-heading) * -1j)
+
+
+@jit
+def locate(seen: Record, tables: Floats) -> Place:
+    """Where a vehicle is: on the route on which the entry and the two points ahead are where they are seen."""
+    # As seen from the lane beside the front; the point after is observed by way of the next one.
+    nearer = seen.next_distance * direction(seen.heading_error - seen.next_angle)
+    farther = (seen.after_distance - seen.next_distance) * direction(seen.heading_error - seen.after_angle)
+    least, found = math.inf, Place(0, 0.0, 0j, 0.0)
+    for route in range(len(tables)):
+        along = LENGTHS[route] - seen.remaining_distance
+        point, heading, _ = lane(tables, route, along)
+        first = seen_from(point, heading, lane(tables, route, along + NEXT_POINT)[0]) - nearer
+        second = seen_from(point, heading, lane(tables, route, along + POINT_AFTER)[0]) - farther
+        # The front may be beside the lane, by the same distance at both points.
+        off = abs(max(LINE - along, 0.0) - seen.entry_distance)
+        off += abs(first.real) + abs(second.real) + abs(first.imag - second.imag)
+        if off < least:
+            front = point - first.imag * direction(heading)
+            least, found = off, Place(route, along, front, heading + seen.heading_error)
+    return found
+
+
+@jit
+def lane_curvature(place: Place, speed: float, tables: Floats) -> float:
+    """The curvature (1/m) that leads a vehicle with a speed (m/s) along its lane."""
     ahead = PREVIEW * speed - HALF_LENGTH
-    point = (place.front + ahead[:, None] * forward(place.heading)).T
-    along = place.along + ahead
-    for _ in range(2):  # to where the lane is the nearest to the point
-        along = along + _from(lane(place.route, along), point)[0]
-    line = lane(place.route, along)
-    angle, left = line[2] - place.heading, _from(line, point)[1]
-    wanted = line[3] + HEADING_GAIN * angle - OFFSET_GAIN * left
-    return np.asarray(np.clip(wanted, -MAX_CURVATURE, MAX_CURVATURE))
+    point, along, away = place.front + ahead * (direction(place.heading) * 1j), place.along, complex(ahead, 0.0)
+    for _ in range(3):  # to where the lane is the nearest to the point
+        along += away.real
+        nearest, heading, curvature = lane(tables, place.route, along)
+        away = seen_from(nearest, heading, point)
+    wanted = curvature + HEADING_GAIN * (heading - place.heading) - OFFSET_GAIN * away.imag
+    return min(max(wanted, -MAX_CURVATURE), MAX_CURVATURE)
 
 
-class Others(NamedTuple):
-    """The nearest others of N vehicles, in the coordinates of :class:`Place`."""
-
-    centre: Floats  # (N, 5, 2) (m)
-    heading: Floats  # (N, 5) (rad)
-    speed: Floats  # (N, 5) (m/s)
-    prior: NDArray[np.bool_]  # (N, 5) whether they have right of way over the vehicle
-    present: NDArray[np.bool_]  # (N, 5)
+@jit
+def locate_other(near: Record, place: Place) -> tuple[complex, float, float]:
+    """The centre of somebody near a vehicle, the heading (rad), and the speed (m/s)."""
+    centre = place.front + complex(near.ahead - HALF_LENGTH, -near.right) * (direction(place.heading) * 1j)
+    turned = angle_of(near.sin_heading, near.cos_heading)
+    return centre, place.heading + turned, (complex(near.v_ahead, -near.v_right) * direction(-turned)).real
 
 
-def locate_others(seen: Floats, place: Place) -> Others:
-    """Where the nearest others of vehicles are, from observations (N, size)."""
-
-    def of(name: str) -> Floats:
-        return seen[:, [COLUMN[f"near_{number}_{name}"] for number in range(1, NEIGHBOURS + 1)]]
-
-    ahead = forward(place.heading)[:, None]
-    right = np.stack([ahead[..., 1], -ahead[..., 0]], axis=-1)
-    centre = place.front[:, None] - HALF_LENGTH * ahead
-    centre = centre + of("ahead")[..., None] * ahead + of("right")[..., None] * right
-    turned = np.arctan2(of("sin_heading"), of("cos_heading"))
-    speed = of("v_ahead") * np.cos(turned) - of("v_right") * np.sin(turned)
-    return Others(centre, place.heading[:, None] + turned, speed, of("right_of_way") > 0.5, of("present") > 0.5)
-
-
-def room_ahead(place: Place, others: Others) -> Floats:
-    """The distance (N,) (m) along the lane to the next one that is in it; inf if there is none."""
-    rows = place.route[:, None]
-    stations = place.along[:, None] + LOOK_AHEAD
-    line = lane(rows, stations)
-    least = np.full(len(place.along), np.inf)
-    reach = HALF_LENGTH * forward(others.heading)
-    for point, half in ((others.centre, HALF_LENGTH), (others.centre + reach, REACH), (others.centre - reach, REACH)):
-        x, y = np.moveaxis(point, -1, 0)
-        dx, dy = x[..., None] - line[0][:, None], y[..., None] - line[1][:, None]
-        nearest = (dx * dx + dy * dy).argmin(axis=-1)
-        ahead, left = _from(lane(rows, np.take_along_axis(stations, nearest, axis=1)), np.stack([x, y]))
-        along = LOOK_AHEAD[nearest] + ahead
-        inside = others.present & (np.abs(left) < SCENARIO.routes[0].lane_width / 2)
-        inside &= (along > 0.0) & (along < LOOK_AHEAD[-1])
-        least = np.minimum(least, np.where(inside, along - half, np.inf).min(axis=1))
-    return np.asarray(np.maximum(least, 0.0))
+@jit
+def room_before(centre: complex, heading: float, place: Place, line: NDArray[Any], tables: Floats) -> float:
+    """The distance (m) along the lane, whose ``line`` is (STATIONS,) points, to somebody else; inf if beside it."""
+    least = math.inf
+    for end in range(-1, 2):  # the middle of the rear, the centre, and the middle of the front
+        point = centre + end * HALF_LENGTH * (direction(heading) * 1j)
+        nearest, square = 0, math.inf
+        for k in range(STATIONS):
+            away = point - line[k]
+            if away.real**2 + away.imag**2 < square:
+                nearest, square = k, away.real**2 + away.imag**2
+        if square > ASIDE**2:
+            return math.inf
+        there, direct, _ = lane(tables, place.route, place.along + nearest * SPACING)
+        beyond = nearest * SPACING + seen_from(there, direct, point)
+        if abs(beyond.imag) < HALF_LANE and 0.0 < beyond.real < (STATIONS - 1) * SPACING:
+            least = min(least, beyond.real - (REACH if end else HALF_LENGTH))
+    return least
 
 
-def time_to_entry(others: Others) -> Floats:
-    """The time (N,) (s) until somebody with right of way is where the entry ends; inf if there is nobody."""
-    x, y = np.moveaxis(others.centre - CENTRE, -1, 0)
-    angle = np.arctan2(y, x)
-    distance = RADIUS * np.mod(ENTERED - angle, math.tau) - HALF_LENGTH
-    outwards = np.mod(angle - others.heading + math.pi, math.tau) - math.pi
-    comes = others.present & others.prior & (outwards < TURNS_OFF)
-    time = np.maximum(distance, 0.0) / np.maximum(others.speed, STANDING)
-    return np.asarray(np.where(comes, time, np.inf).min(axis=1))
+@jit
+def look_around(seen: Record, place: Place, tables: Floats) -> tuple[float, float]:
+    """The room (m) to the next one in the lane, and the time (s) to where the entry ends of who has right of way."""
+    room, time = math.inf, math.inf
+    line = np.array([lane(tables, place.route, place.along + k * SPACING)[0] for k in range(STATIONS)])
+    for number in range(NEIGHBOURS):
+        if seen.near[number].present > 0.5:
+            centre, heading, speed = locate_other(seen.near[number], place)
+            room = min(room, room_before(centre, heading, place, line, tables))
+            if seen.near[number].right_of_way > 0.5:
+                angle = angle_of((centre - CENTRE).imag, (centre - CENTRE).real)
+                if (angle - heading + math.pi) % math.tau - math.pi < TURNS_OFF:
+                    distance = RADIUS * ((ENTERED - angle) % math.tau) - HALF_LENGTH
+                    time = min(time, max(distance, 0.0) / max(speed, STANDING))
+    return max(room, 0.0), time
+
+
+@separate_jit
+def decide(seen: Records, rules: Records, blind: bool, tables: Floats) -> tuple[NDArray[Any], ...]:
+    """Curvature, target, brakes and room (N,) of :meth:`Driver.control`, for observations (N,) and rules (N,)."""
+    curvature, target, room = np.empty(len(seen)), np.empty(len(seen)), np.full(len(seen), math.inf)
+    brakes = np.empty(len(seen), dtype=np.bool_)
+    for i in range(len(seen)):
+        own, rule, speed, line = seen[i], rules[i], seen[i].speed, seen[i].entry_distance - STOP
+        place = locate(own, tables)
+        outside, leaving = own.entry_distance > 0.0, own.remaining_distance < TO_EXIT
+        target[i] = rule.approach_speed if outside else rule.exit_speed if leaving else rule.inside_speed
+        if not blind:
+            room[i], time = look_around(own, place, tables)
+            room[i] -= STANDSTILL_GAP
+            target[i] = min(target[i], max(room[i], 0.0) / rule.headway)
+            if outside and time < rule.gap:
+                target[i] = min(target[i], STOP_GAIN * line if line > 0.3 else 0.0)
+                if line <= speed * BRAKING_TIME:
+                    room[i] = min(room[i], line)
+        slack = RELEASE if own.brake > 0.0 else min(BRAKE_SLACK, 0.1 + target[i])
+        curvature[i], brakes[i] = lane_curvature(place, speed, tables), target[i] + slack < speed < BRAKE_LIMIT
+    return curvature, target, brakes, room
 
 
 class RoundaboutDriver(Driver):
@@ -219,29 +244,12 @@ class RoundaboutDriver(Driver):
 
     def __call__(self, observations: NDArray[Any], *_: Any) -> NDArray[Any]:
         """Actions (...) or (..., 3) for observations (..., size)."""
-        size = observations.shape[-1]
-        actions = self._actions(np.asarray(observations, dtype=np.float64).reshape(-1, size))
+        seen = np.ascontiguousarray(observations, dtype=np.float64).reshape(-1, observations.shape[-1])
+        rules = np.empty(len(seen), dtype=RULE)
+        for name, value in vars(self.rule).items():
+            rules[name] = value
+        actions = self.control(seen, *decide(seen.view(SEEN)[:, 0], rules, self._blind, TABLES))
         return actions.reshape(*observations.shape[:-1], *actions.shape[1:])
-
-    def _actions(self, seen: Floats) -> NDArray[Any]:
-        rule, place = self.rule, locate(seen)
-        speed, entry = seen[:, COLUMN["speed"]], seen[:, COLUMN["entry_distance"]]
-        outside = entry > 0.0
-        leaving = seen[:, COLUMN["remaining_distance"]] < TO_EXIT
-        target = np.where(outside, rule.approach_speed, np.where(leaving, rule.exit_speed, rule.inside_speed))
-        room = np.full(len(seen), np.inf)
-        if not self._blind:
-            others = locate_others(seen, place)
-            room = room_ahead(place, others) - STANDSTILL_GAP
-            target = np.minimum(target, np.maximum(room, 0.0) / rule.headway)
-            line = entry - STOP
-            waits = outside & (time_to_entry(others) < rule.gap)
-            target = np.where(waits, np.minimum(target, np.where(line > 0.3, STOP_GAIN * line, 0.0)), target)
-            waits &= line <= braking_distance(speed)
-            room = np.where(waits, np.minimum(room, line), room)
-        slack = np.where(seen[:, COLUMN["brake"]] > 0.0, RELEASE, np.minimum(BRAKE_SLACK, 0.1 + target))
-        brakes = (speed > target + slack) & (speed < BRAKE_LIMIT)
-        return self.control(seen, lane_curvature(place, speed), target, brakes, room)
 
 
 # Drivers of three characters, by name.

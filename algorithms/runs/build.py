@@ -135,9 +135,10 @@ def _population(key: str, drivers: Sequence[str], v: int, env: EnvAdapter, exper
     members, digests = [], []  # what identifies a driver wherever its files are: a script's name, a checkpoint's hash
     for name in drivers:
         try:
-            members.append(open_driver(name, v, env, action_type, imports=imports))
+            driver = open_driver(name, v, env, action_type, imports=imports)
         except ValueError as error:
             raise ValueError(f"training.{key}: {error}") from None
+        members.append(driver.alone(v) if isinstance(driver, ScriptedPolicy) else driver)
         checkpoint = b"" if is_rule(name) else Run.open(name, trust=True).checkpoint.read_bytes()
         digests.append(name if is_rule(name) else hashlib.sha256(checkpoint).hexdigest()[:16])
     return Population(members, v, digests)

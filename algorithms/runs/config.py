@@ -230,7 +230,7 @@ def make_experiment(values: Mapping[str, Any], name: str = "experiment", *, here
         sections["algorithm"] = attempt(_algorithm, given) or AlgorithmSettings(name="", config=Settings())
     experiment = parse(Experiment, sections, name)
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
-    environment, config = attempt(_with_every_argument, experiment.environment) or (None, None)
+    environment, config = attempt(with_every_argument, experiment.environment) or (None, None)
     attempt(check_device, "training.device", training.device, here)
     attempt(_check_seeds, training)
     attempt(check_episodes, "evaluation.episodes", evaluation.episodes, "validation")
@@ -292,7 +292,7 @@ def override(values: dict[str, Any], key: str, value: Any) -> None:
         values[last] = value
 
 
-def _with_every_argument(settings: EnvironmentSettings) -> tuple[EnvironmentSettings, EnvConfig | None]:
+def with_every_argument(settings: EnvironmentSettings) -> tuple[EnvironmentSettings, EnvConfig | None]:
     """An environment with all of its arguments, and its configuration if it is one of this package's."""
     spec = find_environment(settings.id)
     if not is_ours(spec):

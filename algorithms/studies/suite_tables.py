@@ -37,7 +37,7 @@ NOTE = (
     "Scores between floor (0) and ceiling (1), and their differences on the same scenarios: means over seeds with 95% "
     "bootstrap intervals. Seeds and scenarios are resampled together; seeds alone where no samples are kept. "
     f"A run whose training failed counts as {LOWEST:g}; a seed has failed if it is not above the floor. P-values are "
-    f"corrected by Holm's method; the best are a tie where intervals overlap, or p >= {SIGNIFICANT:g}."
+    f"corrected by Holm's method; the best are a tie where p >= {SIGNIFICANT:g}."
 )
 MEANS_NOTE = f"{NOTE.partition(' P-values')[0]} Of differences with a *, p < {SIGNIFICANT:g} after Holm's correction."
 
@@ -87,11 +87,6 @@ class Difference(NamedTuple):
 
     mean: Resampled
     p: float  # corrected for all that the other one is compared with
-
-
-def _reaches(high: float | None, low: float | None) -> bool:
-    """Whether two intervals overlap, of which one has the upper end ``high``; also where there is none."""
-    return high is None or low is None or high >= low
 
 
 class Scoreboard:
@@ -148,14 +143,9 @@ class Scoreboard:
         scores = self.scores(task)
         if not scores:
             return []
-        first = next(iter(scores))
-        lowest = scores[first].mean.estimate.low
-        tied = [
-            learner
-            for learner, difference in self.differences(task).items()
-            if difference.p >= SIGNIFICANT or _reaches(scores[learner].mean.estimate.high, lowest)
-        ]
-        return [first, *tied]
+        # Intervals of scores overlap by what scenarios have in common; their difference does not have that.
+        tied = [learner for learner, difference in self.differences(task).items() if difference.p >= SIGNIFICANT]
+        return [next(iter(scores)), *tied]
 
     def _reference(self, learner: str | None) -> str:
         """The learner that others are compared with: the one that is named, or else :data:`BASELINE`, or the first."""

@@ -29,20 +29,21 @@ class Playback:
     """A function as a policy that replays a sequence of actions in each of parallel environments, and idles after it.
 
     Args:
-        sequences: of environment actions, one per episode, in their order; or one for all.
+        sequences: of environment actions, of all vehicles, one per episode, in their order; or one for all.
         action_type: "discrete", "discrete-16" or "continuous".
     """
 
     def __init__(self, sequences: Sequence[NDArray[Any]], action_type: str):
         longest = max(map(len, sequences)) + 1  # at least one idle action
         nothing = idle(action_type)
-        self._actions = np.tile(nothing, (longest, len(sequences), *(1,) * nothing.ndim))
+        shape = sequences[0].shape[1:] or nothing.shape
+        self._actions = np.broadcast_to(nothing, (longest, len(sequences), *shape)).copy()
         for row, sequence in enumerate(sequences):
             self._actions[: len(sequence), row] = sequence
         self._decisions = 0
 
     def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], discounts: NDArray[Any]) -> NDArray[Any]:
-        """Actions (N,) or (N, k); an episode begins where nothing has been discounted yet."""
+        """Actions (N,) or (N, k), or (N, V, ...); an episode begins where nothing has been discounted yet."""
         self._decisions = 0 if (discounts == 1.0).all() and not accrued.any() else self._decisions + 1
         actions: NDArray[Any] = self._actions[min(self._decisions, len(self._actions) - 1)]
         if len(actions) == 1:

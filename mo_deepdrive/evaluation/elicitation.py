@@ -30,58 +30,46 @@ HARDNESS = 0.25  # the temperature, in standard deviations of how much better a 
 NEVER = 1e-12  # the least probability of an answer
 
 
-def simplex_samples(objectives: int, count: int = SAMPLES) -> Floats:
-    """Weights (count, d) that are uniform on the simplex, always the same ones."""
-    return np.random.default_rng(0).dirichlet(np.ones(objectives), count)
+class Elicitation:
+    """What can be asked about K drives with scaled returns (K, d), and what answers say, pairs (preferred, other)."""
 
+    def __init__(self, returns: Floats):
+        self.weights = np.random.default_rng(0).dirichlet(np.ones(returns.shape[1]), SAMPLES)  # the same for all
+        utilities = self.weights @ returns.T
+        better = utilities[:, :, None] - utilities[:, None, :]
+        temperature = HARDNESS * float(np.std(better)) or 1.0
+        logits = np.clip(better / temperature, -500.0, 500.0)
+        #: (SAMPLES, K, K) probabilities that the first drive is preferred to the second
+        self.preferred = np.clip(1.0 / (1.0 + np.exp(-logits)), NEVER, 1.0 - NEVER)
 
-def temperature(utilities: Floats) -> float:
-    """T for the utilities (S, K) of K drives under S weights: HARDNESS; 1 if all drives are equal."""
-    spread = float(np.std(utilities[:, :, None] - utilities[:, None, :]))
-    return HARDNESS * spread if spread > 0.0 else 1.0
+    def posterior(self, answers: Sequence[tuple[int, int]]) -> Floats:
+        """Shares (SAMPLES,) of the weights after some answers."""
+        shares = np.full(SAMPLES, 1.0 / SAMPLES)
+        for preferred, other in answers:
+            shares = shares * self.preferred[:, preferred, other]
+            shares /= shares.sum()
+        return shares
 
+    def next_pair(self, answers: Sequence[tuple[int, int]]) -> tuple[int, int] | None:
+        """The pair of which the answer tells most; None if all have been asked."""
+        asked = {tuple(sorted(answer)) for answer in answers}
+        pairs = [pair for pair in combinations(range(self.preferred.shape[1]), 2) if pair not in asked]
+        if not pairs:
+            return None
+        first, second = np.array(pairs).T
+        shares, p = self.posterior(answers), self.preferred[:, first, second]
+        told = _entropy(shares @ p) - shares @ _entropy(p)
+        return pairs[int(told.round(12).argmax())]
 
-def answer_probabilities(utilities: Floats, pair: tuple[int, int], temperature: float) -> Floats:
-    """The probabilities (S,) that the first drive of a pair is preferred, for utilities (S, K)."""
-    difference = (utilities[:, pair[0]] - utilities[:, pair[1]]) / temperature
-    return np.asarray(np.clip(1.0 / (1.0 + np.exp(-np.clip(difference, -500.0, 500.0))), NEVER, 1.0 - NEVER))
-
-
-def posterior(utilities: Floats, answers: Sequence[tuple[int, int]], temperature: float) -> Floats:
-    """Shares (S,) of the samples after answers (preferred, other)."""
-    shares = np.full(len(utilities), 1.0 / len(utilities))
-    for answer in answers:
-        shares = shares * answer_probabilities(utilities, answer, temperature)
-        shares /= shares.sum()
-    return shares
+    def estimate(self, answers: Sequence[tuple[int, int]]) -> tuple[Floats, Floats, Floats]:
+        """Means (d,) of the weights after some answers, and the ends (d,) of their INTERVAL."""
+        shares = self.posterior(answers)
+        low, high = np.quantile(self.weights, INTERVAL, axis=0, weights=shares, method="inverted_cdf")
+        return shares @ self.weights, low, high
 
 
 def _entropy(p: Floats) -> Floats:
     return np.asarray(-(p * np.log(p) + (1.0 - p) * np.log(1.0 - p)))
-
-
-def next_pair(utilities: Floats, answers: Sequence[tuple[int, int]], temperature: float) -> tuple[int, int] | None:
-    """The pair of which the answer tells most; None if all have been asked."""
-    shares, asked = posterior(utilities, answers, temperature), {tuple(sorted(answer)) for answer in answers}
-    best, most = None, -1.0
-    for pair in combinations(range(utilities.shape[1]), 2):
-        if pair not in asked:
-            p = answer_probabilities(utilities, pair, temperature)
-            told = float(_entropy(np.array(shares @ p)) - shares @ _entropy(p))
-            if told > most + 1e-12:
-                best, most = pair, told
-    return best
-
-
-def weight_interval(samples: Floats, shares: Floats) -> tuple[Floats, Floats, Floats]:
-    """Mean (d,) of the weights, and the ends (d,) of their INTERVAL: the first sample at which the shares reach it."""
-    order = np.argsort(samples, axis=0, kind="stable")
-    reached = np.cumsum(shares[order], axis=0)
-    ends = [
-        np.take_along_axis(samples, order, 0)[(reached >= share - 1e-12).argmax(axis=0), np.arange(samples.shape[1])]
-        for share in INTERVAL
-    ]
-    return shares @ samples, ends[0], ends[1]
 
 
 def question_tree(returns: Floats, questions: int = QUESTIONS) -> dict[str, list[Any]]:
@@ -92,21 +80,17 @@ def question_tree(returns: Floats, questions: int = QUESTIONS) -> dict[str, list
         their INTERVAL, and the drive that is worth most. The first node is 1; if the first of the pair is preferred, n
         becomes 2 n, else 2 n + 1: ``ask[n - 1]``, and ``found[n - 2 ** questions]`` in the end.
     """
-    samples = simplex_samples(returns.shape[1])
-    utilities = samples @ returns.T
-    hardness = temperature(utilities)
+    elicitation, ask, found = Elicitation(returns), [], []
     answers: list[list[tuple[int, int]]] = [[], []]  # by node; no node is 0
-    ask = []
     for node in range(1, 2**questions):
-        pair = next_pair(utilities, answers[node], hardness)
+        pair = elicitation.next_pair(answers[node])
         if pair is None:
             raise ValueError(f"{len(returns)} drives are too few for {questions} questions")
         ask.append(list(pair))
         answers += [[*answers[node], pair], [*answers[node], pair[::-1]]]
-    found = []
     for given in answers[2**questions :]:
-        mean, low, high = weight_interval(samples, posterior(utilities, given, hardness))
-        weights = {"weights": mean, "low": low, "high": high}
-        found.append({name: values.round(3).tolist() for name, values in weights.items()})
-        found[-1]["best"] = int((returns @ mean).argmax())
+        estimate = elicitation.estimate(given)
+        named = zip(("weights", "low", "high"), estimate, strict=True)
+        best = int((returns @ estimate[0]).argmax())
+        found.append({**{name: values.round(3).tolist() for name, values in named}, "best": best})
     return {"ask": ask, "found": found}

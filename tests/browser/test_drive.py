@@ -17,7 +17,6 @@ from selenium.webdriver import ActionChains, Keys
 
 from algorithms.reporting.page.page import write_site
 from algorithms.runs.web import Link
-from mo_deepdrive.simulation.state import ENDS
 from tests.browser.explorer_page import Page
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
@@ -105,9 +104,9 @@ def test_a_drive_by_keyboard_earns_what_its_link_earns_in_python(site: Site) -> 
     assert not site.page.find("#prompt").is_displayed()
     site.finish()
     earned, link = site.earned(), Link.read(site.link())
-    _, drives = link.replay()
-    assert earned == pytest.approx(drives.returns[0, 0], abs=0.51, rel=0.01)
-    ending = ENDS[drives.ends[0, 0]].replace("_", " ")
+    driven, _ = link.replay()
+    assert earned == pytest.approx(driven.returns[0, 0], abs=0.51, rel=0.01)
+    ending = driven.ends[0, 0].replace("_", " ")
     assert site.page.text("#outcome-heading").lower().startswith(ending)
     assert site.page.text("#verdict")
     rows = [row.text for row in site.page.all("#rivals tbody tr")]

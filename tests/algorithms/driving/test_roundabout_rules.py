@@ -10,17 +10,19 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
-from algorithms.driving.controls import forward
 from algorithms.driving.roundabout_rules import (
+    SEEN,
+    TABLES,
     TYPES,
     RoundaboutDriver,
     RoundaboutRule,
+    direction,
     drawn_rule,
     lane,
     locate,
-    locate_others,
+    locate_other,
+    look_around,
     make_rule,
-    time_to_entry,
 )
 from algorithms.driving.unskilled import Timed, blind_follower
 from mo_deepdrive.evaluation.episodes import evaluate
@@ -33,6 +35,10 @@ ROUNDABOUT, SOLO = "mo-deepdrive-roundabout-v0", "mo-deepdrive-roundabout-solo-v
 
 def drive(driver: Any, env_id: str = ROUNDABOUT, episodes: int = 40, **arguments: Any) -> Evaluation:
     return evaluate(driver, env_id, episodes=episodes, env_kwargs=arguments, utility="roundabout_linear")
+
+
+def records(observations: Any) -> Any:
+    return observations.astype(np.float64).view(SEEN).reshape(-1)
 
 
 @pytest.mark.parametrize("actions", ["discrete", "discrete-16", "continuous"])
@@ -67,22 +73,24 @@ def test_where_it_is_and_where_others_are_follow_from_the_observation() -> None:
     for _ in range(120):
         state = env.batch.state.reshape(-1)
         running = state["end"] == RUNNING
-        seen = observations.reshape(-1, observations.shape[-1]).astype(np.float64)[running]
-        place = locate(seen)
+        seen = records(observations)[running]
+        places = [locate(row, TABLES) for row in seen]
         # In the circle it may be on another route, which is the same from there on.
-        expected = lane(state["route"][running] % 3, state["route_distance"][running])
-        assert np.abs(lane(place.route, place.along)[3] - expected[3]).mean() < 5e-3
+        routes = zip((state["route"][running] % 3).tolist(), state["route_distance"][running].tolist(), strict=True)
+        curvatures = [lane(TABLES, place.route, place.along)[2] for place in places]
+        assert np.abs(np.subtract(curvatures, [lane(TABLES, *on)[2] for on in routes])).mean() < 5e-3
         # The coordinates are those of the route from the first arm; distances between vehicles are the same ones.
-        others = locate_others(seen, place)
-        apart = np.linalg.norm(others.centre - (place.front - HALF_LENGTH * forward(place.heading))[:, None], axis=-1)
+        centres = [place.front - HALF_LENGTH * 1j * direction(place.heading) for place in places]
+        others = [locate_other(*each)[0] for each in zip(seen["near"][:, 0], places, strict=True)]
+        apart = np.abs(np.subtract(others, centres))
         i = np.repeat(np.arange(8), 4)[running]
         x, y = env.batch.state["x"][i], env.batch.state["y"][i]
         ended = env.batch.state["end"][i] != RUNNING
         expected = np.hypot(x - state["x"][running, None], y - state["y"][running, None])
         expected[ended] = np.inf
         nearest = np.sort(expected, axis=1)[:, 1]
-        shown = others.present[:, 0]
-        np.testing.assert_allclose(apart[shown, 0], nearest[shown], atol=1e-2)
+        shown = seen["near"]["present"][:, 0] > 0.5
+        np.testing.assert_allclose(apart[shown], nearest[shown], atol=1e-2)
         assert np.isinf(nearest[~shown]).all()
         observations, *_ = env.step(driver(observations))
 
@@ -93,8 +101,8 @@ def test_it_waits_while_somebody_inside_comes_within_the_gap() -> None:
     driver, entered = RoundaboutDriver(TYPES["careful"]), 0
     for _ in range(130):
         before = env.batch.state.copy()
-        seen = observations.reshape(-1, observations.shape[-1]).astype(np.float64)
-        free = time_to_entry(locate_others(seen, locate(seen))).reshape(before.shape)
+        around = [look_around(row, locate(row, TABLES), TABLES) for row in records(observations)]
+        free = np.array(around)[:, 1].reshape(before.shape)
         observations, *_ = env.step(driver(observations))
         enters = (env.batch.state["entered"] >= 0) & (before["entered"] < 0)
         entered += int(enters.sum())
