@@ -20,7 +20,7 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib import get_data_path
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterator, Sequence
 
+    from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
     from mo_deepdrive.evaluation.policy import Policy
@@ -117,13 +118,19 @@ def clips(names: Sequence[str], seed: int, most: int, side: int, trust: bool) ->
 # ----------------------------------------------------------------------------------------------- under preferences
 
 
+def picture(env: VectorEnv) -> Frame:
+    """The scene of the first environment."""
+    frames: Any = env.render()
+    return np.asarray(frames[0])
+
+
 def recorded(policy: Policy, adapter: EnvAdapter, seed: int, side: int) -> Drive:
     """The first episode in the scenario of a seed, in an environment of :func:`make_render_env`."""
     env, end = adapter.vector_env, ""
     observations = adapter.reset(seed)
-    maps, rewards = [shown(env.render()[0], side, roads=False)], [np.zeros(len(adapter.objectives))]  # type: ignore[index]
+    maps, rewards = [shown(picture(env), side, roads=False)], [np.zeros(len(adapter.objectives))]
     for decision in drive(policy, adapter, observations):
-        maps.append(shown(env.render()[0], side, roads=False))  # type: ignore[index]
+        maps.append(shown(picture(env), side, roads=False))
         rewards.append(decision.step.rewards[0, 0])
         end = end if decision.step.ends is None else str(np.ravel(decision.step.ends[0])[0])
     return Drive(maps, np.cumsum(rewards, axis=0), end.replace("_", " "))

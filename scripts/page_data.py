@@ -4,7 +4,7 @@
     python scripts/page_data.py --keep-modules   # all but the compiled worlds
 
 Run it when the simulator, a scenario or an offered policy changes; tests say when. ``page_worlds.yaml`` says what
-the page offers, and ``docs/drive.md`` describes the files.
+the page offers, and ``docs/page_files.md`` describes the files.
 """
 
 from __future__ import annotations

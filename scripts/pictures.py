@@ -30,9 +30,7 @@ from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import as_policy
 from mo_deepdrive.evaluation.metrics import name_and_unit
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
-from mo_deepdrive.simulation.geometry import LENGTH as CAR_LENGTH
-from mo_deepdrive.simulation.geometry import WIDTH as CAR_WIDTH
-from mo_deepdrive.simulation.state import LANE_WIDTH, MAP_CENTRE
+from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, MAP_CENTRE, WIDTH
 from mo_deepdrive.world.scenarios import SCENARIOS
 from scripts.gif import recorded
 
@@ -74,16 +72,17 @@ def outline(pose: Floats) -> Floats:
     x, y, heading = pose
     ahead = forward(heading)
     side = np.array([-ahead[1], ahead[0]])
-    corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) / 2 * [CAR_LENGTH, CAR_WIDTH]
-    return np.array([x, y]) + corners @ np.stack([ahead, side])
+    corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) / 2 * [LENGTH, WIDTH]
+    return np.asarray([x, y] + corners @ np.stack([ahead, side]))
 
 
 def draw_map(axes: Axes, scene: Scene, box: tuple[float, float, float]) -> None:
     """Lanes, bicycles and destination of a scene in a square (left, bottom, side)."""
     left, bottom, side = box
     if scene.lanes:
-        for span, centre in zip((axes.axvspan, axes.axhspan), np.broadcast_to(MAP_CENTRE, 2), strict=True):
-            span(centre - LANE_WIDTH, centre + LANE_WIDTH, color=ROAD, linewidth=0)
+        x, y = np.broadcast_to(MAP_CENTRE, 2).tolist()
+        axes.axvspan(x - LANE_WIDTH, x + LANE_WIDTH, color=ROAD, linewidth=0)
+        axes.axhspan(y - LANE_WIDTH, y + LANE_WIDTH, color=ROAD, linewidth=0)
     for ends in scene.obstacles:
         axes.plot(*ends.T, color=style.INK, linewidth=3)
     axes.plot(*scene.routes[0][-1], "*", color=style.INK, markersize=10)
@@ -114,7 +113,7 @@ def observation(path: Path) -> None:
     inside = np.abs(drive.cars[..., :2] - [left + side / 2, bottom + side / 2]).max(axis=-1) < 0.4 * side  # (T + 1, C)
     moment = int(inside.any(axis=1).argmax())
     pose, route, cars = drive.readings[moment, 0, :3], scene.routes[0], drive.cars[moment][inside[moment]]
-    front = pose[:2] + CAR_LENGTH / 2 * forward(pose[2])
+    front = pose[:2] + LENGTH / 2 * forward(pose[2])
     with style.figure_style({"axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
         figure = Figure(figsize=(5.6, 5.6), layout="constrained")
         axes = figure.subplots()
@@ -123,18 +122,18 @@ def observation(path: Path) -> None:
         for car in cars:
             draw_car(axes, car, style.COLOURS[1])
         axes.plot(*route.T, "o", color=style.INK, markersize=4)
-        marks = dict(zip(("next waypoint", "the one after"), route[:2], strict=False))
+        marks = dict(zip(("next waypoint", "the one after"), map(tuple, route[:2]), strict=False))
         for (name, place), colour in zip(marks.items(), style.COLOURS[2:4], strict=False):
-            axes.annotate("", place, front, arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 1.6})
+            axes.annotate("", place, tuple(front), arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 1.6})
             axes.annotate(
                 f"{name}:\nangle, distance", place, (8, 0), textcoords="offset points", color=colour, va="center"
             )
         if len(cars):
-            nearest = min(cars, key=lambda car: float(np.hypot(*(car[:2] - front))))
+            nearest = tuple(min(cars, key=lambda car: float(np.hypot(*(car[:2] - front))))[:2])
             said = "oncoming car: speed,\ndistance to the crossing"
-            axes.annotate(said, nearest[:2], (12, 0), textcoords="offset points", color=style.COLOURS[1], va="center")
+            axes.annotate(said, nearest, (12, 0), textcoords="offset points", color=style.COLOURS[1], va="center")
         own = "own car: velocity, acceleration,\nspeed, held steer, throttle, brake,\ndistances to the lane lines"
-        axes.annotate(own, pose[:2], (-16, 0), textcoords="offset points", color=CAR, ha="right", va="center")
+        axes.annotate(own, tuple(pose[:2]), (-16, 0), textcoords="offset points", color=CAR, ha="right", va="center")
         style.save_figure(figure, path, dpi=110)
 
 
@@ -318,7 +317,7 @@ def thumbnails(path: Path) -> None:
     path.mkdir(exist_ok=True)
     for film in ("one_waypoint", "static_obstacle", "left_turn", "intersection", "roundabout"):
         with Image.open(path.parent / f"{film}.gif") as frames:
-            frames.seek(frames.n_frames // 8)  # type: ignore[attr-defined]
+            frames.seek(frames.n_frames // 8)
             frame = frames.convert("RGB")
         first = frame.crop((0, CAPTION_PIXELS, frame.height - CAPTION_PIXELS, frame.height))  # of several side by side
         first.resize((120, 120), Image.Resampling.LANCZOS).save(path / f"{film}.png")

@@ -1,7 +1,7 @@
 """The files from which the page drives: worlds, policies, and what other drivers have earned, in one directory.
 
-``page.json`` has the menu, NAME.json and NAME.wasm are a world, POLICY.json a network; ``docs/drive.md`` describes them
-and the links that keep a drive.
+``page.json`` has the menu, NAME.json and NAME.wasm are a world, POLICY.json a network; ``docs/page_files.md`` describes
+them, and the links that keep a drive.
 """
 
 from __future__ import annotations

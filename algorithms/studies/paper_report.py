@@ -150,8 +150,8 @@ def _draw_panel(axis: Axes, results: TaskResults, score: str) -> None:
         steps, mean, low, high = averaged
         final = np.array([*results.by_seed(learner, score).values()])
         if len(final):
-            mark = {"markersize": 7, "markeredgecolor": "white", "clip_on": False, "zorder": 5}
-            axis.plot(steps[-1], final.mean(), "D", color=colour, **mark)
+            (diamond,) = axis.plot(steps[-1], final.mean(), "D", color=colour, markersize=7, markeredgecolor="white")
+            diamond.set(clip_on=False, zorder=5)
         settled = np.append(mean[steps >= LATE * steps.max()], final.mean() if len(final) else [])
         drawn.append((settled, mean, low, high, np.atleast_1d(final.mean()) if len(final) else mean))
         axis.plot(steps, mean, color=colour, linewidth=2.1, zorder=4)

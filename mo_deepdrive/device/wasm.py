@@ -1,7 +1,7 @@
 """One world as a WebAssembly module, from the functions that move it on a CPU.
 
 Numba makes LLVM code of the kernel, llvmlite an object file of it, and ``wasm-ld`` a module of some 100 kB. All arrays
-are in the module, with their first contents. ``docs/drive.md`` says what it exports.
+are in the module, with their first contents. ``docs/page_files.md`` says what it exports.
 """
 
 from __future__ import annotations

@@ -214,15 +214,12 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
+# Defaults of EnvConfig by name, so that they hold where others are the default.
+_V0: dict[str, Any] = {"objectives": None, "charge_remaining_time": False}
 # What the versions of the package's ids set, by scenario; arguments of make() override it.
 VERSIONS: dict[str, dict[str, dict[str, Any]]] = {
     name: {
-        # Defaults of EnvConfig by name, so that they hold where others are the default.
-        "v0": {
-            "objectives": None,
-            "charge_remaining_time": False,
-            **({"yield_to_oncoming": True} if scenario.cars else {}),
-        },
+        "v0": {**_V0, **({"yield_to_oncoming": True} if scenario.cars else {})},
         # Time is an objective, and ending early saves none. At the left turn distance is what was driven: where it
         # turns negative as long as a car approaches, waiting is rewarded for its own sake.
         "v1": {

@@ -39,7 +39,7 @@ def test_a_policy_under_two_preferences_in_one_scenario_with_its_returns(call: C
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([CONDITIONED, "--preference", "hurried", "tiem=5"], "unknown objective 'tiem'"),
+        ([CONDITIONED, "--preference", "hurried", "timm=5"], "unknown objective 'timm'"),
         (["one_waypoint_linear-ppo", "--preference", "hurried"], "has no preferences"),
         ([CONDITIONED, CONDITIONED, "--preference", "hurried"], "--preference needs one RUN"),
         (["one_waypoint_linear-pop"], "one_waypoint_linear-ppo"),

@@ -1,6 +1,6 @@
 """The page: driving in a browser and, as one of its tabs or as a file of its own, the explorer of fronts.
 
-The site is an ``index.html`` beside the files that ``docs/drive.md`` describes; it asks for nothing else. The
+The site is an ``index.html`` beside the files that ``docs/page_files.md`` describes; it asks for nothing else. The
 explorer alone is one HTML file with its data and its code in it.
 """
 
