@@ -188,6 +188,12 @@ def compile_module(config: EnvConfig) -> bytes:
             function.linkage = "internal"
     builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=3))
     builder.getModulePassManager().run(whole, builder)
+    missing = {each.name for each in whole.functions if each.is_declaration and not each.name.startswith("llvm.")}
+    if foreign := sorted(missing.difference(MATHS)):  # LLVM aborts the process where it makes an object file of such
+        raise ValueError(
+            f"{config.scenario}: an objective cannot be compiled for a browser: it needs {', '.join(foreign)}, but "
+            "a measure there computes with numbers alone, and makes no arrays, texts or errors"
+        )
     with tempfile.TemporaryDirectory() as folder:
         source, target, known = (Path(folder, name) for name in ("world.o", "world.wasm", "maths"))
         source.write_bytes(machine.emit_object(whole))
@@ -195,11 +201,6 @@ def compile_module(config: EnvConfig) -> bytes:
         names = [f"--export={name}" for name in (*exported, *EXPORTED)]
         files = [f"--allow-undefined-file={known}", "-o", str(target), str(source)]
         done = subprocess.run([*linker, *LINK_OPTIONS, *names, *files], capture_output=True, text=True, check=False)
-        if foreign := sorted(set(re.findall(r"undefined symbol: (\w+)", done.stderr))):
-            raise ValueError(
-                f"{config.scenario}: an objective cannot be compiled for a browser: it needs {', '.join(foreign)}, but "
-                "a measure there computes with numbers alone, and makes no arrays, texts or errors"
-            )
         if done.returncode:
             raise OSError(f"{' '.join(linker)} failed: {' '.join(done.stderr.split())[:300]}")
         return target.read_bytes()

@@ -172,7 +172,8 @@ DOCUMENTED = {
 def test_spaces_and_specs_are_those_of_the_documentation(scenario: str, action_type: str) -> None:
     size, objectives = DOCUMENTED[scenario]
     env, many, agents = (
-        KINDS[kind].make(scenario=scenario, action_type=action_type) for kind in ("single", "vector", "parallel")
+        KINDS[kind].make(scenario=scenario, action_type=action_type, **VERSIONS[scenario]["v0"])
+        for kind in ("single", "vector", "parallel")
     )
     observations, rewards = env.observation_space, env.reward_space
     assert (observations.shape, observations.dtype, rewards.shape, rewards.dtype) == (
