@@ -141,7 +141,7 @@ def test_trajectories_are_those_of_the_parallel_environment_bit_for_bit(action_t
         ({"time_limit": "long"}, "'time_limit' = 'long'"),
         ({"render_mode": "ascii"}, "render_mode = 'ascii'"),
         ({"utility": "intersection_linaer"}, "'intersection_linaer' is unknown; did you mean 'intersection_linear'"),
-        ({"utility": "left_turn_linear"}, "needs time; the environment has .*lane_violation"),
+        ({"utility": "roundabout_linear"}, "needs near_miss, .*; the environment has .*lane_violation"),
         ({"objectives": ["distance", "collision"]}, "'intersection_linear' needs destination"),
         ({"utility": 3}, "utility = 3 must be"),
         ({"utility": "linear"}, "needs the argument 'weights'"),
