@@ -103,6 +103,7 @@ def test_a_python_example_runs(block: Block, tmp_path: Path, monkeypatch: pytest
     for library in set(re.findall(r"^(?:from|import) (\w+)", block.text, flags=re.MULTILINE)) & LIBRARIES:
         pytest.importorskip(library)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))  # else it is in the user's home, and there once
     namespace: dict[str, Any] = {"__name__": "example"}
     exec(compile(block.text, str(block), "exec"), namespace)
     if "evaluation" in namespace:
