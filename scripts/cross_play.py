@@ -95,7 +95,7 @@ def open_drivers(options: Namespace, env: EnvAdapter) -> list[dict[str, Policy]]
             if not shown.isprintable():
                 raise ValueError(f"driver {shown!r} has characters in its name that cannot be printed")
             if options.preference and name in runs and not runs[name].experiment.known_utility:
-                opened |= conditioned_drivers(runs[name], options)
+                opened |= conditioned_drivers(runs[name], options.preference)
                 continue
             for v in seats:
                 opened[shown] = open_driver(name, v, env, "discrete", trust=options.trust)
@@ -103,21 +103,21 @@ def open_drivers(options: Namespace, env: EnvAdapter) -> list[dict[str, Policy]]
     return drivers
 
 
-def conditioned_drivers(run: Run, options: Namespace) -> dict[str, Policy]:
+def conditioned_drivers(run: Run, preferences: Sequence[Sequence[str]]) -> dict[str, Policy]:
     """The drivers of a run of conditioned MO-PPO by the names of their preferences."""
     agent = load_policy(run)
     if not isinstance(agent, ConditionedMOPPO):
         raise ValueError(f"{run.path} has no preferences; --preference needs a run of conditioned MO-PPO")
-    weights = weights_of(options, agent.env.objectives)
+    weights = weights_of(preferences, agent.env.objectives)
     rows = {name: agent.preferences.condition("linear", numbers) for name, numbers in weights.items()}
     return {name: agent.policy(np.tile(row, agent.env.vehicles)) for name, row in rows.items()}
 
 
-def weights_of(options: Namespace, objectives: Sequence[str]) -> dict[str, dict[str, float]]:
-    """The weights of every objective by the name of the preference."""
+def weights_of(preferences: Sequence[Sequence[str]], objectives: Sequence[str]) -> dict[str, dict[str, float]]:
+    """The weights of every objective, 1 if they are not given, by the name of the preference, which comes first."""
     return {
         name: dict.fromkeys(objectives, 1.0) | cli.named_numbers(f"--preference {name}", pairs, objectives)
-        for name, *pairs in options.preference
+        for name, *pairs in preferences
     }
 
 
@@ -127,7 +127,7 @@ def utilities_of(options: Namespace, env: EnvAdapter, drivers: list[dict[str, Po
     if options.utility != OWN:
         return options.utility or f"{made.config.scenario}_linear"
     policies: dict[str, Any] = drivers[0] | drivers[1]
-    preferences, utilities = weights_of(options, env.objectives), {}
+    preferences, utilities = weights_of(options.preference, env.objectives), {}
     for name, policy in policies.items():
         if name not in preferences:
             raise ValueError(f"--utility {OWN}: {name!r} has no preference")

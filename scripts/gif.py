@@ -20,13 +20,12 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib import get_data_path
 from PIL import Image, ImageDraw, ImageFont
 
-from algorithms import ConditionedMOPPO
 from algorithms.driving.named_rules import is_rule, scripted_policy
 from algorithms.reporting.videos import (
     BACKGROUND,
@@ -34,6 +33,7 @@ from algorithms.reporting.videos import (
     Frame,
     episode_frames,
     make_render_env,
+    rendered,
     resized,
     write_video_grid,
 )
@@ -47,12 +47,12 @@ from mo_deepdrive.evaluation.policy import drive
 from mo_deepdrive.world.config import EnvironmentSettings
 from mo_deepdrive.world.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.world.scenarios import SCENARIOS
+from scripts.cross_play import conditioned_drivers
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterator, Sequence
 
-    from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
     from mo_deepdrive.evaluation.policy import Policy
@@ -118,38 +118,28 @@ def clips(names: Sequence[str], seed: int, most: int, side: int, trust: bool) ->
 # ----------------------------------------------------------------------------------------------- under preferences
 
 
-def picture(env: VectorEnv) -> Frame:
-    """The scene of the first environment."""
-    frames: Any = env.render()
-    return np.asarray(frames[0])
-
-
 def recorded(policy: Policy, adapter: EnvAdapter, seed: int, side: int) -> Drive:
     """The first episode in the scenario of a seed, in an environment of :func:`make_render_env`."""
     env, end = adapter.vector_env, ""
     observations = adapter.reset(seed)
-    maps, rewards = [shown(picture(env), side, roads=False)], [np.zeros(len(adapter.objectives))]
+    maps, rewards = [shown(rendered(env), side, roads=False)], [np.zeros(len(adapter.objectives))]
     for decision in drive(policy, adapter, observations):
-        maps.append(shown(picture(env), side, roads=False))
+        maps.append(shown(rendered(env), side, roads=False))
         rewards.append(decision.step.rewards[0, 0])
         end = end if decision.step.ends is None else str(np.ravel(decision.step.ends[0])[0])
     return Drive(maps, np.cumsum(rewards, axis=0), end.replace("_", " "))
 
 
-def preferred_drives(run: Run, preferences: Sequence[Sequence[str]], seed: int, side: int) -> dict[str, Drive]:
-    """The drive in the scenario of a seed under each preference, by its name; weights that are not named are 1."""
-    agent = load_policy(run)
-    if not isinstance(agent, ConditionedMOPPO):
-        raise ValueError(f"{run.path} has no preferences; --preference needs a run of conditioned MO-PPO")
+def preferred_drives(
+    run: Run, preferences: Sequence[Sequence[str]], seed: int, side: int
+) -> tuple[Sequence[str], dict[str, Drive]]:
+    """The objectives, and the drive in the scenario of a seed under each preference, by its name."""
     env = make_render_env(run.experiment.environment.id, run.experiment.environment.arguments)
-    adapter, drives = EnvAdapter(env, keep_ended=True), {}
-    for name, *pairs in preferences:
-        objectives = adapter.objectives
-        weights = dict.fromkeys(objectives, 1.0) | cli.named_numbers(f"--preference {name}", pairs, objectives)
-        policy = agent.policy(np.tile(agent.preferences.condition("linear", weights), adapter.vehicles))
-        drives[name] = recorded(policy, adapter, seed, side)
+    adapter = EnvAdapter(env, keep_ended=True)
+    policies = conditioned_drivers(run, preferences)
+    drives = {name: recorded(policy, adapter, seed, side) for name, policy in policies.items()}
     env.close()
-    return drives
+    return adapter.objectives, drives
 
 
 def with_returns(drives: Sequence[Drive], objectives: Sequence[str], fps: int) -> Iterator[list[Frame]]:
@@ -196,9 +186,8 @@ def write(options: Namespace) -> int:
         raise ValueError("--preference needs one RUN")
     if preferences:
         run = Run.open((options.runs or [RUN])[0], trust=options.trust)
-        drives = preferred_drives(run, preferences, options.seed, options.side)
-        objectives = EnvAdapter(make_env(run.experiment.environment.id, 1, run.experiment.environment.arguments))
-        frames = with_returns([*drives.values()], objectives.objectives, options.fps)
+        objectives, drives = preferred_drives(run, preferences, options.seed, options.side)
+        frames = with_returns([*drives.values()], objectives, options.fps)
         tracks = [*zip(drives, (each[: options.frames] for each in frames), strict=True)]
     else:
         tracks = clips(options.runs, options.seed, options.frames, options.side, options.trust)

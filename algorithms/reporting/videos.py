@@ -92,12 +92,13 @@ def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -
     adapter = EnvAdapter(env, keep_ended=True)
     generator = None if greedy else torch.Generator(policy.device).manual_seed(seed)
     observations = adapter.reset(seed)
-    yield _rendered(env)
+    yield rendered(env)
     for _ in drive(policy, adapter, observations, generator):
-        yield _rendered(env)
+        yield rendered(env)
 
 
-def _rendered(env: VectorEnv) -> Frame:
+def rendered(env: VectorEnv) -> Frame:
+    """The frame of the first environment; a ValueError if there is none."""
     frames = env.render()
     if not frames or not isinstance(frames[0], np.ndarray):
         raise ValueError("the environment rendered no frame")
