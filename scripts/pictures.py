@@ -215,7 +215,8 @@ def scale(path: Path) -> None:
             yticks=range(len(tasks)), yticklabels=[*reversed(tasks)], ylim=(-0.5, len(tasks) - 0.2), xlim=(-0.1, 1.1)
         )
         axes.set_xticks(
-            [0, 1], ["0: floor, the best policy\nthat is blind to what is tested", "1: ceiling, planned\nor best known"]
+            [0, 1],
+            ["0: floor, the best rule or plan\nthat is blind to what is tested", "1: ceiling, planned\nor best known"],
         )
         axes.spines[["left", "bottom"]].set_visible(False)
         axes.tick_params(length=0)
@@ -327,8 +328,8 @@ def left_turn(path: Path) -> None:
     """A film of LeftTurn: three fixed rules on one scenario, from where they differ, and how they end."""
     adapter = EnvAdapter(make_render_env(SCENARIOS["left_turn"].id), keep_ended=True)
     tracks = []
-    for gap, name in ((0.0, "goes at once"), (3.0, "waits for 3 s"), (5.0, "waits for 5 s")):
-        driven = recorded(as_policy(GapDriver(GapRule(gap)), adapter), adapter, 1_000_001, 320)
+    for gap, name in ((0.0, "goes at once"), (3.0, "waits for 3 s"), (9.0, "waits for 9 s")):
+        driven = recorded(as_policy(GapDriver(GapRule(gap)), adapter), adapter, 1_000_004, 320)
         frames, last = driven.maps[APPROACH:], driven.maps[-1].copy()
         last[-CAPTION_PIXELS:] = caption_strip(f"{driven.end} after {(len(driven.maps) - 1) / 10:.1f} s", last.shape[1])
         tracks.append((name, [*frames[:-1], *[last] * STAMPED]))
