@@ -194,7 +194,8 @@ class Scoreboard:
         whole = any(of == name for of, _, _ in self._samples)
         test = f"paired bootstrap over seeds{' and scenarios' if whole else ''}"
         tied, differences = self.best(name), self.differences(name)
-        first, *others = [f"{self._label(learner)} ({scores[learner].mean.estimate.text()})" for learner in tied]
+        values = {learner: scores[learner].mean.estimate.text().partition(" [")[0] for learner in tied}
+        first, *others = [f"{self._label(learner)} ({value})" for learner, value in values.items()]
         said = f"{first} is tied with {' and '.join(others)}" if others else f"{first} is the best"
         for learner in [learner for learner in differences if learner not in tied][:1]:
             gap = (scores[tied[0]].mean - scores[learner].mean).estimate.text()

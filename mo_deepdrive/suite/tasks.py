@@ -154,7 +154,7 @@ class Task(Settings):
     columns: list[str] = []
     """The perturbations under which it is scored too, keys of :attr:`Suite.perturbations`."""
     floor: Bound
-    """What the best policy earns that is blind to what the task tests."""
+    """What the best rule or plan earns that is blind to what the task tests."""
     rule: Bound | None = None
     """What the best scripted driver earns, where that is neither floor nor ceiling."""
     ceiling: Ceiling
