@@ -3,8 +3,8 @@
 python scripts/bounds/suite.py plan K1 U2 --scenarios 100    # search for drives, and write them into the package
 python scripts/bounds/suite.py bounds K1 V1 --output docs/results/suite2_bounds.csv
 
-A floor is the best rule that is blind to what the task tests, or what was planned without it. A ceiling is what was
-planned, or else the best rule. Rows of other tasks stay in the file; mo_deepdrive/data/suite.yaml has the numbers, too.
+A floor is the best rule or learner that is blind to what the task tests. A ceiling is what was planned, or else the
+best rule. Rows of other tasks stay in the file; mo_deepdrive/data/suite.yaml has the numbers, too.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
 HEAD = ["task", "kind", "column", "value", "low", "high", "by"]
 RESULTS = Path("docs/results/suite2_bounds.csv")
+LEARNERS = Path("docs/results/suite.csv")
 FLOOR, RULE, CEILING = "floor", "rule", "ceiling"
 # Rules of the rounds of a search, and their episodes (with each partner): many where a rare collision decides.
 ROUNDS_BY_TASK = {
@@ -57,6 +58,8 @@ ROUNDS_BY_TASK = {
     "R5": ((16, 32), (8, 128), (4, 500)),
 }
 CHANGES_OF = {"U4": "U2"}  # whose preferences change
+# Learners that are blind to what a task tests.
+BLIND_LEARNERS = {"K3": ("lintune", "accrued_blind"), "K4": ("lintune",), "U2": ("one_policy",), "U4": ("one_policy",)}
 # Rules that are known from elsewhere.
 KNOWN = {
     "K5": (SEEING["left_turn"], (4.5, 3.5, 6.5, 9.0, 0.73, 0.0)),
@@ -133,19 +136,35 @@ def worth_of_plans(task_id: str) -> Any:
     return np.concatenate(parts)
 
 
+def learnt(task_id: str) -> list[list[Any]]:
+    """The rows of learners that are blind to what a task tests: the means of their seeds, of those that are there."""
+    by_learner: dict[str, list[float]] = {name: [] for name in BLIND_LEARNERS.get(task_id, ())}
+    policy = suite.load().task(task_id).policy
+    for row in suite.read_rows(LEARNERS):
+        of_score = (row.task, row.policy, row.column) == (task_id, policy, "score")
+        if of_score and row.value is not None and row.learner in by_learner:
+            by_learner[row.learner].append(row.value)
+    rows = []
+    for name, scores in by_learner.items():
+        if scores:
+            found = of_mean(np.array(scores)[:, None], lambda means: means[..., 0])
+            rows.append([task_id, FLOOR, "score", found.value, found.low, found.high, f"{name}, {len(scores)} seeds"])
+    return rows
+
+
 def bounds(task_id: str) -> list[list[Any]]:
     """The rows of a task."""
-    task, rows = suite.load().task(task_id), []
+    task, rows = suite.load().task(task_id), learnt(task_id)
     if task.preferences is not None and task_id in CHANGES_OF:
         first = CHANGES_OF[task_id]
-        drives = {FLOOR: (first, "keeps the first preference"), CEILING: (task_id, "planned again from the change on")}
+        drives = {RULE: (first, "keeps the first preference"), CEILING: (task_id, "planned again from the change on")}
         for kind, (of, by) in drives.items():
             found = of_mean(changed(task_id, of).mean(axis=1, keepdims=True), lambda means: means[..., 0])
             rows.append([task_id, kind, "score", found.value, found.low, found.high, by])
         return rows
     if task.preferences is not None:
         by, mean = "planned for the mean of the preferences", planned(task_id, task.preferences.count)
-        rows += scored(task_id, FLOOR, by, mean, planned_scenarios(task_id))
+        rows += scored(task_id, RULE, by, mean, planned_scenarios(task_id))
         return rows + scored(task_id, CEILING, "planned for each", ForPreferences(task_id), planned_scenarios(task_id))
     rules = [
         (
