@@ -173,7 +173,7 @@ class Scoreboard:
             rows = [(1.0, [f"ceiling ({task.ceiling.kind})", f"1 ({task.ceiling.value:.4g})"])]
             if task.rule is not None:
                 rule = float(task.normalised(task.rule.value))
-                rows.append((rule, ["reference rule", f"{rule:.2f} ({task.rule.value:.4g})"]))
+                rows.append((rule, ["reference", f"{rule:.2f} ({task.rule.value:.4g})"]))
             tied = self.best(name)
             for learner, its in scores.items():
                 minutes = self._minutes.get((name, learner))
@@ -213,7 +213,7 @@ class Scoreboard:
         return [f"{said}.", f"{cause}{'' if ahead else ': no cause is claimed'}."]
 
     def page(self, name: str) -> str:
-        """All about a task as Markdown: utility, bounds, reference rule, ablation, CPU minutes, and its learners."""
+        """All about a task as Markdown: utility, bounds, reference, ablation, CPU minutes, and its learners."""
         task = suite.load().task(name)
         if task.rulebook is None:
             parts = [part for part in OBJECTIVES if part.name in re.findall(r"\w+", task.formula)]
@@ -232,7 +232,7 @@ class Scoreboard:
             "Score": f"{task.score.replace('_', ' ')}, {task.episodes} episodes",
             "Floor": f"{task.floor.value:.4g}, {task.floor.by}",
             "Ceiling": f"{task.ceiling.value:.4g} ({task.ceiling.kind}), {task.ceiling.by}",
-            "Reference rule": f"score {task.normalised(rule.value):.2f}, {rule.by}" if rule else "none",
+            "Reference": f"score {task.normalised(rule.value):.2f}, {rule.by}" if rule else "none",
             "Ablation": self._label(task.ablation) if task.ablation else "none",
             "Training": f"{task.steps / 1e6:g} M steps" + (f", {minutes:.1f} CPU minutes a run" if minutes else ""),
         }
@@ -302,6 +302,6 @@ class Scoreboard:
                 axes.set_yticks(range(len(scores)), [self._label(learner) for learner in scores])
                 axes.set(title=name, ylim=(tallest - 0.5, -0.5))
                 axes.xaxis.set_tick_params(labelbottom=True)
-            note = "Means with 95% intervals; a stroke is a seed. Dotted: floor and ceiling; dashed: a reference rule."
+            note = "Means with 95% intervals; a stroke is a seed. Dotted: floor and ceiling; dashed: a reference."
             style.surround(figure, "Scores of the learners by task", [note])
             style.save_figure(figure, path)

@@ -154,9 +154,9 @@ class Task(Settings):
     columns: list[str] = []
     """The perturbations under which it is scored too, keys of :attr:`Suite.perturbations`."""
     floor: Bound
-    """What the best rule or plan earns that is blind to what the task tests."""
+    """What the best rule or learner earns that is blind to what the task tests."""
     rule: Bound | None = None
-    """What the best scripted driver earns, where that is neither floor nor ceiling."""
+    """What the best scripted driver, or a drive planned without what is tested, earns where that is neither bound."""
     ceiling: Ceiling
     """What counts as 1."""
 
