@@ -138,7 +138,7 @@ class LoggingSettings(Settings):
     checkpoint_interval: Count | None = None
     """Environment steps between checkpoints; None for a twentieth of the training."""
     save_figures: bool = True
-    """Draw the learning curves and film the policy at the end."""
+    """Draw the learning curves and the front, and film the policy, at the end."""
     wandb: WandbSettings | None = None
     """Log to Weights & Biases too; None to leave it out."""
 

@@ -125,13 +125,15 @@ def report_agent(
     seed: int,
     title: str = "",
     directory: Path | None = None,
+    figures: bool = True,
     video: Path | None = None,
     greedy: bool = True,
     about: Mapping[str, Any] = {},
 ) -> bool:
     """Evaluate an agent, print a table, and report it where a path is given; False if anything but the numbers failed.
 
-    ``about`` is for evaluation.json. Videos show the first episodes; of a front, four greedy policies in the first one.
+    ``figures`` are those of a front; ``about`` is for evaluation.json. Videos show the first episodes; of a front, four
+    greedy policies in the first one.
     """
     gamma, about = experiment.evaluation.gamma, {"step": agent.step, **about}
     if directory is not None:
@@ -140,7 +142,7 @@ def report_agent(
         front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
         if front.episodes < episodes:
             console.print(f"every episode is the same: {front.episodes} of {episodes:,} is driven", highlight=False)
-        drawn = _report_front(front, experiment, console, directory, about)
+        drawn = _report_front(front, experiment, console, directory, about, figures=figures)
         filmed = video is None or film_policies_of_front(agent, front, experiment, video, console, seed=seed)
         return drawn and filmed
     with closing(evaluation_env(experiment, episodes)) as env:
@@ -155,9 +157,15 @@ def report_agent(
 
 
 def _report_front(
-    front: Front, experiment: Experiment, console: Console, directory: Path | None, about: Mapping[str, Any]
+    front: Front,
+    experiment: Experiment,
+    console: Console,
+    directory: Path | None,
+    about: Mapping[str, Any],
+    *,
+    figures: bool,
 ) -> bool:
-    """Print a table of a front without dominated policies; with a directory, write it and try to draw it, too."""
+    """Print a table of a front without dominated policies; with a directory, write it and, with figures, draw it."""
     front, reference_point = front.non_dominated(), experiment.evaluation.reference_point
     with closing(make_environment(experiment.environment, 1)) as env:
         best_known, scales = best_known_front(env, front.gamma), EnvAdapter(env).joint_scales
@@ -169,7 +177,7 @@ def _report_front(
         front.write(directory, {**about, "reference_point": reference_point, "policies": policies})
     console.print(front_table(front, measured, title, console.width, whole))
     with _beside(console, "the front could not be drawn") as drawing:
-        if directory is not None and len(front.objectives) > 1:  # there are no figures of a single objective
+        if figures and directory is not None and len(front.objectives) > 1:  # a single objective has none
             from algorithms.reporting.page.plots import draw_front
 
             draw_front(front, directory, reference_front=best_known, title=title)
@@ -233,9 +241,16 @@ def _beside(console: Console, failure: str) -> Accessory:
 def report_run(run: Run, agent: Any, console: Console, about: Mapping[str, Any] = {}) -> None:
     """The final evaluation of a run, written into its directory; arguments are those of :func:`report_agent`."""
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
-    episodes, seed, video = settings.final_episodes, settings.final_seed, run.path / VIDEO_FILE if figures else None
     report_agent(
-        agent, run.experiment, console, episodes=episodes, seed=seed, directory=run.path, video=video, about=about
+        agent,
+        run.experiment,
+        console,
+        episodes=settings.final_episodes,
+        seed=settings.final_seed,
+        directory=run.path,
+        figures=figures,
+        video=run.path / VIDEO_FILE if figures else None,
+        about=about,
     )
 
 

@@ -48,7 +48,7 @@ def test_the_run_of_a_peer_has_the_same_files_as_other_runs(
     assert about["policies"]["front"]["hypervolume"]["value"] > 0.0
     quiet = Run.create(load_experiment(front_config, ["--logging.save_figures=false"]), tmp_path / "quiet")
     run_peer(quiet, make_console())
-    assert not {"curves.png", "video.mp4"} & {path.name for path in quiet.path.iterdir()}
+    assert not {"curves.png", "scatter.png", "video.mp4"} & {path.name for path in quiet.path.iterdir()}
     names = {"front.csv", "fronts.csv", "metrics.csv", "curves.png", "scatter.png", "peer.log", "config.yaml"}
     assert names <= {path.name for path in run.path.iterdir()}
     assert run.status["state"] == "finished"
