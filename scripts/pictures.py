@@ -216,7 +216,7 @@ def scale(path: Path) -> None:
         )
         axes.set_xticks(
             [0, 1],
-            ["0: floor, the best rule or learner\nthat is blind to what is tested", "1: ceiling, planned\nor best known"],
+            ["0: floor, the best that is\nblind to what is tested", "1: ceiling, planned\nor best known"],
         )
         axes.spines[["left", "bottom"]].set_visible(False)
         axes.tick_params(length=0)
