@@ -97,7 +97,7 @@ def test_the_best_of_a_front_is_taken_for_each_preference() -> None:
         suite.score(policy, "U2", episodes=8, perturbed=False) for policy in (still, [driving, still], driving)
     )
     assert None not in (one.value, both.value, other.value)
-    assert both.value == one.value > other.value  # type: ignore[operator]
+    assert both.value > one.value > other.value  # type: ignore[operator]
 
 
 @pytest.mark.slow
