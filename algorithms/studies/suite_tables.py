@@ -201,6 +201,7 @@ class Scoreboard:
             gap = (scores[tied[0]].mean - scores[learner].mean).estimate.text()
             said += f", ahead of {self._label(learner)} by {gap} with p = {differences[learner].p:.3f}"
         said += f" ({test}, Holm's correction for {len(differences)})" if differences else " that was run"
+        said = said[0].upper() + said[1:]
         if ablation not in scores or len(scores) == 1:
             return [f"{said}."]
         ablated = load_study(REFERENCE).learners_of(name).get(ablation, Learner()).ablation_of
@@ -210,7 +211,7 @@ class Scoreboard:
         ahead = difference.value > 0.0 and difference.p < SIGNIFICANT
         cause = f"{self._label(ablated)} is {'' if ahead else 'not '}ahead of the ablation, {self._label(ablation)}"
         cause += f" ({difference.estimate.text()}, p = {difference.p:.3f}, {test})"
-        return [f"{said}.", f"{cause}{'' if ahead else ': no cause is claimed'}."]
+        return [f"{said}.", f"{cause[0].upper()}{cause[1:]}{'' if ahead else ': no cause is claimed'}."]
 
     def page(self, name: str) -> str:
         """All about a task as Markdown: utility, bounds, reference, ablation, CPU minutes, and its learners."""
