@@ -47,7 +47,9 @@ class Estimate:
             return f"{self.value:.4g}"
         width = max(self.high - self.low, other_width)
         decimals = int(np.clip(1 - np.floor(np.log10(width)), 0, 4))
-        return f"{self.value:.{decimals}f} [{self.low:.{decimals}f}, {self.high:.{decimals}f}]"
+        # A zero has no sign.
+        value, low, high = (round(number, decimals) + 0.0 for number in (self.value, self.low, self.high))
+        return f"{value:.{decimals}f} [{low:.{decimals}f}, {high:.{decimals}f}]"
 
 
 def of_three(sizes: Iterable[int], what: str = "seeds") -> str:
