@@ -67,6 +67,11 @@ def run_minutes(rows: Iterable[Row]) -> dict[tuple[str, str], list[float]]:
     return {arm: [used / 60.0 for used in runs.values()] for arm, runs in seconds.items()}
 
 
+def sentence(text: str) -> str:
+    """A text with a capital, which a label need not have, and a full stop."""
+    return f"{text[0].upper()}{text[1:]}."
+
+
 @dataclass(frozen=True)
 class Scores:
     """The normalised scores of a learner on a task, of the runs that finished or failed."""
@@ -201,9 +206,8 @@ class Scoreboard:
             gap = (scores[tied[0]].mean - scores[learner].mean).estimate.text()
             said += f", ahead of {self._label(learner)} by {gap} with p = {differences[learner].p:.3f}"
         said += f" ({test}, Holm's correction for {len(differences)})" if differences else " that was run"
-        said = said[0].upper() + said[1:]
         if ablation not in scores or len(scores) == 1:
-            return [f"{said}."]
+            return [sentence(said)]
         ablated = load_study(REFERENCE).learners_of(name).get(ablation, Learner()).ablation_of
         if ablated not in scores:
             ablated = next(learner for learner in scores if learner != ablation)
@@ -211,7 +215,7 @@ class Scoreboard:
         ahead = difference.value > 0.0 and difference.p < SIGNIFICANT
         cause = f"{self._label(ablated)} is {'' if ahead else 'not '}ahead of the ablation, {self._label(ablation)}"
         cause += f" ({difference.estimate.text()}, p = {difference.p:.3f}, {test})"
-        return [f"{said}.", f"{cause[0].upper()}{cause[1:]}{'' if ahead else ': no cause is claimed'}."]
+        return [sentence(said), sentence(f"{cause}{'' if ahead else ': no cause is claimed'}")]
 
     def page(self, name: str) -> str:
         """All about a task as Markdown: utility, bounds, reference, ablation, CPU minutes, and its learners."""
