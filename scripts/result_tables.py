@@ -28,6 +28,7 @@ from algorithms.runs.cli import Command
 from algorithms.studies.suite_tables import Scoreboard
 from algorithms.zoo import ZOO
 from mo_deepdrive import suite
+from mo_deepdrive.evaluation.statistics import with_decimals
 from mo_deepdrive.support.atomic_io import atomic_write
 
 if TYPE_CHECKING:
@@ -67,7 +68,9 @@ def open_results() -> sqlite3.Connection:
     pins = "".join((REPOSITORY / name).read_text(encoding="utf-8") for name in CONSTRAINTS)
     rows = [[name.lower().replace("_", "-"), version] for name, version in PIN.findall(pins)]
     fill(database, "pins", ["package", "version"], rows)
-    database.create_function("decimals", 2, lambda value, places: None if value is None else f"{value:.{places}f}")
+    database.create_function(
+        "decimals", 2, lambda value, places: None if value is None else with_decimals(value, places)
+    )
     database.executescript((folder / "views.sql").read_text(encoding="utf-8"))
     return database
 

@@ -47,9 +47,13 @@ class Estimate:
             return f"{self.value:.4g}"
         width = max(self.high - self.low, other_width)
         decimals = int(np.clip(1 - np.floor(np.log10(width)), 0, 4))
-        # A zero has no sign.
-        value, low, high = (round(number, decimals) + 0.0 for number in (self.value, self.low, self.high))
-        return f"{value:.{decimals}f} [{low:.{decimals}f}, {high:.{decimals}f}]"
+        value, low, high = (with_decimals(number, decimals) for number in (self.value, self.low, self.high))
+        return f"{value} [{low}, {high}]"
+
+
+def with_decimals(value: float, decimals: int) -> str:
+    """A number with so many decimals; a zero has no sign."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
 def of_three(sizes: Iterable[int], what: str = "seeds") -> str:
