@@ -200,6 +200,7 @@ class Arm:
     label: str
     metric: str  # of the final evaluation, by which settings are chosen and learners are compared
     values: dict[str, Any]  # the sections of its experiment
+    tuning: Tuning
     candidates: tuple[dict[str, Any], ...]  # values by key that are tried for it, or for the arm that it ablates
     seeds: tuple[int, ...]
     ablation_of: str | None  # the learner on the same task whose chosen candidate it takes
@@ -249,7 +250,6 @@ class StudyPlan(Plan):
             for name in (name for name in given or () if name not in known):
                 raise ValueError(f"{option} {name}: {missing[i]}; {nearest(name, known)}")
         on_tasks = [arm for arm in self.arms if tasks is None or arm.task in tasks]
-        self._tuning = study.tuning or Tuning()
         if study.tuning is not None:
             self._check_candidates(on_tasks)
         chosen = [arm for arm in on_tasks if learners is None or arm.learner in learners]
@@ -281,9 +281,13 @@ class StudyPlan(Plan):
     def announcement(self) -> list[str]:
         """As of the base class: all runs of the arms that are to be trained now, in a line."""
         arms = [arm for arm in self.arms if arm.key in self.selected]
-        tuned, seeds = [arm for arm in arms if arm.ablation_of is None], len(self._tuning.seeds)
-        rungs = [rung for arm in tuned for rung in self._tuning.rungs(len(arm.candidates))]
-        tried, length = seeds * sum(size for _, size in rungs), seeds * sum(share * size for share, size in rungs)
+        rungs = [
+            (len(arm.tuning.seeds) * size, share)
+            for arm in arms
+            if arm.ablation_of is None
+            for share, size in arm.tuning.rungs(len(arm.candidates))
+        ]
+        tried, length = sum(runs for runs, _ in rungs), sum(runs * share for runs, share in rungs)
         counted = sum(len(arm.seeds) for arm in arms)
         learners, tasks = (", ".join(dict.fromkeys(arm.key[i] for arm in arms)) for i in (1, 0))
         tuning = f"{tried} runs of tuning, as long as {length:g} full ones, then {counted}"
@@ -294,8 +298,9 @@ class StudyPlan(Plan):
     def _check_candidates(self, arms: Sequence[Arm]) -> None:
         """Refuse arms of a task with more or fewer candidates than others, since all else of their tuning is equal."""
         for task in dict.fromkeys(arm.task for arm in arms):
-            numbers = {arm.learner: len(arm.candidates) for arm in arms if (arm.task, arm.ablation_of) == (task, None)}
-            wanted = self._tuning.candidates or max(1, *numbers.values())
+            tuned = [arm for arm in arms if (arm.task, arm.ablation_of) == (task, None)]
+            numbers = {arm.learner: len(arm.candidates) for arm in tuned}
+            wanted = tuned[0].tuning.candidates or max(1, *numbers.values())
             if {*numbers.values()} != {wanted}:
                 listed = ", ".join(f"{learner} {number}" for learner, number in numbers.items())
                 hint = "tuning.values, or the tuning of a learner, must have as many combinations"
@@ -322,7 +327,7 @@ class StudyPlan(Plan):
         tried: list[ManifestRow] = []
         last: list[ManifestRow] = []  # of them, those of the last rung
         best_first = [*range(len(arm.candidates))]
-        for number, (_, size) in enumerate(self._tuning.rungs(len(arm.candidates))):
+        for number, (_, size) in enumerate(arm.tuning.rungs(len(arm.candidates))):
             by_candidate = {i: self._rows_of(arm, arm.candidates[i], i, number) for i in best_first[:size]}
             rung = [row for rows in by_candidate.values() for row in rows]
             refuse_duplicates(rung)
@@ -355,9 +360,9 @@ class StudyPlan(Plan):
         split = "test" if trial is None else "validation"
         values = overridden(arm.values, {**candidate, "evaluation.split": split}, cell)
         if trial is not None:
-            cell, seeds = {**cell, "rung": rung}, tuple(self._tuning.seeds)
+            cell, seeds = {**cell, "rung": rung}, tuple(arm.tuning.seeds)
             if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
-                values["training"]["total_timesteps"] = max(1, round(self._tuning.shares[rung] * steps))
+                values["training"]["total_timesteps"] = max(1, round(arm.tuning.shares[rung] * steps))
         build_once = arm.key in self.selected  # others may need what is not installed here
         return self._cell(cell, trial, values=values, seeds=seeds, metric=arm.metric, build_once=build_once)
 
@@ -365,12 +370,13 @@ class StudyPlan(Plan):
 def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str]]:
     """The arms of a study, and what has no effect."""
     arms: list[Arm] = []
-    tuning = study.tuning or Tuning()
-    unused = {*overrides, *study.help, *tuning.values, *(key for task in study.tasks.values() for key in task.help)}
+    unused = {*overrides, *study.help, *(key for task in study.tasks.values() for key in task.help)}
+    for tuning in (study.tuning, *(task.tuning for task in study.tasks.values())):
+        unused |= {*tuning.values} if tuning is not None else set()
     known: set[str] = set()
     learners: set[str] = set()
     for name, task in study.tasks.items():
-        of_task = study.learners_of(name)
+        of_task, tuning = study.learners_of(name), task.tuning or study.tuning or Tuning()
         for key, own in of_task.items():
             learners.add(key)
             where = f"learner {key!r} on task {name!r}"
@@ -404,7 +410,9 @@ def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], 
             of_suite = task.task and f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
             if (metric := task.metric or of_suite or study.metric) is None:
                 raise ValueError(f"task {name!r} has no metric; give one to it or to the study")
-            arms.append(Arm(name, key, own.label or key, metric, values, tuple(candidates), seeds, own.ablation_of))
+            arms.append(
+                Arm(name, key, own.label or key, metric, values, tuning, tuple(candidates), seeds, own.ablation_of)
+            )
     if not arms:
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
     idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners - {arm.learner for arm in arms})]
@@ -489,7 +497,8 @@ def plan_of(
     for key, task in suite.load().tasks.items():
         given = reference.tasks.get(key, StudyTask(task=key))
         changed = {name: learner for name, learner in given.learners.items() if name in planned}
-        study_tasks[key] = given.model_copy(update={"learners": changed, "title": task.title})
+        tuning = given.tuning if planned else None
+        study_tasks[key] = given.model_copy(update={"learners": changed, "title": task.title, "tuning": tuning})
     tuning = reference.tuning if planned else None
     changes = {"seeds": list(range(seeds)), "tasks": study_tasks, "learners": trained, "tuning": tuning}
     study = reference.model_copy(update=changes)

@@ -322,6 +322,8 @@ class StudyTask(Settings):
     study's; with a suite's task its score."""
     seeds: Seeds | None = None
     """Seeds that count, instead of the study's."""
+    tuning: Tuning | None = None
+    """How settings are chosen, instead of the study's way."""
     help: dict[str, Any] = {}
     """As the study's, which these are added to."""
     overrides: dict[str, Any] = {}
@@ -380,13 +382,20 @@ def learners_in(study: Study) -> Iterator[tuple[str, Learner]]:
 def problems_of(study: Study) -> list[str]:
     """What is invalid in a study by itself, one line each."""
     problems = []
-    tuning = study.tuning or Tuning(seeds=[0])
-    keys = {"overrides": keys_in(study.overrides), "help": keys_in(study.help), "tuning.values": keys_in(tuning.values)}
-    counted = {"seeds": study.seeds}
+    keys = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
+    if study.tuning is not None:
+        keys["tuning.values"] = keys_in(study.tuning.values)
     for name, task in study.tasks.items():
         place = f"tasks.{name}"
         keys |= {f"{place}.overrides": keys_in(task.overrides), f"{place}.help": keys_in(task.help)}
-        counted[f"{place}.seeds"] = task.seeds or []
+        if task.tuning is not None:
+            keys[f"{place}.tuning.values"] = keys_in(task.tuning.values)
+            if study.tuning is None:
+                problems.append(f"{place}.tuning has no effect in a study without tuning")
+        seeds, tuning = task.seeds or study.seeds, task.tuning or study.tuning
+        if tuning is not None and (both := set(seeds) & set(tuning.seeds)):
+            where = f"{place}.seeds" if task.seeds else "seeds"
+            problems.append(f"{where} has {min(both)}, a seed of the tuning; take others")
         if task.task is not None and task.environment is not None:
             problems.append(f"{place}.environment: the suite's task {task.task!r} has an environment of its own")
         learners = study.learners_of(name)
@@ -408,9 +417,6 @@ def problems_of(study: Study) -> list[str]:
         if learner.tuning and study.tuning is None:
             problems.append(f"{place} has a tuning of its own, which has no effect in a study without tuning")
     problems += key_problems(keys, ELSEWHERE)
-    for place, seeds in counted.items() if study.tuning else ():
-        if both := set(seeds) & set(tuning.seeds):
-            problems.append(f"{place} has {min(both)}, a seed of the tuning; take others")
     tasks = study.tasks.values()
     if study.metric is not None and all(task.task or task.metric for task in tasks):
         problems.append("metric has no effect: every task has its own")

@@ -172,6 +172,21 @@ def test_learners_with_more_to_tune_have_as_many_candidates_which_try_every_valu
         assert [tried.count(value) for value in values] == [6 // len(values)] * len(values)
 
 
+def test_a_task_may_have_a_tuning_of_its_own(tmp_path: Path) -> None:
+    task = {**{key: VALUES[key] for key in ("environment", "utility")}, "steps": 960}
+    own = {"seeds": [7], "values": {RATE: [0.1, 0.2, 0.3]}}
+    file = write_study(
+        tmp_path,
+        tuning={"seeds": [100], "values": {RATE: [0.001, 0.002]}, "shares": [0.5, 1.0]},
+        tasks={"plain": task, "own": {**task, "tuning": own}},
+        learners={"mo": {"config": "base.yaml"}},
+    )
+    plan = StudyPlan(load_study(file))
+    tried = [(row.cell["task"], row.seed, row.config["training"]["total_timesteps"]) for row in plan.rows(Scores())]
+    assert sorted(tried) == [("own", 7, 960)] * 3 + [("plain", 100, 480)] * 2
+    assert plan.announcement()[-1].startswith("6 runs of tuning, as long as 5 full ones, then ")
+
+
 def test_an_ablation_takes_the_settings_of_what_it_ablates_and_only_differs_in_what_it_lacks(tmp_path: Path) -> None:
     task = {key: VALUES[key] for key in ("environment", "utility")}
     blind = {"ablation_of": "mo", "overrides": {"algorithm.observe_accrued": False, "algorithm.gamma": 0.5}}
@@ -256,6 +271,10 @@ def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_anot
     ("changes", "message"),
     [
         ({"seeds": [0, 100]}, "seeds has 100, a seed of the tuning"),
+        (
+            {"tuning": None, "tasks": {"K1": {"task": "K1", "tuning": {"values": {RATE: [0.1]}}}}, "metric": None},
+            "tasks.K1.tuning has no effect in a study without tuning",
+        ),
         ({"tuning": {"shares": [0.5, 0.25], "values": {RATE: [0.1]}}}, r"shares' = \[0.5, 0.25\]: it must increase"),
         (
             {"tuning": {"candidates": 3, "values": {RATE: [0.1, 0.2]}}},
