@@ -100,9 +100,9 @@ def test_sentences_say_who_is_best_and_whether_the_ablation_is_behind_each_with_
         found = [scored("K3", learner, score, seed) for learner in scores for seed, score in enumerate(scores[learner])]
         return " ".join(Scoreboard(found).sentences("K3"))
 
-    best, blind, noisy = [0.8, 0.81, 0.82, 0.8], [0.3, 0.31, 0.32, 0.3], [0.2, 0.9, 0.5, 0.8]
+    best, blind, noisy = [0.8, 0.81, 0.82, 0.81], [0.3, 0.31, 0.32, 0.31], [0.2, 0.9, 0.5, 0.8]
     apart = said({"mo_ppo_esr": best, "accrued_blind": blind, "ppo": noisy})
-    assert apart.startswith("MO-PPO (ESR) (0.807) is tied with PPO (")
+    assert apart.startswith("MO-PPO (ESR) (0.810) is tied with PPO (")
     assert "ahead of MO-PPO (ESR) without what has accrued by 0.5" in apart
     assert "Holm's correction for 2" in apart
     assert "MO-PPO (ESR) is ahead of the ablation, MO-PPO (ESR) without what has accrued (0.5" in apart
@@ -110,7 +110,7 @@ def test_sentences_say_who_is_best_and_whether_the_ablation_is_behind_each_with_
     same = said({"mo_ppo_esr": best, "accrued_blind": best})
     assert "is not ahead of the ablation" in same
     assert same.endswith("): no cause is claimed.")
-    assert said({"mo_ppo_esr": best}) == "MO-PPO (ESR) (0.807) is the best that was run."
+    assert said({"mo_ppo_esr": best}) == "MO-PPO (ESR) (0.810) is the best that was run."
     assert Scoreboard([]).sentences("K3") == ["Not run."]
 
 
