@@ -370,9 +370,9 @@ class StudyPlan(Plan):
 def _arms(study: Study, overrides: Mapping[str, Any]) -> tuple[tuple[Arm, ...], list[str]]:
     """The arms of a study, and what has no effect."""
     arms: list[Arm] = []
-    unused = {*overrides, *study.help, *(key for task in study.tasks.values() for key in task.help)}
-    for tuning in (study.tuning, *(task.tuning for task in study.tasks.values())):
-        unused |= {*tuning.values} if tuning is not None else set()
+    tunings = study.tuning, *(task.tuning for task in study.tasks.values())
+    tuned_keys = (key for tuning in tunings if tuning is not None for key in tuning.values)
+    unused = {*overrides, *study.help, *tuned_keys, *(key for task in study.tasks.values() for key in task.help)}
     known: set[str] = set()
     learners: set[str] = set()
     for name, task in study.tasks.items():

@@ -382,6 +382,7 @@ def learners_in(study: Study) -> Iterator[tuple[str, Learner]]:
 def problems_of(study: Study) -> list[str]:
     """What is invalid in a study by itself, one line each."""
     problems = []
+    clashes: dict[str, None] = {}  # tasks that share seeds and tuning have the same one
     keys = {"overrides": keys_in(study.overrides), "help": keys_in(study.help)}
     if study.tuning is not None:
         keys["tuning.values"] = keys_in(study.tuning.values)
@@ -395,7 +396,7 @@ def problems_of(study: Study) -> list[str]:
         seeds, tuning = task.seeds or study.seeds, task.tuning or study.tuning
         if tuning is not None and (both := set(seeds) & set(tuning.seeds)):
             where = f"{place}.seeds" if task.seeds else "seeds"
-            problems.append(f"{where} has {min(both)}, a seed of the tuning; take others")
+            clashes[f"{where} has {min(both)}, a seed of the tuning; take others"] = None
         if task.task is not None and task.environment is not None:
             problems.append(f"{place}.environment: the suite's task {task.task!r} has an environment of its own")
         learners = study.learners_of(name)
@@ -416,7 +417,7 @@ def problems_of(study: Study) -> list[str]:
         keys |= {f"{place}.overrides": keys_in(learner.overrides), f"{place}.tuning": keys_in(learner.tuning)}
         if learner.tuning and study.tuning is None:
             problems.append(f"{place} has a tuning of its own, which has no effect in a study without tuning")
-    problems += key_problems(keys, ELSEWHERE)
+    problems += [*key_problems(keys, ELSEWHERE), *clashes]
     tasks = study.tasks.values()
     if study.metric is not None and all(task.task or task.metric for task in tasks):
         problems.append("metric has no effect: every task has its own")
