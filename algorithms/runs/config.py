@@ -104,10 +104,13 @@ class EvaluationSettings(Settings):
     environments, and for no hypervolume on others."""
     task: str | None = None
     """The id of a task of the suite, as which the policy is scored, too, at the end."""
+    follow_changes: bool = True
+    """Tell the policy when a preference of the task changes; without it the first one is kept."""
 
     @model_serializer(mode="wrap")
     def _without_no_task(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {key: value for key, value in serialise(self).items() if key != "task" or value is not None}
+        absent = {"task": None, "follow_changes": True}
+        return {key: value for key, value in serialise(self).items() if absent.get(key, ...) != value}
 
     @property
     def final_seed(self) -> int:
@@ -239,6 +242,8 @@ def make_experiment(values: Mapping[str, Any], name: str = "experiment", *, here
         experiment = experiment.model_copy(update={"environment": environment})
         if evaluation.task is not None:
             attempt(check_task, experiment, evaluation.task)
+        else:
+            attempt(check_effects, experiment, ["evaluation.follow_changes"], "no task of the suite is scored")
     front = None
     if experiment.algorithm.name:
         attempt(_check_utility, experiment)
@@ -367,6 +372,8 @@ def check_task(experiment: Experiment, task_id: str) -> Task:
         raise ValueError(
             f"training.total_timesteps = {steps:,}: task {task_id} allows {task.steps:,} environment steps"
         )
+    if task.preferences is None or task.preferences.changes is None:
+        check_effects(experiment, ["evaluation.follow_changes"], f"no preference of task {task_id} changes")
     return task
 
 

@@ -227,6 +227,7 @@ class PreferenceFollower:
     """An agent that acts by the linear preference that it is told, as a scorer takes it."""
 
     agent: Any
+    follows_changes: bool = True  # else it keeps the first preference of an episode
     samples: bool = True  # its actions can be sampled
 
     def for_preference(self, weights: NDArray[np.float64]) -> Policy:
@@ -251,7 +252,7 @@ def scorable(agent: Any, experiment: Experiment) -> Any:
         return agent
     task = suite.load().task(str(experiment.evaluation.task))
     if task.preferences is not None and hasattr(agent, "preferences"):
-        return PreferenceFollower(agent)
+        return PreferenceFollower(agent, experiment.evaluation.follow_changes)
     front = evaluate_front(agent, experiment, episodes=CHOSEN_EPISODES, seed=SPLITS["validation"].start)
     return [agent.policy(condition) for condition in front.conditions]
 

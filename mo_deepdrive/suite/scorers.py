@@ -170,7 +170,8 @@ def returns_by_preference(drives: Drives, policy: Any) -> NDArray[np.float64]:
 def values_under_changes(drives: Drives, policy: Any) -> NDArray[np.float64]:
     """(E, P) what every episode is worth under P preferences that give way to the next one.
 
-    The policy is told them, or is one that is blind to them; a ValueError for a front.
+    The policy is told them, or is one that is blind to them; a ValueError for a front. One whose ``follows_changes`` is
+    False is told the first alone.
     """
     task, policies = drives.task, policies_of(policy)
     assert task.preferences is not None
@@ -180,7 +181,8 @@ def values_under_changes(drives: Drives, policy: Any) -> NDArray[np.float64]:
         blind = policies[0]
         policies = lambda _weights: blind  # noqa: E731  # a function of the weights like the others
     told, weights, times = task.told_weights(), task.hidden_weights(), task.preferences.change_times()
-    pairs = list(zip(told, np.roll(told, -1, axis=0), strict=True))
+    later = np.roll(told, -1, axis=0) if getattr(policy, "follows_changes", True) else told
+    pairs = list(zip(told, later, strict=True))
     values = [
         drives.changing(policies(first), policies(second), weights[[p, (p + 1) % len(weights)]], times[p])
         for p, (first, second) in enumerate(pairs)

@@ -59,7 +59,12 @@ ROUNDS_BY_TASK = {
 }
 CHANGES_OF = {"U4": "U2"}  # whose preferences change
 # Learners that are blind to what a task tests.
-BLIND_LEARNERS = {"K3": ("lintune", "accrued_blind"), "K4": ("lintune",), "U2": ("one_policy",), "U4": ("one_policy",)}
+BLIND_LEARNERS = {
+    "K3": ("lintune", "accrued_blind"),
+    "K4": ("lintune",),
+    "U2": ("one_policy",),
+    "U4": ("one_policy", "first_alone"),
+}
 # Rules that are known from elsewhere.
 KNOWN = {
     "K5": (SEEING["left_turn"], (4.5, 3.5, 6.5, 9.0, 0.73, 0.0)),

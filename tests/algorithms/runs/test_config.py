@@ -83,6 +83,7 @@ def test_the_resolved_experiment_reloads_equal(write: Write, tmp_path: Path) -> 
         ),
         ("--environment.arguments.action_delay=1", r"environment.arguments.action_delay = 1 \(not 0\)"),
         ("--evaluation.task=K9", "task 'K9' is unknown"),
+        ("--evaluation.follow_changes=false", "follow_changes = False has no effect: no preference of task K1 changes"),
     ],
 )
 def test_a_task_of_the_suite_is_trained_in_its_environment_and_within_its_budget(
@@ -146,6 +147,7 @@ def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
             "--evaluation.reference_point=[0, 0, 0, 0]",
             ["evaluation.reference_point = [0.0, 0.0, 0.0, 0.0] has no effect"],
         ),
+        ("--evaluation.follow_changes=false", ["follow_changes = False has no effect: no task of the suite is scored"]),
         ("--utility.vehicles.vehicle_1.nam=x", ["utility.vehicles.vehicle_1.nam", "did you mean 'name'"]),
         ("--training.seed.x.y=1", ["training.seed"]),
         ("--training.total_timesteps=1e300", ["training.total_timesteps", "less than or equal to 1000000000000000"]),

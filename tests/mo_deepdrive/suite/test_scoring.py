@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -109,6 +110,18 @@ def test_one_policy_that_is_blind_to_preferences_is_scored_where_they_change_and
     assert blind.value == told.value
     with pytest.raises(ValueError, match="preferences that change need a policy that is told them, or a single one"):
         suite.score([still, driving], "U4", episodes=2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_policy_is_told_of_a_change_unless_it_keeps_the_first_preference(follows: bool) -> None:
+    told: list[Any] = []
+    policy = SimpleNamespace(for_preference=lambda weights: told.append(weights) or driving, follows_changes=follows)
+    suite.score(policy, "U4", episodes=2, perturbed=False)
+    first = TASKS["U4"].told_weights()
+    driven = told[-2 * len(first) :]  # whatever it was asked before it drove
+    np.testing.assert_array_equal(driven[::2], first)
+    np.testing.assert_array_equal(driven[1::2], np.roll(first, -1, axis=0) if follows else first)
 
 
 @pytest.mark.slow
