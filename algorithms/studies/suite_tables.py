@@ -202,15 +202,19 @@ class Scoreboard:
         values = {learner: scores[learner].mean.estimate.text().partition(" [")[0] for learner in tied}
         first, *others = [f"{self._label(learner)} ({value})" for learner, value in values.items()]
         said = f"{first} is tied with {' and '.join(others)}" if others else f"{first} is the best"
-        for learner in [learner for learner in differences if learner not in tied][:1]:
-            gap = (scores[tied[0]].mean - scores[learner].mean).estimate.text()
-            said += f", ahead of {self._label(learner)} by {gap} with p = {differences[learner].p:.3f}"
+        behind = next((learner for learner in differences if learner not in tied), None)
+        if behind is not None:
+            gap = (scores[tied[0]].mean - scores[behind].mean).estimate.text()
+            whom = f"the ablation, {self._label(behind)}," if behind == ablation else self._label(behind)
+            said += f", ahead of {whom} by {gap} with p = {differences[behind].p:.3f}"
         said += f" ({test}, Holm's correction for {len(differences)})" if differences else " that was run"
         if ablation not in scores or len(scores) == 1:
             return [sentence(said)]
         ablated = load_study(REFERENCE).learners_of(name).get(ablation, Learner()).ablation_of
         if ablated not in scores:
             ablated = next(learner for learner in scores if learner != ablation)
+        if (tied, behind) == ([ablated], ablation):
+            return [sentence(said)]
         difference = scores[ablated].mean - scores[ablation].mean
         ahead = difference.value > 0.0 and difference.p < SIGNIFICANT
         cause = f"{self._label(ablated)} is {'' if ahead else 'not '}ahead of the ablation, {self._label(ablation)}"

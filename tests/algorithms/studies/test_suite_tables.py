@@ -103,10 +103,13 @@ def test_sentences_say_who_is_best_and_whether_the_ablation_is_behind_each_with_
     best, blind, noisy = [0.8, 0.81, 0.82, 0.81], [0.3, 0.31, 0.32, 0.31], [0.2, 0.9, 0.5, 0.8]
     apart = said({"mo_ppo_esr": best, "accrued_blind": blind, "ppo": noisy})
     assert apart.startswith("MO-PPO (ESR) (0.810) is tied with PPO (")
-    assert "ahead of MO-PPO (ESR) without what has accrued by 0.5" in apart
+    assert "ahead of the ablation, MO-PPO (ESR) without what has accrued, by 0.5" in apart
     assert "Holm's correction for 2" in apart
     assert "MO-PPO (ESR) is ahead of the ablation, MO-PPO (ESR) without what has accrued (0.5" in apart
     assert apart.count("paired bootstrap over seeds") == 2
+    once = said({"mo_ppo_esr": best, "accrued_blind": blind})
+    assert "is the best, ahead of the ablation, MO-PPO (ESR) without what has accrued, by 0.5" in once
+    assert once.count("paired bootstrap over seeds") == 1
     same = said({"mo_ppo_esr": best, "accrued_blind": best})
     assert "is not ahead of the ablation" in same
     assert same.endswith("): no cause is claimed.")
