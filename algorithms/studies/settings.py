@@ -255,6 +255,11 @@ class Learner(Settings):
     """The learner whose config, overrides and chosen settings it takes, with its own overrides in place of them: it is
     not tuned itself, so that only what it lacks makes a difference."""
 
+    @property
+    def same_policies(self) -> bool:
+        """Whether it has the policies of the learner that it ablates, and only their evaluation differs."""
+        return self.ablation_of is not None and all(key.startswith("evaluation.") for key in self.overrides)
+
     def with_changes(self, other: Learner) -> Learner:
         """The learner with what ``other`` sets: its overrides are added, anything else is replaced."""
         changes = {name: getattr(other, name) for name in other.model_fields_set}

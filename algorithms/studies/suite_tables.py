@@ -106,13 +106,15 @@ class Scoreboard:
         # In the order of the suite, and in that of the results.
         self.tasks: dict[str, Task] = {name: task for name, task in suite.load().tasks.items() if name in scored}
         self.learners = list(dict.fromkeys(result.learner for result in results))
-        self.scores, self.labels = cache(self._scores), load_study(REFERENCE).labels
+        self.scores, self._study = cache(self._scores), load_study(REFERENCE)
+        self.labels = self._study.labels
 
     def _scores(self, name: str) -> dict[str, Scores]:
         """The scores by learner of the policy that a task ranks, of those of whom a run has ended; the best first."""
         task, by_learner = suite.load().task(name), {}
         part_of = {(learner, seed): part for (of, learner, seed), part in self._samples.items() if of == name}
         drawn = shares(task.episodes, stream=name) if part_of else None
+        arms = self._study.learners_of(name) if name in self._study.tasks else {}
         for learner in self.learners:
             rows = self._rows.get((name, learner), [])
             scored = {row.seed: row.normalised for row in rows if (row.policy, row.column) == (task.policy, SCORE)}
@@ -125,7 +127,10 @@ class Scoreboard:
             for seed in known:
                 if drawn is not None and (part := part_of.get((learner, seed))) is not None:
                     resampled[seed] = task.normalised(SCORERS[task.score].score(task, drawn @ part))
-            mean = Resampled.over_seeds([(known[seed], resampled[seed]) for seed in known], f"{name}/{learner}")
+            arm = arms.get(learner, Learner())
+            # Seeds are those of other runs, and drawn apart, unless the policies are the same.
+            stream = f"{name}/{arm.ablation_of if arm.same_policies else learner}"
+            mean = Resampled.over_seeds([(known[seed], resampled[seed]) for seed in known], stream)
             unfinished = sum(state not in (FINISHED, FAILED) for state in states.values())
             by_learner[learner] = Scores(known, mean, unfinished)
         return dict(sorted(by_learner.items(), key=lambda item: -item[1].mean.value))
@@ -210,10 +215,10 @@ class Scoreboard:
         said += f" ({test}, Holm's correction for {len(differences)})" if differences else " that was run"
         if ablation not in scores or len(scores) == 1:
             return [sentence(said)]
-        ablated = load_study(REFERENCE).learners_of(name).get(ablation, Learner()).ablation_of
+        ablated = self._study.learners_of(name).get(ablation, Learner()).ablation_of
         if ablated not in scores:
             ablated = next(learner for learner in scores if learner != ablation)
-        if (tied, behind) == ([ablated], ablation):
+        if (tied[0], behind) == (ablated, ablation):
             return [sentence(said)]
         difference = scores[ablated].mean - scores[ablation].mean
         ahead = difference.value > 0.0 and difference.p < SIGNIFICANT
