@@ -196,10 +196,10 @@ def test_the_command_prints_the_tables_and_writes_page_and_picture(
 
 def test_an_own_learner_gets_the_help_of_all_and_no_tuning() -> None:
     plan = plan_of(["suite/mo_ppo"], ["core"], 2)
-    assert {task for task, _ in plan.selected} == {"K3", "K4", "K5", "V1"}
-    k5 = next(arm for arm in plan.arms if arm.task == "K5")
-    assert (k5.learner, k5.seeds, k5.candidates) == ("mo_ppo", (0, 1), ())
-    assert k5.values["algorithm"]["gamma"] == 0.9995
+    assert {task for task, _ in plan.selected} == {"K3", "K4", "V1", "R3"}
+    v1 = next(arm for arm in plan.arms if arm.task == "V1")
+    assert (v1.learner, v1.seeds, v1.candidates) == ("mo_ppo", (0, 1), ())
+    assert v1.values["algorithm"]["gamma"] == 0.998
     tuned = plan_of(["lintune"], ["K3"], 2)
     assert [len(arm.candidates) for arm in tuned.arms if arm.key in tuned.selected] == [6]
 
