@@ -108,9 +108,9 @@ class EvaluationSettings(Settings):
     """Tell the policy when a preference of the task changes; without it the first one is kept."""
 
     @model_serializer(mode="wrap")
-    def _without_no_task(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        absent = {"task": None, "follow_changes": True}
-        return {key: value for key, value in serialise(self).items() if absent.get(key, ...) != value}
+    def _without_defaults_of_a_task(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        defaults = [("task", None), ("follow_changes", True)]
+        return {key: value for key, value in serialise(self).items() if (key, value) not in defaults}
 
     @property
     def final_seed(self) -> int:
