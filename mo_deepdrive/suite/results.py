@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import FiniteFloat, TypeAdapter, ValidationError, model_validator
 
 from mo_deepdrive.evaluation.metrics import FRONT, GREEDY, POLICIES, STOCHASTIC
-from mo_deepdrive.suite.scorers import CONTROLLABILITY, CVAR, SCORE, SCORERS, WORST
+from mo_deepdrive.suite.scorers import CONTROLLABILITY, CVAR, SCORE, SCORERS, WORST, of_rulebook
 from mo_deepdrive.suite.tasks import load
 from mo_deepdrive.support.atomic_io import atomic_write, csv_bytes, own_path
 from mo_deepdrive.support.names import nearest
@@ -208,5 +208,7 @@ def check_of_suite(row: Row) -> None:
     if row.policy not in (GREEDY, STOCHASTIC):
         raise ValueError(f"policy = {row.policy!r} must be {GREEDY!r} or {STOCHASTIC!r}")
     known = [SCORE, CVAR, WORST, CONTROLLABILITY, *suite.perturbations]
+    if (task := suite.task(row.task)).rulebook is not None:
+        known += of_rulebook(task)
     if row.column.partition("/")[0] not in known:
         raise ValueError(f"column = {row.column!r} is unknown; {nearest(row.column, known)}")

@@ -217,10 +217,11 @@ def weighted_means(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float
 def costs(task: Task, samples: NDArray[np.float64]) -> NDArray[np.float64]:
     """(E, k) the magnitudes of what the rules of a rulebook are about, in their order, and of what counts then."""
     names = task.objectives()
-    return -samples[:, [names.index(name) for name in _of_rulebook(task)]]
+    return -samples[:, [names.index(name) for name in of_rulebook(task)]]
 
 
-def _of_rulebook(task: Task) -> list[str]:
+def of_rulebook(task: Task) -> list[str]:
+    """The objectives that a task's rulebook is about, in the order of its rules; what counts then is the last."""
     assert task.rulebook is not None
     return [*(rule.objective for rule in task.rulebook.rules), task.rulebook.then]
 
@@ -272,7 +273,7 @@ def worst_family(task: Task) -> Statistic:
 
 def mean_costs(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
     """The mean magnitudes per episode of what a rulebook is about."""
-    return dict(zip(_of_rulebook(task), costs(task, samples).mean(axis=0).tolist(), strict=True))
+    return dict(zip(of_rulebook(task), costs(task, samples).mean(axis=0).tolist(), strict=True))
 
 
 def controllability(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from mo_deepdrive import suite
 from mo_deepdrive.suite import Row
+from mo_deepdrive.suite.results import check_of_suite
 from mo_deepdrive.suite.scorers import SCORERS, controllability
 
 TASKS = suite.load().tasks
@@ -74,6 +76,14 @@ def test_a_rulebook_scores_the_first_rule_that_is_broken_or_else_the_time(
     returns[:collisions, names.index("collision")] = -1.0
     returns[:, names.index("right_of_way")], returns[:, names.index("time")] = -braking, -time
     assert number("R5", "score", returns) == pytest.approx(score, abs=1e-6)
+
+
+@pytest.mark.parametrize("column", ["collision", "right_of_way", "time"])
+def test_the_costs_of_a_rulebook_are_columns_of_its_task_alone(column: str) -> None:
+    row = Row("R5", "mine", 0, "greedy", column, 0.1, version=suite.load().version)
+    check_of_suite(row)
+    with pytest.raises(ValueError, match=f"column = '{column}' is unknown"):
+        check_of_suite(replace(row, task="K1"))
 
 
 def test_the_worst_family_of_partners_is_the_one_with_the_least_mean() -> None:
