@@ -300,7 +300,8 @@ class StudyPlan(Plan):
         for task in dict.fromkeys(arm.task for arm in arms):
             tuned = [arm for arm in arms if (arm.task, arm.ablation_of) == (task, None)]
             numbers = {arm.learner: len(arm.candidates) for arm in tuned}
-            wanted = tuned[0].tuning.candidates or max(numbers.values())
+            least = 0 if self.study.tasks[task].tuning == Tuning() else 1  # a task may say that it is not tuned
+            wanted = tuned[0].tuning.candidates or max(least, *numbers.values())
             if {*numbers.values()} != {wanted}:
                 listed = ", ".join(f"{learner} {number}" for learner, number in numbers.items())
                 hint = "tuning.values, or the tuning of a learner, must have as many combinations"
