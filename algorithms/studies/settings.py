@@ -258,7 +258,7 @@ class Learner(Settings):
     @property
     def same_policies(self) -> bool:
         """Whether it has the policies of the learner that it ablates, and only their evaluation differs."""
-        return self.ablation_of is not None and all(key.startswith("evaluation.") for key in self.overrides)
+        return self.ablation_of is not None and all(key.startswith("evaluation.") for key in keys_in(self.overrides))
 
     def with_changes(self, other: Learner) -> Learner:
         """The learner with what ``other`` sets: its overrides are added, anything else is replaced."""
