@@ -300,8 +300,7 @@ class StudyPlan(Plan):
         for task in dict.fromkeys(arm.task for arm in arms):
             tuned = [arm for arm in arms if (arm.task, arm.ablation_of) == (task, None)]
             numbers = {arm.learner: len(arm.candidates) for arm in tuned}
-            least = 0 if self.study.tasks[task].tuning == Tuning() else 1  # a task may say that it is not tuned
-            wanted = tuned[0].tuning.candidates or max(least, *numbers.values())
+            wanted = tuned[0].tuning.candidates or max(1, *numbers.values())
             if {*numbers.values()} != {wanted}:
                 listed = ", ".join(f"{learner} {number}" for learner, number in numbers.items())
                 hint = "tuning.values, or the tuning of a learner, must have as many combinations"
@@ -499,7 +498,8 @@ def plan_of(
         given = reference.tasks.get(key, StudyTask(task=key))
         changed = {name: learner for name, learner in given.learners.items() if name in planned}
         tuning = given.tuning if planned else None
-        study_tasks[key] = given.model_copy(update={"learners": changed, "title": task.title, "tuning": tuning})
+        own = {"learners": changed, "title": task.title, "tuning": tuning, "seeds": None}
+        study_tasks[key] = given.model_copy(update=own)
     tuning = reference.tuning if planned else None
     changes = {"seeds": list(range(seeds)), "tasks": study_tasks, "learners": trained, "tuning": tuning}
     study = reference.model_copy(update=changes)

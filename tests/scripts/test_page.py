@@ -72,8 +72,7 @@ def test_a_page_of_ones_own_takes_what_keys_can_drive(call: Call) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("registries")
-def test_a_scenario_and_objective_of_ones_own_become_a_page(call: Call, tmp_path: Path) -> None:
+def test_a_scenario_and_objective_of_ones_own_become_a_page(call: Call, registries: None, tmp_path: Path) -> None:
     try:
         find_linker()
     except OSError as error:

@@ -172,22 +172,18 @@ def test_learners_with_more_to_tune_have_as_many_candidates_which_try_every_valu
         assert [tried.count(value) for value in values] == [6 // len(values)] * len(values)
 
 
-def test_a_task_may_have_a_tuning_of_its_own_or_none(tmp_path: Path) -> None:
+def test_a_task_may_have_a_tuning_of_its_own(tmp_path: Path) -> None:
     task = {**{key: VALUES[key] for key in ("environment", "utility")}, "steps": 960}
     own = {"seeds": [7], "values": {RATE: [0.1, 0.2, 0.3]}}
     file = write_study(
         tmp_path,
         tuning={"seeds": [100], "values": {RATE: [0.001, 0.002]}, "shares": [0.5, 1.0]},
-        tasks={"plain": task, "own": {**task, "tuning": own}, "none": {**task, "tuning": {}}},
+        tasks={"plain": task, "own": {**task, "tuning": own}},
         learners={"mo": {"config": "base.yaml"}},
     )
     plan = StudyPlan(load_study(file))
-    rows = plan.rows(Scores())
-    tried = [
-        (row.cell["task"], row.seed, row.config["training"]["total_timesteps"]) for row in rows if "rung" in row.cell
-    ]
+    tried = [(row.cell["task"], row.seed, row.config["training"]["total_timesteps"]) for row in plan.rows(Scores())]
     assert sorted(tried) == [("own", 7, 960)] * 3 + [("plain", 100, 480)] * 2
-    assert {row.cell["task"] for row in rows if "rung" not in row.cell} == {"none"}
     assert plan.announcement()[-1].startswith("6 runs of tuning, as long as 5 full ones, then ")
 
 
