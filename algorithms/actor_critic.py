@@ -348,7 +348,8 @@ class ActorCritic(Agent):
         entropy = geometric_schedule(config.entropy_start, config.entropy_end, progress / config.entropy_until)
         self._learning_rate.fill_(learning_rate)
         self._entropy_coefficient.fill_(entropy)
-        self.grow_costs(progress / config.cost_growth if progress < config.cost_growth else 1.0)
+        grown = progress / config.cost_growth if progress < config.cost_growth else 1.0
+        self.grow_costs(grown**config.cost_growth_power)
         for guide in self.guides:
             guide.begin_rollout(progress)
         for seed in range(len(self.seeds)):

@@ -131,7 +131,7 @@ class ConditionedMOPPO(FrontAgent, ActorCritic):  # type: ignore[misc]  # it act
         switching: Fraction = 0.01
         """Probability per decision that the preference changes in the middle of an episode."""
         cost_growth: Fraction = 0.15
-        """Fraction of the training in which c of eq. 12 grows linearly from 0 to 1; 0 for weights as drawn from the
+        """Fraction of the training in which c of eq. 12 grows from 0 to 1; 0 for weights as drawn from the
         start. Until the first arrival the destination counts as a cost."""
         max_policies: Annotated[int, Field(ge=1, le=100_000)] = 200
         """Number of preferences under which the front is evaluated."""

@@ -38,12 +38,13 @@ def rollouts(agent: ActorCritic, monkeypatch: pytest.MonkeyPatch, *progress: flo
 
 
 @ALL
-def test_costs_grow_linearly_and_gains_stay(cls: type[ActorCritic], monkeypatch: pytest.MonkeyPatch) -> None:
-    agent = make_agent(cls, INTERSECTION, num_envs=8, cost_growth=0.5)
+@pytest.mark.parametrize(("power", "shares"), [(1.0, (0.0, 0.25, 0.5, 1.0, 1.0)), (2.0, (0.0, 0.0625, 0.25, 1.0, 1.0))])
+def test_costs_grow_and_gains_stay(
+    cls: type[ActorCritic], power: float, shares: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent = make_agent(cls, INTERSECTION, num_envs=8, cost_growth=0.5, cost_growth_power=power)
     progress = (0.0, 0.125, 0.25, 0.5, 0.75)
-    for (rewards, raw, _), share in zip(
-        rollouts(agent, monkeypatch, *progress), (0.0, 0.25, 0.5, 1.0, 1.0), strict=True
-    ):
+    for (rewards, raw, _), share in zip(rollouts(agent, monkeypatch, *progress), shares, strict=True):
         np.testing.assert_array_equal(rewards, raw * np.where(COSTS, share, 1.0).astype(np.float32))
         assert raw[..., COSTS].any()
 
