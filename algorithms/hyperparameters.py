@@ -87,7 +87,8 @@ class ActorCriticSettings(NetworkSettings):
     full size in what is learnt from; 0 for none. It is a curriculum: who is punished from the first step on may learn
     to stand still before the first arrival."""
     cost_growth_power: Positive = 1.0
-    """Costs are multiplied by this power of the share of ``cost_growth`` that has passed; above 1 they are low for longer."""
+    """Power of the share of ``cost_growth`` that has passed, by which costs are multiplied; above 1 they are low for
+    longer."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
